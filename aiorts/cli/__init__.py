@@ -105,7 +105,10 @@ def _import_command(names: list[str]) -> None:
     for name in names:
         if name.startswith("-"):
             continue
-        own = app._COMMANDS.get(name) or app._HIDDEN.get(name) or ("aiorts.cli.commands.filter:", "")
+        own = app._COMMANDS.get(name) or app._HIDDEN.get(name)
+        if own is None and app.is_offered_command(name):
+            continue  # it imports what it needs, and a filter's kernel and types are nothing of that
+        own = own or ("aiorts.cli.commands.filter:", "")
         home = own[0].partition(":")[0]
         try:
             importlib.import_module(home)

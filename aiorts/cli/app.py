@@ -184,6 +184,13 @@ def _of_plugin(ctx: click.Context, name: str) -> click.Command | None:
     return command
 
 
+def is_offered_command(name: str) -> bool:
+    """Whether an installed plugin offers a command of this name; nothing is imported for it."""
+    from importlib.metadata import entry_points
+
+    return any(one.name == name for one in entry_points(group="aiorts.commands"))
+
+
 def _offered(kind: str) -> dict[str, tuple[Extension, ...]]:
     from aiorts.cli.commands.offered import offered
 

@@ -11,9 +11,10 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.control.client import END, TIMEOUT, Client, CutOff, Silent, Stream, open_all
-    from aiorts.control.folder import FURTHER, Claim, Entry, entries, private_folder
+    from aiorts.control.folder import FURTHER, Carrier, Claim, Entry, entries, private_folder
+    from aiorts.control.many import FEW
     from aiorts.control.operation import Right
-    from aiorts.control.protocol import NEWEST, OLDEST, answer_in, framed, frames
+    from aiorts.control.protocol import NEWEST, OLDEST, REQUESTS, answer_in, framed, frames
     from aiorts.control.server.service import Control
     from aiorts.control.session import Session
     from aiorts.control.target import (
@@ -34,12 +35,15 @@ if TYPE_CHECKING:
 
 __all__ = (
     "END",
+    "FEW",
     "FILES",
     "FURTHER",
     "NEWEST",
     "OLDEST",
     "PATIENCE",
+    "REQUESTS",
     "TIMEOUT",
+    "Carrier",
     "Claim",
     "Client",
     "Control",
@@ -73,9 +77,10 @@ _late(
     globals(),
     {
         "aiorts.control.client": "END TIMEOUT Client CutOff Silent Stream open_all",
-        "aiorts.control.folder": "FURTHER Claim Entry entries private_folder",
+        "aiorts.control.folder": "FURTHER Carrier Claim Entry entries private_folder",
+        "aiorts.control.many": "FEW",
         "aiorts.control.operation": "Right",
-        "aiorts.control.protocol": "NEWEST OLDEST answer_in framed frames",
+        "aiorts.control.protocol": "NEWEST OLDEST REQUESTS answer_in framed frames",
         "aiorts.control.server.service": "Control",
         "aiorts.control.session": "Session",
         "aiorts.control.together": "Outcome change_all",

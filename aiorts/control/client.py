@@ -41,9 +41,12 @@ class Client:
         right: "view", "operate" or "code": what the kernel lets this session do.
         hello: what the kernel says of itself: name, address, pid.
         silence: what is said where it does not answer.
+
+    Args:
+        later: whether the session is to begin with the first call.
     """
 
-    def __init__(self, entry: Entry, who: str = "", *, patience: float = TIMEOUT) -> None:
+    def __init__(self, entry: Entry, who: str = "", *, patience: float = TIMEOUT, later: bool = False) -> None:
         self.entry = entry
         self.right = ""
         self.hello: Mapping[str, Any] = {}
@@ -56,14 +59,29 @@ class Client:
         self._last = 0
         self._gone = ""
         self.silence = _SILENCE
+        self._who = who or _command()
+        self._socket: socket.socket
+        self.begun = False
+        """Whether there is a session."""
+        if not later:
+            self._start(patience)
+
+    def _start(self, patience: float = TIMEOUT) -> None:
+        """Begin the session, if there is none."""
+        if self.begun:
+            return
+        hello: dict[str, object] = {"oldest": OLDEST, "newest": NEWEST, "who": self._who}
+        if self.entry.carried:
+            hello["to"] = [self.entry.address, self.entry.epoch]
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.settimeout(TIMEOUT)
-            self._connect(entry, time.monotonic() + patience)
-            self._socket.sendall(framed({"hello": {"oldest": OLDEST, "newest": NEWEST, "who": who or _command()}}))
+            self._connect(self.entry, time.monotonic() + patience)
+            self._socket.sendall(framed({"hello": hello}))
         except BaseException:
             self._socket.close()
             raise
+        self.begun = True
 
     @classmethod
     def open(cls, entry: Entry, *, timeout: float = TIMEOUT, who: str = "") -> Self:
@@ -116,7 +134,8 @@ class Client:
         self.right = str(hello.get("right", ""))
         process = hello.get("pid")
         process = process if type(process) is int else self.entry.pid
-        self.entry = Entry(self.entry.address, process, str(hello.get("epoch", "")), self.entry.path)
+        epoch = str(hello.get("epoch", ""))
+        self.entry = Entry(self.entry.address, process, epoch, self.entry.path, self.entry.carried)
         self.hello = hello
 
     def close(self) -> None:
@@ -125,7 +144,8 @@ class Client:
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
             self._ahead.join()
-        self._socket.close()
+        if self.begun:
+            self._socket.close()
 
     def read_ahead(self) -> None:
         """From now on a thread takes what comes: this process may be held back, and the kernel does not notice.
@@ -134,6 +154,7 @@ class Client:
         not for who calls this. Idempotent.
         """
         if self._ahead is None:
+            self._start()
             self._socket.settimeout(None)
             self._ahead = Ahead(self.read, self._sort)
 
@@ -147,6 +168,7 @@ class Client:
 
     def fileno(self) -> int:
         """The socket's descriptor, for `select`."""
+        self._start()
         return self._socket.fileno()
 
     # -- calls -----------------------------------------------------------------------------------------------------
@@ -212,6 +234,7 @@ class Client:
         frame = framed(message)
         if len(frame) > REQUESTS.frame:
             raise errors.LimitError(f"a call of {len(frame)} bytes; at most {REQUESTS.frame} are allowed")
+        self._start()
         try:
             self._socket.settimeout(TIMEOUT)
             self._socket.sendall(frame)
@@ -424,6 +447,8 @@ def open_all(
         answer = answers.get(client, client.silence)
         if client in answers and not isinstance(answer, AiortsError):
             opened.append((client, answer))
+        elif isinstance(answer, errors.AbsentError):  # it went meanwhile
+            client.close()
         else:
             client.close()
             silent.append(Silent(client.entry, _why(client.entry, answer)))

@@ -3,7 +3,8 @@
 An entry is a socket, named by a hash of the kernel's address, and a small file beside it that says whose it is. The
 folder is refused when it is a link, belongs to another user, or lets others in. An entry without a listener was left
 by a process that is gone: the next reader removes it. The variable AIORTS_FOLDERS names further folders of that kind,
-with ":" between them: what carries sessions to other hosts has its sockets there.
+with ":" between them: what carries sessions to other hosts has one socket there for all of them, and its file is a
+list (`Carrier`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import socket
 import stat
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
@@ -28,7 +29,7 @@ LONGEST_PATH: Final = 107
 """Bytes of a socket's path that the system takes."""
 FURTHER: Final = "AIORTS_FOLDERS"
 _PRIVATE: Final = 0o700
-_LARGEST_FILE: Final = 4096
+_LARGEST_FILE: Final = 16 << 20
 _SUFFIXES: Final = (".json", ".part", ".sock")
 
 
@@ -43,6 +44,8 @@ class Entry:
     """16 hexadecimal digits, others each time a kernel opens its socket."""
     path: str
     """Of the socket."""
+    carried: bool = False
+    """Whether the socket carries sessions with several kernels, and is told with which."""
 
     @property
     def name(self) -> str:
@@ -118,10 +121,10 @@ def _entries(folder: Path) -> list[Entry]:
     found = {file: _read(file) for file in files}
     if None in found.values():
         with contextlib.suppress(OSError, ControlError), _locked(folder, (0.0,)):
-            for file, entry in found.items():
-                if entry is None and _read(file) is None and _is_dead(str(file.with_suffix(".sock"))):
+            for file, of in found.items():
+                if of is None and _read(file) is None and _is_dead(str(file.with_suffix(".sock"))):
                     _remove(str(file.with_suffix(".sock")))
-    return [one for one in found.values() if one is not None]
+    return [entry for of in found.values() for entry in of or ()]
 
 
 def discard(entry: Entry) -> None:
@@ -136,20 +139,24 @@ def is_served(entry: Entry) -> bool:
     file = Path(entry.path).with_suffix(".json")
     for wait in (0.0, 0.1):  # what is killed closes its sockets one after the other
         time.sleep(wait)
-        found = _read(file)
-        if found is None or found.epoch != entry.epoch or _is_dead(entry.path):
+        said = {(one.address, one.epoch) for one in _read(file) or ()}
+        if (entry.address, entry.epoch) not in said or _is_dead(entry.path):
             return False
     return True
 
 
-def _read(file: Path) -> Entry | None:
+def _read(file: Path) -> tuple[Entry, ...] | None:
+    """What is reached by the socket beside a file: one kernel, or those of a list; None: it does not say."""
+    path = str(file.with_suffix(".sock"))
     try:
         with file.open("rb") as opened:
             data = json.loads(opened.read(_LARGEST_FILE))
-        address, pid, epoch = str(data["address"]), int(data["pid"]), str(data["epoch"])
+        pid = int(data["pid"])
+        if "carried" in data:
+            return tuple(Entry(str(one), pid, str(epoch), path, carried=True) for one, epoch in data["carried"])
+        return (Entry(str(data["address"]), pid, str(data["epoch"]), path),)
     except (OSError, ValueError, TypeError, KeyError):
         return None
-    return Entry(address, pid, epoch, str(file.with_suffix(".sock")))
 
 
 def _is_dead(path: str) -> bool:
@@ -206,16 +213,14 @@ class Claim:
         if folder is None:
             folder = private_folder()
         name = hashlib.sha256(address.encode()).hexdigest()[:16]
-        path = str(folder / f"{name}.sock")
-        if len(os.fsencode(path)) > LONGEST_PATH:
-            raise ControlError(f"{path}: longer than {LONGEST_PATH} bytes; set XDG_RUNTIME_DIR to a shorter path")
+        path = _socket_path(folder, name)
         file = folder / f"{name}.json"
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             with _locked(folder):
                 if os.path.lexists(path) and not _is_dead(path):
                     holder = _read(file)
-                    who = f"process {holder.pid}" if holder is not None else "another process"
+                    who = f"process {holder[0].pid}" if holder else "another process"
                     raise TakenError(f"{address}: is held by {who}; give another --name, or end that process")
                 _remove(path)
                 try:
@@ -236,6 +241,32 @@ class Claim:
         """Remove the entry; a child that was forked leaves it alone."""
         if os.getpid() == self._pid:
             _remove(self.entry.path)
+
+
+class Carrier:
+    """The entries of kernels with which one socket of this process carries sessions.
+
+    Args:
+        folder: for it alone, and of this user alone.
+
+    Raises:
+        ControlError: the path of the socket is too long.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path = _socket_path(folder, "carrier")
+        """Of the socket, which is its owner's to open."""
+
+    def write(self, kernels: Iterable[tuple[str, str]]) -> None:
+        """These can be reached from now on, by address and epoch, and no others."""
+        _write(Path(self.path).with_suffix(".json"), {"pid": os.getpid(), "carried": list(kernels)})
+
+
+def _socket_path(folder: Path, name: str) -> str:
+    path = str(folder / f"{name}.sock")
+    if len(os.fsencode(path)) > LONGEST_PATH:
+        raise ControlError(f"{path}: longer than {LONGEST_PATH} bytes; set XDG_RUNTIME_DIR to a shorter path")
+    return path
 
 
 class TakenError(ControlError, ConfigurationError):

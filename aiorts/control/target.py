@@ -14,6 +14,7 @@ from typing import Any, Final, Never, TypeVar
 
 from aiorts.control.client import Client, Silent, open_all
 from aiorts.control.folder import Entry, entries
+from aiorts.control.many import said_by_many
 from aiorts.errors import AbsentError, AiortsError, AmbiguousError, ClosedError, NoAnswerError
 from aiorts.late import dataclass
 from aiorts.model.names import split_path
@@ -288,15 +289,32 @@ def kernels(
     if _shared:
         yield from _anew(_shared[-1], select, changing=changing)
         return
-    wanted: Iterable[Entry] = entries()
-    opened, silent = open_all([one for one in wanted if select is None or select(one)], "names", timeout=timeout)
-    found = Kernels([Running(client, names) for client, names in opened], silent, changing=changing)
+    wanted = [one for one in entries() if select is None or select(one)]
+    running, asked = _told(wanted)
+    opened, silent = open_all(asked, "names", timeout=timeout)
+    running += [Running(client, names) for client, names in opened]
+    running.sort(key=lambda one: one.client.entry.address)
+    found = Kernels(running, silent, changing=changing)
     try:
         yield found
     except ClosedError as error:  # it has ended meanwhile, or is about to
         raise AbsentError(str(error)) from None
     finally:
         found.close()
+
+
+def _told(wanted: Sequence[Entry]) -> tuple[list[Running], list[Entry]]:
+    """The kernels that are known without a session, which begins when it is wanted; and all others."""
+    said = said_by_many(wanted, "names")
+    running, others = [], []
+    for one in wanted:
+        names = said.get((one.address, one.epoch)) if one.carried else None
+        if names is None:
+            others.append(one)
+        else:
+            process = names.get("pid") or one.pid
+            running.append(Running(Client(Entry(one.address, process, one.epoch, one.path, True), later=True), names))
+    return running, others
 
 
 _shared: Final[list[Kernels]] = []
@@ -316,10 +334,12 @@ def sharing() -> Iterator[None]:
 def _anew(shared: Kernels, select: Callable[[Entry], bool] | None, *, changing: bool) -> Iterator[Kernels]:
     """The same sessions, with what is in their kernels by now."""
     running = []
-    for one in shared.running:
-        if select is None or select(one.client.entry):
-            with suppress(ClosedError):
-                running.append(Running(one.client, one.client.call("names")))
+    wanted = [one.client for one in shared.running if select is None or select(one.client.entry)]
+    said = said_by_many([client.entry for client in wanted if not client.begun], "names")
+    for client in wanted:
+        names = None if client.begun else said.get((client.entry.address, client.entry.epoch))
+        with suppress(ClosedError):
+            running.append(Running(client, client.call("names") if names is None else names))
     try:
         yield Kernels(running, shared.silent, changing=changing)
     except ClosedError as error:

@@ -31,6 +31,8 @@ class Names:
     """The name by which links of other kernels reach it; "" where they cannot."""
     notices: tuple[str, ...] = ()
     """What is to be seen of it at once, such as that others reach it without certificates."""
+    pid: int = 0
+    """Of its process; 0 where it is not said."""
 
 
 @dataclass(frozen=True, slots=True)

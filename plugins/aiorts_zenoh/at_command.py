@@ -16,7 +16,7 @@ from typing import Final
 
 import click
 
-from aiorts.control import FURTHER
+from aiorts.control import FEW, FURTHER
 from aiorts.errors import LinkError
 from aiorts_zenoh.gateway import Gateway
 from aiorts_zenoh.keys import ClientKeys
@@ -77,6 +77,8 @@ async def _at(settings: NetworkSettings, caller: str, command: tuple[str, ...]) 
         )
         try:
             await _open(gateway, settings, secured)
+            if command and len(gateway.peers) > FEW:
+                gateway.ask_early("names")  # while the command begins
             return await _run(command, folder)
         finally:
             await gateway.close()

@@ -60,10 +60,10 @@ class Carried:
         finally:
             looking.cancel()
 
-    async def run(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Carry what comes from either side to the other, until one ends."""
+    async def run(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, begun: bytes = b"") -> None:
+        """Carry what comes from either side to the other, until one ends; `begun` has come from this side before."""
         self._writer = writer
-        ways = self._out(reader), self._in(writer), self._look(), self._closed.wait()
+        ways = self._out(reader, begun), self._in(writer), self._look(), self._closed.wait()
         tasks: list[asyncio.Future[Any]] = [asyncio.ensure_future(one) for one in ways]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -75,10 +75,11 @@ class Carried:
             with contextlib.suppress(OSError):
                 await writer.wait_closed()
 
-    async def _out(self, reader: asyncio.StreamReader) -> None:
+    async def _out(self, reader: asyncio.StreamReader, begun: bytes) -> None:
         stream = self._stream
         with contextlib.suppress(OSError):
-            while data := await reader.read(CHUNK):
+            while data := begun[:CHUNK] or await reader.read(CHUNK):
+                begun = begun[CHUNK:]
                 while not stream.has_room:
                     await self._next_news()
                 stream.send(data)

@@ -11,6 +11,7 @@ import contextlib
 import json
 import re
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -28,6 +29,9 @@ _PLACE: Final = re.compile(r" at /\S+\.rs:\d+\.?")
 _ATTEMPT: Final = 1_000
 """Milliseconds of one attempt to connect of a client, which cannot be ended before."""
 _UNREACHED: Final = "Unable to connect"
+_EMPTY: Final = 0.3
+"""Seconds until it is believed that nothing is there."""
+_AGAIN: Final = 0.05
 _AT_ONCE: Final = 256
 """Items that are handled before the loop has its turn."""
 _MANY: Final = 16
@@ -112,6 +116,7 @@ class Engine:
         self._tokens: dict[str, Any] = {}
         self._announcing = threading.Lock()
         self._closed = False
+        self._is_client = False
         self.gate: Gate | None = None
         """Which of what comes is taken; by default all."""
 
@@ -124,7 +129,8 @@ class Engine:
             inbox: what hands over what callbacks bring.
         """
         self._inbox = inbox
-        waits = settings.get("mode") == "client" and settings.get("connect/timeout_ms") == -1
+        self._is_client = settings.get("mode") == "client"
+        waits = self._is_client and settings.get("connect/timeout_ms") == -1
         config = self._zenoh.Config()
         for key, value in {**settings, **({"connect/timeout_ms": _ATTEMPT} if waits else {})}.items():
             config.insert_json5(key, json.dumps(value))
@@ -214,16 +220,50 @@ class Engine:
         if not self._closed:
             held.undeclare()
 
-    def gather(self, key: str, within: float) -> list[tuple[str, bytes]]:
-        """The answers of all that answer a question, each with its key; waits for them."""
-        target = self._zenoh.QueryTarget.ALL
-        replies = self._session.get(key, target=target, timeout=within, express=True)
-        return [(str(one.ok.key_expr), one.ok.payload.to_bytes()) for one in replies if one.ok is not None]
+    def ask_all(
+        self, key: str, within: float, answered: Callable[[str, bytes], None], over: Callable[[bool], None]
+    ) -> None:
+        """Have `answered` called with key and bytes of each answer to a question to all, and `over` at their end.
+
+        `over` is told whether all that were asked have answered in time.
+        """
+        put, late = self._inbox.put, []
+
+        def came(reply: Any) -> None:
+            if reply.ok is None:
+                late.append(reply)
+            else:
+                data = reply.ok.payload.to_bytes()
+                put(answered, str(reply.ok.key_expr), data, size=len(data))
+
+        zenoh = self._zenoh
+        self._session.get(
+            key,
+            zenoh.handlers.Callback(came, lambda: put(over, not late), indirect=False),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,  # else no answer comes before the last
+            timeout=within,
+            express=True,
+        )
 
     def present(self, key: str, within: float) -> list[str]:
-        """The tokens that are there."""
-        replies = self._session.liveliness().get(key, timeout=within)
-        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+        """The tokens that are there.
+
+        It is asked again until there is one and all have answered, and until nothing is new where others may not have
+        said yet what is behind them; for `within` seconds at the most, and for `_EMPTY` where all say that none is.
+        """
+        began, found = time.monotonic(), set[str]()
+        while (left := began + within - time.monotonic()) > 0:
+            replies = list(self._session.liveliness().get(key, timeout=left))
+            before, now = found, {str(one.ok.key_expr) for one in replies if one.ok is not None}
+            found = found | now
+            whole = all(one.ok is not None for one in replies)
+            if whole and (now if self._is_client else now and now == before):
+                break
+            if whole and not found and time.monotonic() - began > _EMPTY:
+                break
+            time.sleep(_AGAIN)
+        return sorted(found)
 
     @property
     def is_heard(self) -> bool:

@@ -1,6 +1,7 @@
-"""A client's end: for each kernel of other hosts a socket in a folder of this host, as kernels of this host have one.
+"""A client's end: kernels of other hosts are reached by a socket in a folder of this host, as kernels of this host are.
 
-So every command that reaches kernels of this host reaches those of others, and knows nothing of it.
+So every command that reaches kernels of this host reaches those of others, and knows nothing of it. The folder lists
+the kernels whose tokens are there. A session begins when a command wants one; of many one question is asked instead.
 """
 
 from __future__ import annotations
@@ -13,44 +14,62 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from aiorts.control import Claim, answer_in
-from aiorts.errors import WireError
+from aiorts.control import REQUESTS, Carrier, answer_in, framed, frames
+from aiorts.errors import AbsentError, AiortsError, LinkError
 from aiorts.links import Peer
 from aiorts_zenoh.carried import Carried
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import read
 from aiorts_zenoh.keys import CTL, HELLO, INFO, ClientKeys, peer_of, session_in
+from aiorts_zenoh.stream import CHUNK
 
-_ANSWERS: Final = 0.5
+_DEADLINE: Final = 3.0
 """Seconds that kernels have to say what this client may do."""
+_ROUND: Final = 0.5
+"""Seconds until they are asked again."""
+_AGAIN: Final = 0.05
+_FIRST: Final = 1.0
+"""Seconds to wait for the first answer of many kernels, and for another one once there is one."""
+_NEXT: Final = 0.25
+_BEGINS: Final = 5.0
+"""Seconds in which a command says what it wants."""
+_COMMANDS: Final = 1_024
+"""That may wait to be let in."""
 
 
 class Gateway:
     """Makes kernels of other hosts reachable from commands of this one.
 
     Args:
-        folder: for the sockets; of this user alone.
+        folder: for the socket and the list; of this user alone.
         keys: the domain and this client's name.
         settings: of the engine by their keys.
     """
 
     def __init__(self, folder: Path, keys: ClientKeys, settings: Mapping[str, Any]) -> None:
-        self._folder, self._keys, self._settings = folder, keys, settings
+        self._keys, self._settings = keys, settings
+        self._carrier = Carrier(folder)
         self._engine = Engine()
-        self._operable: set[Peer] = set()
-        self._served: dict[Peer, tuple[Claim, asyncio.Task[None]]] = {}
+        self._peers: dict[tuple[str, str], Peer] = {}
+        """Those that are there, by host and name."""
+        self._branches: dict[Peer, str] = {}
+        """Below which sessions with a kernel are, as far as it has said what this client may do."""
         self._sessions: dict[str, tuple[Peer, Carried]] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._asking: asyncio.Task[None]
+        self._early: tuple[str, asyncio.Task[dict[Peer, bytes]]] | None = None
+        self._settling = False
         self._inbox: Inbox
+        self._server: asyncio.Server | None = None
         self._found: list[str] = []
 
     @property
     def peers(self) -> tuple[Peer, ...]:
         """The kernels that can be reached."""
-        return tuple(self._served)
+        return tuple(self._peers.values())
 
     async def open(self) -> None:
-        """Open the session, and a socket for each kernel that is there.
+        """Open the session, and list the kernels that are there.
 
         Raises:
             LinkError: nothing answers where this is to connect to.
@@ -59,7 +78,10 @@ class Gateway:
         self._inbox = Inbox(asyncio.get_running_loop())
         await in_thread(self._declare)
         for token in self._found:
-            self._add(token, is_new=False)
+            self._present(token, True)
+        self._settle()
+        self._server = await asyncio.start_unix_server(self._came, self._carrier.path, backlog=_COMMANDS)
+        self._asking = self._run(self._find_operable())
         self._engine.presence(self._keys.tokens, self._present)
 
     def _declare(self) -> None:
@@ -67,82 +89,148 @@ class Gateway:
         engine.open(self._settings, self._inbox)
         for branch in (INFO, CTL):
             engine.subscribe(keys.answers(branch), self._arrived)
-        self._found = engine.present(keys.tokens, _ANSWERS)
-        self._find_operable(keys.every(CTL, HELLO))
+        self._found = engine.present(keys.tokens, _DEADLINE)
 
-    def _find_operable(self, key: str) -> None:
-        """Ask which kernels let this client operate them; in a thread."""
-        for at, data in self._engine.gather(key, _ANSWERS):
-            try:
-                said = answer_in(data)["ok"]
-                if said["right"] == "operate" and (peer := peer_of(at)) is not None:
-                    self._operable.add(peer)
-            except (WireError, LookupError, TypeError):
-                continue
+    def ask_early(self, operation: str) -> None:
+        """A command begins that will ask this of all kernels, when it has come so far: once."""
+        self._early = operation, self._run(self._said(operation))
 
     async def close(self) -> None:
-        """Close all sockets and sessions."""
-        for peer in tuple(self._served):
-            self._remove(peer)
+        """Close the socket and all sessions."""
+        if self._server is not None:
+            self._server.close()
         for task in tuple(self._tasks):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        self._inbox.close()
+        if hasattr(self, "_inbox"):
+            self._inbox.close()
         await in_thread(self._engine.close)
 
     # -- kernels ---------------------------------------------------------------------------------------------------
 
     def _present(self, token: str, up: bool) -> None:
         peer = peer_of(token)
-        if up:
-            self._add(token, is_new=True)
-        elif peer is not None and peer in self._served:
-            self._remove(peer)
-
-    def _add(self, token: str, *, is_new: bool) -> None:
-        peer = peer_of(token)
-        if peer is None or peer in self._served:
+        if peer is None:
             return
-        for old in [one for one in self._served if (one.host, one.kernel) == (peer.host, peer.kernel)]:
-            self._remove(old)  # its end is not known here yet
-        claim = Claim(f"{peer.host}/{peer.kernel}", f"{peer.epoch:016x}", self._folder)
-        self._served[peer] = claim, self._run(self._serve(peer, claim, is_new=is_new))
+        name = peer.host, peer.kernel
+        before = self._peers.get(name)
+        if up:
+            self._peers[name] = peer  # the end of one that had the name before may not be known here yet
+        elif before == peer:
+            del self._peers[name]
+        if self._peers.get(name) != before and not self._settling:
+            self._settling = True
+            asyncio.get_running_loop().call_soon(self._settle)
 
-    async def _serve(self, peer: Peer, claim: Claim, *, is_new: bool) -> None:
-        """Let commands of this host in, until the kernel goes."""
-        try:
-            if is_new:
-                await in_thread(partial(self._find_operable, self._keys.session(CTL, peer, HELLO)))
-            server = await asyncio.start_unix_server(
-                lambda *ends: self._run(self._carry(peer, *ends)), sock=claim.listener
-            )
-            try:
-                await asyncio.Event().wait()
-            finally:
-                server.close()
-        finally:
-            claim.listener.close()
-
-    def _remove(self, peer: Peer) -> None:
-        claim, serving = self._served.pop(peer)
-        claim.withdraw()
-        serving.cancel()
-        self._operable.discard(peer)
-        for whose, carried in tuple(self._sessions.values()):
-            if whose == peer:
+    def _settle(self) -> None:
+        """List those that are there, and end the sessions with all others."""
+        self._settling = False
+        there = set(self._peers.values())
+        self._carrier.write((_address(peer), _epoch(peer)) for peer in there)
+        for gone in self._branches.keys() - there:
+            del self._branches[gone]
+        for peer, carried in tuple(self._sessions.values()):
+            if peer not in there:
                 carried.close()
 
-    # -- sessions --------------------------------------------------------------------------------------------------
+    async def _find_operable(self) -> None:
+        """Ask all at once which let this client operate them."""
+        answers = await self._asked(self._keys.every(CTL, HELLO), _ROUND)
+        self._branches |= {peer: CTL for peer, data in answers[0].items() if _operates(data)}
 
-    async def _carry(self, peer: Peer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        branch = CTL if peer in self._operable else INFO
+    async def _branch(self, peer: Peer) -> str:
+        """Below which a session with a kernel is to be.
+
+        That it says nothing below CTL is no answer, until it has said something below INFO meanwhile, in two rounds
+        where the question below CTL had no end. Where it says nothing at all, it is asked again until a deadline.
+        """
+        await asyncio.wait([self._asking])
+        until, rounds = asyncio.get_running_loop().time() + _DEADLINE, 0
+        while peer not in self._branches and asyncio.get_running_loop().time() < until:
+            keys = [self._keys.session(branch, peer, HELLO) for branch in (CTL, INFO)]
+            (operates, ended), (looks, _) = await asyncio.gather(*(self._asked(key, _ROUND) for key in keys))
+            rounds += bool(looks)
+            if _operates(operates.get(peer, b"")):
+                self._branches[peer] = CTL
+            elif looks and (ended or rounds > 1):
+                self._branches[peer] = INFO
+            else:
+                await asyncio.sleep(_AGAIN)
+        return self._branches.get(peer, INFO)
+
+    async def _asked(self, key: str, first: float, following: float | None = None) -> tuple[dict[Peer, bytes], bool]:
+        """The answers to a question, by who gave them, and whether all who were asked have answered.
+
+        Args:
+            first: seconds to wait for the first answer, and with `following` for another after each; else for all.
+        """
+        found: dict[Peer, bytes] = {}
+        ended: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
+        news = asyncio.Event()
+
+        def answered(at: str, data: bytes) -> None:
+            if (peer := peer_of(at)) is not None:
+                found[peer] = data
+            news.set()
+
+        def over(whole: bool) -> None:
+            if not ended.done():
+                ended.set_result(whole)
+            news.set()
+
+        within = first if following is None else _DEADLINE
+        await in_thread(partial(self._engine.ask_all, key, within, answered, over))
+        with suppress(TimeoutError):
+            while not ended.done():
+                async with asyncio.timeout(following if found and following else first):
+                    await news.wait()
+                news.clear()
+        return found, ended.done() and ended.result()
+
+    # -- commands --------------------------------------------------------------------------------------------------
+
+    def _came(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._run(self._let_in(reader, writer))
+
+    async def _let_in(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """A command has come: carry its session, or answer what it asks of all."""
+        try:
+            async with asyncio.timeout(_BEGINS):
+                begun, first = await _first_frame(reader)
+            if "every" in first:
+                writer.write(framed({"said": await self._told(str(first["every"]))}))
+                await writer.drain()
+            else:
+                await self._carry(self._meant(first), begun, reader, writer)
+        except AiortsError as error:
+            writer.write(framed({"error": {"code": error.code, "text": str(error)}}))
+        except (OSError, TimeoutError):
+            pass  # it has gone, or is no command
+        finally:
+            writer.close()
+
+    def _meant(self, first: Mapping[Any, Any]) -> Peer:
+        """The kernel with which a command begins a session; AbsentError: it is gone."""
+        hello = first.get("hello")
+        said = hello.get("to") if isinstance(hello, dict) else None
+        address, epoch = said if isinstance(said, list) and len(said) == 2 else ("", "")
+        host, _, kernel = str(address).rpartition("/")
+        peer = self._peers.get((host, kernel))
+        if peer is None or _epoch(peer) != epoch:
+            raise AbsentError(f"{address}: is gone; `aiorts ls` shows what runs")
+        return peer
+
+    async def _carry(
+        self, peer: Peer, begun: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        branch = await self._branch(peer)
         session = secrets.token_hex(8)
         key = self._keys.session(branch, peer, session)
         token = self._engine.hold(f"{key}/live")
         carried = Carried(partial(self._engine.put, f"{key}/c", urgent=branch == CTL), int(session[:8], 16))
         self._sessions[session] = peer, carried
         try:
-            await carried.run(reader, writer)
+            await carried.run(reader, writer, begun)
         finally:
             del self._sessions[session]
             self._engine.release(token)
@@ -153,8 +241,47 @@ class Gateway:
             with suppress(ValueError):  # it is no message, and nothing is lost with it
                 found[1].arrived(read(data))
 
-    def _run(self, coroutine: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+    async def _told(self, operation: str) -> list[tuple[str, str, Any]]:
+        """What kernels say to a call: address, epoch and value of each that answers soon."""
+        early, self._early = self._early, None
+        answers = await (early[1] if early is not None and early[0] == operation else self._said(operation))
+        told = []
+        for peer, data in answers.items():
+            with suppress(AiortsError, LookupError):
+                told.append((_address(peer), _epoch(peer), answer_in(data)["ok"]))
+        return told
+
+    async def _said(self, operation: str) -> dict[Peer, bytes]:
+        return (await self._asked(self._keys.every(INFO, operation), _FIRST, _NEXT))[0]
+
+    def _run(self, coroutine: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
         task = asyncio.get_running_loop().create_task(coroutine)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
         return task
+
+
+async def _first_frame(reader: asyncio.StreamReader) -> tuple[bytes, dict[Any, Any]]:
+    """All bytes that have come, and the first frame in them. LinkError: there is none."""
+    begun = b""
+    while data := await reader.read(CHUNK):
+        begun += data
+        for frame in frames(bytearray(begun), REQUESTS.frame):
+            return begun, answer_in(frame)
+    raise LinkError("nothing was said")
+
+
+def _operates(answer: bytes) -> bool:
+    """Whether a kernel says by this that it can be operated."""
+    try:
+        return bool(answer_in(answer)["ok"]["right"] == "operate")
+    except (AiortsError, LookupError, TypeError):
+        return False
+
+
+def _address(peer: Peer) -> str:
+    return f"{peer.host}/{peer.kernel}"
+
+
+def _epoch(peer: Peer) -> str:
+    return f"{peer.epoch:016x}"

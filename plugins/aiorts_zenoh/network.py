@@ -12,19 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts import KernelService, setting
-from aiorts.control import Control
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
-from aiorts.links import Links
 from aiorts_zenoh.keys import base_of
-from aiorts_zenoh.neighbours import Neighbours
 from aiorts_zenoh.security.access import COMPONENT, Access
 from aiorts_zenoh.security.tls import Secured, secured_by, tls_settings
-from aiorts_zenoh.serving import Serving
-from aiorts_zenoh.transport import ZenohTransport
 
 if TYPE_CHECKING:
     from aiorts import Microkernel
+    from aiorts_zenoh.neighbours import Neighbours
+    from aiorts_zenoh.serving import Serving
+    from aiorts_zenoh.transport import ZenohTransport
 
 _LOG: Final = logging.getLogger("aiorts.zenoh")
 _NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,252}")
@@ -117,6 +115,10 @@ class Network(KernelService):
         self._security = ""
 
     def configure(self, settings: NetworkSettings) -> None:
+        from aiorts.links import Links  # late: `aiorts at` needs the settings alone, and waits for no kernel
+        from aiorts_zenoh.neighbours import Neighbours
+        from aiorts_zenoh.transport import ZenohTransport
+
         host = settings.host or platform.node()
         _check_name("host", host)
         for endpoint in _listed(settings.listen):
@@ -135,6 +137,10 @@ class Network(KernelService):
         self._opening.add_done_callback(_report)
 
     async def _open(self, transport: ZenohTransport, neighbours: Neighbours, *, operate: bool) -> None:
+        from aiorts.control import Control
+        from aiorts.links import Links
+        from aiorts_zenoh.serving import Serving
+
         control = self.kernel.attached(Control)
         if control is not None and control.hello:
             admits = neighbours.admits_client

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Awaitable
 from types import MappingProxyType
 from typing import Final
@@ -33,6 +34,7 @@ def _names(session: Session, _: Nothing) -> Names:
         in_error=tuple(name for name, one in kernel.components.items() if one.last_error is not None),
         links="" if far is None else far.open_as,
         notices=tuple(one.notice for one in kernel.services if one.notice),
+        pid=os.getpid(),
     )
 
 
