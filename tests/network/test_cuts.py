@@ -24,7 +24,7 @@ AGAIN = 5.0
 """Seconds until links are up again when there is a network again."""
 POLICIES: dict[str, dict[str, Any]] = {
     "block": {"full": "block", "timeout": None},
-    "flush": {"subscription": "flush", "timeout": None},
+    "flush": {"subscription": "flush", "full": "block", "timeout": None},
     "short": {"length": 20},
     "newest": {"push": "new"},
 }

@@ -78,8 +78,8 @@ def test_a_stopped_kernel_delays_no_call_between_others(router: bool, tmp_path: 
 def test_all_that_is_written_to_a_kernel_that_stands_still_arrives_or_is_counted(tmp_path: Path) -> None:
     address = f"127.0.0.1:{free_port()}"
     policies: dict[str, dict[str, Any]] = {
-        "patient": {"subscription": "flush", "timeout": None},
-        "flush": {"subscription": "flush", "timeout": 1.0},
+        "patient": {"subscription": "flush", "full": "block", "timeout": None},
+        "flush": {"subscription": "flush", "full": "block", "timeout": 1.0},
         "block": {"full": "block", "timeout": 1.0},
     }
     a = Linked(settings("a", sinks={name: tmp_path / name for name in policies}, listen=address), tmp_path / "a.log")
