@@ -225,4 +225,5 @@ async def main(settings: dict[str, Any]) -> None:
         await lines(take)
 
 
-asyncio.run(main(json.loads(sys.argv[1])))
+if __name__ == "__main__":
+    asyncio.run(main(json.loads(sys.argv[1])))
