@@ -15,7 +15,7 @@ from functools import partial
 from typing import Final
 
 from aiorts_zenoh.engine import Engine, in_thread
-from aiorts_zenoh.keys import Keys, base_of
+from aiorts_zenoh.keys import ClientKeys, Keys, base_of, peer_of
 from aiorts_zenoh.security.folder import Folder
 from aiorts_zenoh.security.probe import probe
 from aiorts_zenoh.security.revoking import EVERY, Revoking
@@ -81,6 +81,11 @@ class Neighbours:
         """Watch from now on. What the engine does here may wait for the network."""
         self.watch(engine, keys.domain)
 
+    def watch_all(self, engine: Engine, domain: str) -> None:
+        """Watch from now on, where no kernel here looks at the tokens of others."""
+        self.watch(engine, domain)
+        engine.presence(ClientKeys(domain, "").tokens, self._token)
+
     def watch(self, engine: Engine, domain: str) -> None:
         """Watch from now on, in a domain."""
         engine.neighbours(self._linked)
@@ -124,6 +129,10 @@ class Neighbours:
         elif self._secured.access.is_kernel(name) and name not in self._shown:
             self._timers = [one for one in self._timers if one.when() > self._loop.time()]
             self._timers.append(self._loop.call_later(_SHOWS, self._shows_nothing, name, target))
+
+    def _token(self, token: str, up: bool) -> None:
+        if up and (peer := peer_of(token)) is not None:
+            self._shown.add(peer.kernel)
 
     def _shows_nothing(self, name: str, target: str) -> None:
         if name not in self._shown and name in self._links.values():

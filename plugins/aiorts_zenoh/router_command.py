@@ -69,7 +69,7 @@ async def _route_until(ended: asyncio.Event, settings: NetworkSettings, name: st
     waits = [loop.create_task(one.wait()) for one in (ended, due)]
     try:
         neighbours.start()
-        await in_thread(lambda: neighbours.watch(engine, settings.domain))
+        await in_thread(lambda: neighbours.watch_all(engine, settings.domain))
         if say:
             click.echo(f"aiorts router: listens at {settings.listen}", err=True)
         await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)

@@ -85,6 +85,25 @@ def test_kernels_meet_in_a_router_and_again_after_it_was_killed(certified: bool,
         router.communicate(timeout=WAIT)
 
 
+def test_of_a_kernel_that_shows_its_name_nothing_is_said(tmp_path: Path) -> None:
+    address = f"127.0.0.1:{free_port()}"
+    folder(tmp_path, hub="router", robot="component")
+    router = start(address, "--certs", str(tmp_path), "--name", "hub")
+
+    async def main() -> None:
+        given = {"zenoh": {"connect": address, "host": "far", "certificates": tmp_path}}
+        async with Kernel("robot", services=given) as kernel:
+            await kernel.service(Network).opened()
+            await asyncio.sleep(7)  # a name that is not shown is said after five seconds
+
+    try:
+        asyncio.run(main())
+        router.terminate()
+        assert router.communicate(timeout=WAIT)[1] == ""
+    finally:
+        router.kill()
+
+
 def test_it_ends_in_order_with_a_signal() -> None:
     router = start(f"127.0.0.1:{free_port()}")
     try:
