@@ -124,6 +124,7 @@ class WriterLink:
         transport.settle()
         now = self._now()
         queue, read = transport.queue, self._read_aged if self._ages else far.read_nowait
+        confirm = not self._drains_full  # its window is too small for an acknowledgement that is kept back
         while end.room > 0:
             if queue:
                 try:
@@ -133,7 +134,7 @@ class WriterLink:
                     continue
                 except WouldBlock:
                     continue  # it has expired in this moment
-                end.offer(now, head, parts)
+                end.offer(now, head, parts, confirm=confirm)
             else:
                 if not isinstance(transport, Confirmed) or (entry := transport.next_waiting()) is None:
                     return

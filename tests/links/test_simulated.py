@@ -6,6 +6,8 @@ import asyncio
 from contextlib import suppress
 from random import Random
 
+import pytest
+
 from aiorts import Component, Connector, InPort, Kernel, OutPort
 from aiorts.errors import LinkError
 from aiorts.links import LinkLedger, Links
@@ -165,3 +167,34 @@ async def play_with_restarts(seed: int) -> None:
 def test_whatever_becomes_of_the_reader_all_is_accounted_for_and_nothing_comes_twice() -> None:
     for seed in range(cases(500)):
         simulate(play_with_restarts(seed), seed=seed)
+
+
+async def newest(count: int, every: float) -> tuple[list[int], LinkLedger]:
+    """What comes of samples that are written at this pace to a connector of which only the newest counts."""
+    network = MemoryNetwork(delay=0.001)
+    async with Kernel("two") as two, Kernel("one") as one:
+        for kernel in (one, two):
+            kernel.service(Links).use(network.transport(kernel.name))
+        await two.service(Links).opened()
+        source, sink = await one.add(Source()), await two.add(Sink())
+        connector = await one.connect(source.out, "two/sink0.inp", push="new")
+        seen: list[int] = []
+
+        async def read() -> None:
+            while True:
+                seen.append((await sink.inp.read()).data)
+
+        reader = asyncio.ensure_future(read())
+        for value in range(count):
+            source.out.write_nowait(TimedLong(tm=0, data=value))
+            await asyncio.sleep(every)
+        await asyncio.sleep(1.0)
+        reader.cancel()
+        return seen, await one.service(Links).ledger(connector)
+
+
+@pytest.mark.fault("E07")
+def test_where_the_newest_counts_each_comes_that_the_way_has_time_for() -> None:
+    seen, ledger = simulate(newest(200, 0.005))
+    assert seen == [*range(200)]
+    assert (ledger.delivered, ledger.unexplained) == (200, 0)
