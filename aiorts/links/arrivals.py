@@ -1,26 +1,31 @@
-"""Components that other kernels wait for: who is told when one has come, and is ready for what waited for it."""
+"""What other kernels are told: of components that they wait for, and of links that ended while they were away."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from aiorts.errors import LinkError, WiringError
+from aiorts.errors import LinkError, LinkTimeout, WiringError
 from aiorts.kernel.loop.bus import StateChanged
 from aiorts.kernel.ports import InPort
-from aiorts.links.messages import Answer
+from aiorts.links.messages import Answer, fields, packed
 from aiorts.model.lifecycle import LifecycleState
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports import Port
     from aiorts.links.kernels import Kernels
+    from aiorts.links.reader_link import ReaderLink
     from aiorts.links.transport import Caller, Peer
+    from aiorts.links.writer_link import WriterLink
     from aiorts.model.names import Path
 
+Link: TypeAlias = "WriterLink | ReaderLink"
 _AWAITED: Final = 10_000
 """Components that are not there whose coming other kernels are told of."""
+_UNTOLD: Final = 1_000
+"""Links that ended while the other kernel was away, of which it is told, at the most."""
 _SECONDS: Final = 2.0
 
 
@@ -99,3 +104,61 @@ class Arrivals:
             await self._links.ask(peer, "come", component.encode(), _SECONDS)
         except LinkError:
             return  # it has gone, and asks anew when it comes back
+
+
+class Departures:
+    """The links that one kernel has connected, and disconnected while the other one was away: that hears of them when
+    it is back.
+
+    Args:
+        links: that there are now. own: those of them that this kernel has connected, and not the other one.
+        ended: called with one whose other end was disconnected.
+    """
+
+    def __init__(
+        self,
+        kernels: Kernels,
+        links: Callable[[], Iterable[Link]],
+        own: Container[Link],
+        ended: Callable[[Link], None],
+    ) -> None:
+        self._kernels, self._links, self._own, self._ended = kernels, links, own, ended
+        self._untold: dict[Link, Path] = {}
+
+    def add(self, link: Link, far: Path) -> None:
+        """One is being disconnected here; `far`: the port at its other end."""
+        is_known_there = link.end.peer_epoch and not link.end.peer_ended and not link.is_connected
+        if link in self._own and is_known_there and not self._kernels.kernel.closed and len(self._untold) < _UNTOLD:
+            self._untold[link] = far
+
+    def back(self, peer: Peer) -> None:
+        """Another kernel has come back. Of a link that was connected again meanwhile it hears nothing."""
+        names = {one.connector.name for one in self._links()}
+        for link, far in tuple(self._untold.items()):
+            if self._kernels.peer_of(far) == peer:
+                del self._untold[link]
+                if link.connector.name not in names:
+                    self._kernels.run(self._tell(peer, link, far), "aiorts link")
+
+    async def _tell(self, peer: Peer, link: Link, far: Path) -> None:
+        if not await self.tell(peer, link.end.peer_epoch):
+            self._untold[link] = far
+
+    async def tell(self, peer: Peer, epoch: int) -> bool:
+        """Tell another kernel that its end of a link has no other one any more; False: it has not answered."""
+        try:
+            await self._kernels.ask(peer, "left", packed([epoch]), _SECONDS)
+        except LinkTimeout:
+            return False
+        except LinkError:
+            return True  # it has gone, or knows no such question
+        return True
+
+    async def left(self, body: bytes, caller: Caller) -> bytes:
+        """The answer to a kernel in which the other end of a link was disconnected."""
+        (epoch,) = fields(body, (int,), longer=True)
+        for link in tuple(self._links()):
+            is_meant = link.end.epoch == epoch and link not in self._own  # its own are connected again
+            if is_meant and self._kernels.peer_of(self._kernels.far_of(link)) == caller.peer:
+                self._ended(link)
+        return b""

@@ -29,7 +29,7 @@ from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.links import versions
 from aiorts.links.answering import check_theirs, is_end, name_of, refusal, sent
-from aiorts.links.arrivals import Arrivals
+from aiorts.links.arrivals import Arrivals, Departures
 from aiorts.links.calls import Calls
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.ledgers import Ledgers, LinkLedger
@@ -109,7 +109,7 @@ class Links(KernelService):
         self._accepting = False
         self.calls, self._serving = Calls(self), Serving(self)
         self._ledgers = Ledgers(self, self._writers, self._offers)
-        self._arrivals = Arrivals(self)
+        self._arrivals, self._departures = Arrivals(self), Departures(self, self._all, self._own, self._ended)
         self.reach = Reach(self, self._handlers, self._present, self._waits_again)
         """The other kernels, and the transports that reach them."""
         kernel.connections.far = self
@@ -187,7 +187,7 @@ class Links(KernelService):
 
     def _handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
         """What other kernels may ask."""
-        own = {"offer": self._offered, "request": self._requested, "come": self._come}
+        own = {"offer": self._offered, "request": self._requested, "come": self._come, "left": self._departures.left}
         return {**own, **self.calls.handlers(), **self._serving.handlers(), **self._ledgers.handlers()}
 
     def _waits_again(self) -> None:
@@ -360,6 +360,7 @@ class Links(KernelService):
         self.calls.end_closed()
         for link in [one for one in self._all() if one.connector.closed]:
             (self._writers if isinstance(link, WriterLink) else self._readers).pop(link.connector)
+            self._departures.add(link, self.far_of(link))
             # The end of a kernel ends what it has connected; whoever connected from elsewhere waits for its return.
             link.close(for_good=link in self._own or not self.kernel.closed)
             if link in self._own:
@@ -384,13 +385,13 @@ class Links(KernelService):
     # -- offering ------------------------------------------------------------------------------------------------------
 
     def _present(self, peer: Peer, up: bool) -> None:
+        self.calls.present(peer, up)
         if not up:
-            self.calls.present(peer, False)
             self._serving.gone(peer)
             self._arrivals.gone(peer)
             self._end_unanswered(peer)
             return
-        self.calls.present(peer, True)
+        self._departures.back(peer)
         for link in self._all():
             if self._peer(link) == peer:
                 self._try(link)
@@ -455,8 +456,7 @@ class Links(KernelService):
             self._try(link)
 
     async def _offer(self, link: WriterLink, peer: Peer) -> None:
-        connector = link.connector
-        out = connector.out
+        connector, out = link.connector, link.connector.out
         schema, text = layout_of(out.type)
         offer = LinkOffer(
             protocol=versions.SPOKEN,
@@ -483,6 +483,7 @@ class Links(KernelService):
         channel = await self.reach.carrier(peer).channel(agreed, link)
         if self._writers.get(connector) is not link:
             channel.close()
+            await self._departures.tell(peer, answer.epoch)
             return None
         self._tried.pop(link, None)
         link.connect(channel, answer.number, answer.epoch)
@@ -552,8 +553,7 @@ class Links(KernelService):
             raise WiringError(f"{offer.reader}: is no in-port")
         schema, text = layout_of(found.type)
         if offer.schema != schema:
-            said = difference(offer.type_text, text) or "their hashes differ"
-            raise WiringError(f"types differ: {said}")
+            raise WiringError(f"types differ: {difference(offer.type_text, text) or 'their hashes differ'}")
         if link is None or not is_end(link.connector.in_, found):
             self._check_made(offer.writer)
             link = self._new_reader(replace(offer, writer=writer), found)
