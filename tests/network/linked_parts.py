@@ -12,7 +12,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -91,10 +92,8 @@ class Linked:
         self.process.kill()
         self.process.wait(10)
         if self.process.stdin is not None:
-            try:
+            with suppress(OSError):  # what was written last does not arrive
                 self.process.stdin.close()
-            except OSError:  # what was written last does not arrive
-                pass
 
     def until(self, holds: Callable[[dict[str, Any]], object], within: float = WAIT) -> dict[str, Any]:
         """How it stands, as soon as that holds."""
@@ -149,7 +148,7 @@ def came(file: Path) -> dict[int, list[int]]:
 def assert_in_order(file: Path) -> None:
     """Nothing came twice, and nothing before what was written earlier."""
     for numbers in came(file).values():
-        wrong = [(one, two) for one, two in zip(numbers, numbers[1:], strict=False) if one >= two]
+        wrong = [(one, two) for one, two in pairwise(numbers) if one >= two]
         assert not wrong, f"{file.name}: {wrong[:5]}"
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from aiorts import Component, InPort, Kernel, OutPort, Provided, Required
-from aiorts.errors import AiortsError
+from aiorts.errors import AiortsError, ClosedError
 from aiorts.links import Links
 from aiorts.types import TimedOctetSeq
 
@@ -95,10 +95,14 @@ class Program:
         self.read[sink.name], ages = 0, self.ages.setdefault(sink.name, [])
         with open(file, "ab", buffering=0) as output:
             while True:
-                came = [await sink.inp.read(), *sink.inp.drain()]
+                try:
+                    came = [await sink.inp.read(), *sink.inp.drain()]
+                except ClosedError:  # it was removed
+                    return
                 now = time.monotonic_ns()
                 heads = [struct.unpack_from("<QQ", bytes(one.data[:16])) for one in came]
-                output.write(b"".join(struct.pack("<QQ", writer, one.tm) for (writer, _), one in zip(heads, came)))
+                both = zip(heads, came, strict=True)
+                output.write(b"".join(struct.pack("<QQ", writer, one.tm) for (writer, _), one in both))
                 self.read[sink.name] += len(came)
                 ages += [(now - written) / 1e9 for _, written in heads]
 

@@ -37,6 +37,7 @@ class Counting(Inbox):
         super().put(handle, *arguments, size=size)
 
 
+@pytest.mark.fault("E24")
 @pytest.mark.timeout(time_limit(3_600))
 @pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
 def test_a_million_callbacks_beside_a_busy_loop(loop: str) -> None:

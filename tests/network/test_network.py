@@ -272,6 +272,7 @@ def test_what_is_handed_over_behind_a_fault_is_handled_all_the_same() -> None:
     assert faults == ["list index out of range"] * 2
 
 
+@pytest.mark.fault("E24")
 def test_what_is_beyond_the_bounds_is_left_out_and_counted() -> None:
     async def main() -> tuple[int, int, int]:
         came: list[int] = []

@@ -1,4 +1,4 @@
-"""A link that carries less than is written, a reader whose loop is held up, and questions right after a reconnection."""
+"""A link that carries less than is written, a reader whose loop is held up, questions right after a reconnection."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ pytest.importorskip("zenoh")
 
 from aiorts import Kernel
 from aiorts.links import Links
-from campaign import CAMPAIGN, time_limit
+from campaign import CAMPAIGN, cases, time_limit
 from network.linked_parts import Linked, assert_in_order, ended, settings, settled
 from network.linked_program import Answers, Asks, Sink, Source
 from network.network_parts import free_port
@@ -115,7 +115,7 @@ async def until(holds: Callable[[], object]) -> None:
 @pytest.mark.fault("E23")
 @pytest.mark.timeout(time_limit(900))
 def test_nothing_is_said_to_be_absent_right_after_a_reconnection() -> None:
-    rounds, port = 200 if CAMPAIGN else 10, free_port()
+    rounds, port = cases(200), free_port()
 
     async def main(proxy: Any) -> None:
         far = {"zenoh": {"listen": f"127.0.0.1:{port}", "host": "far", "insecure": True}}

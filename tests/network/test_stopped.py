@@ -1,4 +1,4 @@
-"""A kernel of another host that stands still in mid stream: others are served as before, and nothing is lost silently."""
+"""A kernel of another host that stands still in mid stream: others are served as before, nothing is lost silently."""
 
 from __future__ import annotations
 
