@@ -33,7 +33,7 @@ from cryptography.x509.oid import NameOID
 from aiorts_zenoh import Network
 from aiorts_zenoh.security.folder import Folder
 from aiorts_zenoh.security.probe import probe
-from network.certificate_parts import folder, issue_later, issue_for
+from network.certificate_parts import folder, issue_for, issue_later
 from network.engine_parts import Heard, session, unchecked
 from network.network_parts import free_port
 
