@@ -254,7 +254,7 @@ class FarProvider:
         if peer is None or self.peer == peer or self._binding:
             return
         self._binding = True
-        required = str(self._links.path_of(self._asking.port))
+        required = str(self._links.path_of(self._asking.port, peer))
         body = frame_of([required, self._asking.instance, str(self.path), interface_text(self._asking.spec)])
         try:
             answer = Answer.from_bytes(await self._links.ask(peer, "bind", body, _WITHIN))

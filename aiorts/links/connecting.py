@@ -166,7 +166,7 @@ class Links(KernelService):
     @property
     def open_as(self) -> str:
         """See `FarPorts.open_as`."""
-        return self.reached_as if self.reach.is_open else ""
+        return (self.reach.known_as or self.reached_as) if self.reach.is_open else ""
 
     @property
     def peers(self) -> tuple[Peer, ...]:
@@ -461,7 +461,7 @@ class Links(KernelService):
         offer = LinkOffer(
             protocol=versions.SPOKEN,
             link=connector.name,
-            writer=self.path_of(out),
+            writer=self.path_of(out, peer),
             reader=self.far_of(link),
             writer_epoch=link.end.epoch,
             reader_epoch=0,
@@ -493,7 +493,7 @@ class Links(KernelService):
         """Ask the writer's kernel for an offer; returns whether it will make one."""
         connector = link.connector
         options = chosen_options(connector.profile)
-        request = LinkRequest(str(self.far_of(link)), self._as_reader(connector.in_), options, versions.SPOKEN)
+        request = LinkRequest(str(self.far_of(link)), self._as_reader(connector.in_, peer), options, versions.SPOKEN)
         answer = await self._question(peer, "request", request.to_bytes())
         if answer.absent or answer.refused:
             self._not_now(link, answer)
@@ -568,7 +568,7 @@ class Links(KernelService):
     def _awaited(self, offer: LinkOffer, caller: Caller) -> ReaderLink | None:
         """The reader's end that expects this offer, with the writer's host in its path or without."""
         hosts = ("",) if caller.peer is None else ("", caller.peer.host)
-        reader = str(replace(offer.reader, host=""))
+        reader = str(replace(offer.reader, host="", kernel=self.reached_as))
         ends = [(str(replace(offer.writer, host=host)), reader) for host in hosts]
         return next((self._expected[one] for one in ends if one in self._expected), None)
 
@@ -688,13 +688,13 @@ class Links(KernelService):
         if not task.cancelled() and (error := task.exception()) is not None:
             _LOG.error("links: %s failed: %s", task.get_name(), format_error(error), exc_info=error)
 
-    def path_of(self, port: Port[Any]) -> Path:
-        """Of a port of this kernel, as others know it."""
-        return replace(Path.parse(port.path), kernel=self.reached_as)
+    def path_of(self, port: Port[Any], peer: Peer | None = None) -> Path:
+        """See `Kernels.path_of`."""
+        return replace(Path.parse(port.path), kernel=self.reach.name_for(peer))
 
-    def _as_reader(self, port: InPort[Any]) -> str:
+    def _as_reader(self, port: InPort[Any], peer: Peer | None = None) -> str:
         """What the kernel of the writer is told that this in-port is, which may stand for one of a third kernel."""
         if isinstance(port, FarInPort) and "/" in port.path:
             name = f"{port.far.kernel}-{port.far.component}"[:MAX_NAME_LENGTH]
-            return str(replace(port.far, host="", kernel=self.reached_as, component=name))
-        return str(self.path_of(port))
+            return str(replace(port.far, host="", kernel=self.reach.name_for(peer), component=name))
+        return str(self.path_of(port, peer))

@@ -50,8 +50,8 @@ class Kernels(Protocol):
         """Run a coroutine as a task of the links."""
         ...
 
-    def path_of(self, port: Port[Any]) -> Path:
-        """Of a port of this kernel, as others know it."""
+    def path_of(self, port: Port[Any], peer: Peer | None = None) -> Path:
+        """Of a port of this kernel, as others know it; this one, where it has another name there."""
         ...
 
     def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:

@@ -190,6 +190,15 @@ class Reach:
             return ""
         return peer.host
 
+    @property
+    def known_as(self) -> str:
+        """The other name that this kernel has for some; "" where all know it by its own."""
+        return next(filter(None, map(_name_in, self._carriers)), "")
+
+    def name_for(self, peer: Peer | None) -> str:
+        """The name by which a kernel knows this one."""
+        return _name_in(None if peer is None else self.peers.get(peer)) or self._links.reached_as
+
     def absent(self, path: Path) -> str:
         """Why the kernel of a path is not there: nobody has its name, or no kernel can be reached."""
         far, opening = path.kernel, self._opening
@@ -204,6 +213,10 @@ class Reach:
         if carrier is None:
             raise LinkError(f"{'the other kernel' if peer is None else peer.kernel}: is gone")
         return carrier
+
+
+def _name_in(transport: Transport | None) -> str:
+    return str(getattr(transport, "known_as", ""))
 
 
 class _Face:

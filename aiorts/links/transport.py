@@ -161,7 +161,7 @@ class KernelFace(Protocol):
 
 
 class Transport(Protocol):
-    """Carries links between kernels."""
+    """Carries links between kernels. One for which this kernel had to take another name says it as `known_as`."""
 
     async def open(self, kernel: KernelFace) -> None: ...
 

@@ -152,8 +152,10 @@ class Engine:
             self.announce()
             self._session.close()
 
-    def subscribe(self, key: str, arrived: Callable[[str, bytes], None], inbox: Inbox | None = None) -> None:
-        """Have `arrived` called with key and bytes of what comes, by the general inbox or another."""
+    def subscribe(
+        self, key: str, arrived: Callable[[str, bytes], None], inbox: Inbox | None = None
+    ) -> Callable[[], None]:
+        """Have `arrived` called with key and bytes of what comes, by the general inbox or another; returns its end."""
         put = (inbox or self._inbox).put
 
         def came(sample: Any) -> None:
@@ -162,7 +164,8 @@ class Engine:
                 data = sample.payload.to_bytes()
                 put(arrived, where, data, size=len(data))
 
-        self._kept.append(self._session.declare_subscriber(key, self._direct(came)))
+        self._kept.append(subscriber := self._session.declare_subscriber(key, self._direct(came)))
+        return lambda: subscriber.undeclare()
 
     def answer(self, key: str, asked: Callable[[str, bytes, bytes, Any], None], inbox: Inbox | None = None) -> None:
         """Have `asked` called with key, body, attachment and what `reply` takes."""

@@ -13,10 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from enum import Enum
+from itertools import count
 from typing import Final, NamedTuple
 
 CLAIMS: Final = 1.0
 """Seconds that a kernel claims its name before it owns it."""
+_LONGEST: Final = 90
+"""Letters of a name to which a number is added."""
 
 
 class Claim(NamedTuple):
@@ -58,6 +61,12 @@ def seen(claims: Mapping[Claim, bool]) -> dict[str, Claim]:
         if claim.machine == order[0].machine:
             found.setdefault(claim.kernel, claim)
     return found
+
+
+def free_name(kernel: str, taken: Iterable[str]) -> str:
+    """The first of name-2, name-3, ... that nobody claims."""
+    there = set(taken)
+    return next(one for number in count(2) if (one := f"{kernel[:_LONGEST]}-{number}") not in there)
 
 
 class Name:

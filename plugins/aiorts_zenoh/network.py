@@ -74,6 +74,11 @@ class NetworkSettings:
         "Plain TCP without certificates: all that reach the port see and do everything.",
         option="--insecure-network",
     )
+    rename: bool = setting(
+        False,
+        "Take name-2, or the next that is free, where another kernel of this machine has the name in the network.",
+        option="--rename",
+    )
     allow_control: bool = setting(
         False, "Let clients of other hosts change what runs, not only look at it.", option="--allow-control"
     )
@@ -91,6 +96,8 @@ class NetworkSettings:
                 "certificates: other hosts are reached with certificates alone; give their folder (--certs), which "
                 "aiorts certs makes, or say insecure = true (--insecure-network) in a network that is yours alone"
             )
+        if self.rename and self.certificates is not None:
+            raise ConfigurationError("rename: with certificates a kernel has the name in its certificate, and no other")
         if self.access is not None:
             Access.of_table(self.access)
         _check_name("domain", self.domain)
@@ -126,7 +133,7 @@ class Network(KernelService):
         secured = _secured(settings, self.kernel.service(Links).reached_as)
         self._security = "certificates" if secured else "insecure: plain TCP" if settings.insecure else ""
         own, clock = engine_settings(settings, secured), self.kernel.clock
-        self._transport = ZenohTransport(host, settings.domain, own, now=clock.time_ns)
+        self._transport = ZenohTransport(host, settings.domain, own, now=clock.time_ns, rename=settings.rename)
         self._neighbours = Neighbours(endpoints_of(settings.connect), secured, _LOG.warning)
         self._transport.beside.append(self._neighbours.declare)
         self._transport.admits = self._neighbours.admits
@@ -147,6 +154,7 @@ class Network(KernelService):
             self._serving = Serving(control, operate=operate, report=_LOG.warning, admits=admits)
             neighbours.denies.append(self._serving.deny)
             transport.beside.append(self._serving.declare)
+            transport.anew.append(self._serving.declare_as)
             transport.last.append(self._serving.finish)
         await self.kernel.service(Links).reach.carry(transport)
 
@@ -163,6 +171,7 @@ class Network(KernelService):
             return {}
         seen = [f"{peer.host}/{peer.kernel}" for peer in transport.peers]
         where = {"host": transport.host, "domain": transport.domain, "name": transport.standing}
+        where |= {"known_as": transport.known_as} if transport.known_as else {}
         report = {**where, "kernels": seen, "left_out": transport.left_out, "cut_off": sorted(transport.cut_off)}
         return {**report, "security": self._security} if self._security else report
 

@@ -16,7 +16,7 @@ from typing import Final
 from aiorts.links import KernelFace, Peer
 from aiorts_zenoh.engine import Engine, in_thread
 from aiorts_zenoh.keys import Keys, claim_of
-from aiorts_zenoh.names import Claim, Name, Standing, seen
+from aiorts_zenoh.names import Claim, Name, Standing, free_name, seen
 
 _HEARD: Final = 100
 """Kernels that hear of the end of one whose name they have, at the most."""
@@ -34,6 +34,8 @@ class Presence:
         connects: whether this kernel is to connect to others: before it has, nobody can say that its name is taken.
         listens: whether others connect to it: those do not see each other, and hear from it who has their names.
         admits: whether a kernel of a name may be there.
+        renamed: called in a thread with the keys of another name that this kernel takes where its own is taken, to
+            declare all that is asked there; None: it takes none, and is not seen until its own is free.
     """
 
     def __init__(
@@ -46,12 +48,13 @@ class Presence:
         connects: bool,
         listens: bool,
         admits: Callable[[str], bool],
+        renamed: Callable[[Keys], None] | None = None,
     ) -> None:
         self._admits = admits
         self._engine, self._keys, self._kernel, self._show = engine, keys, kernel, show
         self._connects, self._listens = connects, listens
         self._loop = asyncio.get_running_loop()
-        self._name = Name(keys.claim, self._loop.time())
+        self._name, self._first = Name(keys.claim, self._loop.time()), keys.own.kernel
         self._said: dict[str, dict[Claim, set[bool]]] = {}
         """By host name: what is claimed, and of each the tokens that are there: of the claim, of its owner."""
         self._named: dict[tuple[str, str], set[Claim]] = {}
@@ -65,7 +68,8 @@ class Presence:
         self._due: set[tuple[str, str]] = set()
         self._due_hosts: set[str] = set()
         """Names to look at anew, and host names."""
-        self._told: Standing | None = None
+        self._renamed, self._declared = renamed, keys
+        self._told: tuple[Standing, Keys] | None = None
         self._telling = False
         self._timer: asyncio.TimerHandle | None = None
         self._closed = False
@@ -83,7 +87,7 @@ class Presence:
 
     def claim(self) -> None:
         """The name is claimed from now on."""
-        self._told = Standing.CLAIMS
+        self._told = Standing.CLAIMS, self._keys
         self._name.unseen(self._loop.time())
         self._changed()
 
@@ -179,7 +183,10 @@ class Presence:
         self._name.meets(claim, owned=owned)
         own = self._name.own
         if self._name.standing is not before:
-            self._kernel.report(_given_way(own, claim))
+            if self._renamed is None or own.machine != claim.machine:
+                self._kernel.report(_given_way(own, claim))
+            else:
+                self._take_another()
             self._changed()
         elif self._name.is_shown and is_new and claim.machine != own.machine:
             self._kernel.report(f"zenoh: {_other_machine(claim)}; it is refused. {_ADVICE}")
@@ -255,6 +262,16 @@ class Presence:
 
     # -- this kernel -----------------------------------------------------------------------------------------------
 
+    def _take_another(self) -> None:
+        """Claim the next name that is free, for as long as this kernel runs."""
+        own, first = self._name.own, self._first
+        name = free_name(first, (claim.kernel for claim in self._said.get(own.host, ())))
+        self._keys = Keys(self._keys.domain, Peer(own.host, name, own.epoch), own.start_ns, own.machine)
+        self._name = Name(self._keys.claim, self._loop.time())
+        self._kernel.report(
+            f"zenoh: a kernel named {own.kernel!r} runs already on {own.host}; this one is {name!r} for other hosts"
+        )
+
     def _changed(self) -> None:
         """This kernel stands otherwise with its name."""
         for host in {*self._said, *self._shown}:
@@ -268,12 +285,23 @@ class Presence:
     async def _tell(self) -> None:
         """Have the tokens be there that belong to how it stands, one change after the other."""
         try:
-            while self._told is not self.standing and not self._closed:
-                self._told = self.standing
-                tokens = {Standing.CLAIMS: [self._keys.token], Standing.OWNS: [self._keys.token, self._keys.owned]}
-                await in_thread(partial(self._engine.announce, *tokens.get(self._told, ())))
+            while self._told != (self.standing, self._keys) and not self._closed:
+                standing, keys = self._told = self.standing, self._keys
+                if keys is not self._declared:
+                    await in_thread(partial(self._declare_as, keys))
+                tokens = {Standing.CLAIMS: [keys.token], Standing.OWNS: [keys.token, keys.owned]}
+                await in_thread(partial(self._engine.announce, *tokens.get(standing, ())))
         finally:
             self._telling = False
+
+    def _declare_as(self, keys: Keys) -> None:
+        """Have all that others ask be where they ask it under another name, before they see that; in a thread."""
+        self._engine.announce()
+        self._engine.subscribe(keys.told(keys.own), self._was_told)
+        if self._renamed is not None:
+            self._renamed(keys)
+        self._declared = keys
+        self._loop.call_soon_threadsafe(lambda: self._name.unseen(self._loop.time()))
 
     def _tick(self) -> None:
         self._timer, before, now = None, self.standing, self._loop.time()

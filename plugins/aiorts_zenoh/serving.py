@@ -72,13 +72,18 @@ class Serving:
 
     def declare(self, engine: Engine, keys: Keys) -> None:
         """Serve clients from now on. What the engine does here may wait for the network."""
-        self._engine, self._keys = engine, keys
+        self._engine = engine
         self._thread.start()
         if not self._ready.wait(_STARTS):
             raise ControlError("the thread that serves other hosts has not begun")
         if self._closed:  # before it was there
             self.close()
             raise ControlError("this kernel ends")
+        self.declare_as(engine, keys)
+
+    def declare_as(self, engine: Engine, keys: Keys) -> None:
+        """Serve those who know this kernel by these keys."""
+        self._keys = keys
         for branch in self._branches:
             engine.subscribe(keys.sessions(branch), partial(self._arrived, branch), self._inbox)
             engine.presence(keys.session_tokens(branch), partial(self._present, branch), self._inbox)

@@ -52,6 +52,7 @@ class ZenohTransport:
         engine: settings of the engine by their keys; `aiorts_zenoh.network` makes them.
         machine: a number that tells machines apart; by default that of this one.
         now: the clock of the stamps, in ns since 1970.
+        rename: whether the kernel takes another name here where a kernel of this host has its own.
 
     Raises:
         MissingExtra: the engine is not installed.
@@ -65,8 +66,10 @@ class ZenohTransport:
         engine: Mapping[str, Any] | None = None,
         machine: int | None = None,
         now: Callable[[], int] = time.time_ns,
+        *,
+        rename: bool = False,
     ) -> None:
-        self.host, self.domain = host, domain
+        self.host, self.domain, self._renames = host, domain, rename
         self._machine = this_machine() if machine is None else machine
         self._settings, self.engine = dict(engine or {}), Engine()
         self._handlers: dict[str, Handler] = {_CLOCK: self._tell_time}
@@ -92,6 +95,11 @@ class ZenohTransport:
         self._inbox: Inbox | None = None
         self.beside: list[Callable[[Engine, Keys], None]] = []
         """What is declared beside links, before others see this kernel; called in a thread."""
+        self.anew: list[Callable[[Engine, Keys], None]] = []
+        """What is declared once more where this kernel takes another name; called in a thread."""
+        self._frames: list[Callable[[], None]] = []
+        self.known_as = ""
+        """The name of this kernel here, where it is not its own."""
         self.last: list[Callable[[], None]] = []
         """What waits, for a moment, before the session ends; called in a thread."""
         self.admits: Callable[[str], bool] = lambda name: True
@@ -114,7 +122,14 @@ class ZenohTransport:
         self.engine.gate = self._gate = Gate(lambda name: name in self._named, self._say)
         connects, listens = (bool(self._settings.get(f"{what}/endpoints")) for what in ("connect", "listen"))
         self._presence = Presence(
-            self.engine, self.keys, kernel, self._present, connects=connects, listens=listens, admits=self.admits
+            self.engine,
+            self.keys,
+            kernel,
+            self._present,
+            connects=connects,
+            listens=listens,
+            admits=self.admits,
+            renamed=self._renamed if self._renames else None,
         )
         try:
             await in_thread(self._declare)
@@ -129,12 +144,23 @@ class ZenohTransport:
         assert self._presence is not None  # noqa: S101
         engine.open(self._settings, self._inbox)
         # Who sees the token may ask at once: so it comes last.
-        for key in keys.frames:
-            engine.subscribe(key, self._arrived)
-        engine.answer(keys.questions, self._was_asked)
+        self._declare_links(keys)
         for declare in self.beside:
             declare(engine, keys)
         self._presence.declare()
+
+    def _declare_links(self, keys: Keys) -> None:
+        self._frames = [self.engine.subscribe(key, self._arrived) for key in keys.frames]
+        self.engine.answer(keys.questions, self._was_asked)
+
+    def _renamed(self, keys: Keys) -> None:
+        """This kernel is another one from now on; nobody has seen that one yet, and nobody sees this one any more."""
+        for end in self._frames:
+            end()  # what is sent there is for who has the name
+        self.keys, self.known_as = keys, keys.own.kernel
+        self._declare_links(keys)
+        for declare in self.anew:
+            declare(self.engine, keys)
 
     async def close(self) -> None:
         """Give up everything."""
