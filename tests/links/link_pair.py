@@ -16,10 +16,17 @@ class Pair:
     """A writer's end and a reader's end, and what a user would see of them."""
 
     def __init__(
-        self, seed: int, *, loss: float = 0.0, double: float = 0.0, jitter_ms: int = 0, window: int = 16
+        self,
+        seed: int,
+        *,
+        loss: float = 0.0,
+        double: float = 0.0,
+        delay_ms: int = 1,
+        jitter_ms: int = 0,
+        window: int = 16,
     ) -> None:
         self.random = Random(seed)
-        self.loss, self.double, self.jitter_ms = loss, double, jitter_ms
+        self.loss, self.double, self.delay_ms, self.jitter_ms = loss, double, delay_ms, jitter_ms
         self.window = window
         self.now = 1_000 * MS
         self.epochs = 1
@@ -63,7 +70,7 @@ class Pair:
             for _ in range(1 + (self.random.random() < self.double)):
                 if self.random.random() >= self.loss:
                     self.count += 1
-                    delay = MS + self.random.randrange(self.jitter_ms * MS + 1)
+                    delay = self.delay_ms * MS + self.random.randrange(self.jitter_ms * MS + 1)
                     heapq.heappush(self.ways, (self.now + delay, self.count, to, head, parts))
             return True
 

@@ -189,6 +189,22 @@ def test_the_newest_is_never_stranded_with_a_window_of_two() -> None:
     assert pair.seen[-1] == newest
 
 
+@pytest.mark.fault("E07")
+@pytest.mark.parametrize("window", [2, 256])
+def test_how_long_a_slow_way_takes_is_learnt_and_then_nothing_is_sent_twice(window: int) -> None:
+    pair = Pair(0, delay_ms=300, window=window)
+    pair.connect()
+    for value in range(50):
+        pair.offer(value, confirm=True)
+        pair.step(pair.now + 100 * MS)
+    before = pair.writer.ledger.sent_again
+    for value in range(50, 300):
+        pair.offer(value, confirm=True)
+        pair.step(pair.now + 100 * MS)
+    assert pair.writer.ledger.sent_again == before
+    assert len(pair.seen) > 40
+
+
 def test_the_first_sample_of_an_idle_link_leaves_at_once_and_an_idle_link_says_nothing() -> None:
     pair = Pair(0)
     pair.connect()

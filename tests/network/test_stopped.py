@@ -26,7 +26,7 @@ LONGEST = 0.5
 def worst(calls: list[Any]) -> float:
     """Seconds of the longest call, none of which failed."""
     assert [fault for _, _, fault in calls if fault] == []
-    assert len(calls) > 50
+    assert len(calls) > 20
     return float(max(took for _, took, _ in calls))
 
 
@@ -50,7 +50,7 @@ def test_a_stopped_kernel_delays_no_call_between_others(router: bool, tmp_path: 
             b.do("connect", source="asks", to="ha/a/answers.service")
             a.up(3)
             b.up(1)
-            a.do("write", sources=["one", "two"], every=0.001, size=8_000)
+            a.do("write", sources=["one", "two"], every=0.002, size=8_000)
             for one in (a, b):
                 one.do("ask", every=0.01)
             time.sleep(3.0)

@@ -185,7 +185,7 @@ class WriterEnd:
                 if one != self._peer_epoch or received > self._highest:
                     raise BadFrame("of another end")
                 if not self._greeted:
-                    self._greeted = True
+                    self._greeted, self._pause_ns = True, self._first_pause()
                     self._received = max(self._received, received)
                     self._sent = max(self._received, self._oldest - 1)
                     self._heard_ns = now
@@ -207,9 +207,9 @@ class WriterEnd:
             trip = now - sent_ns
             self._trip_ns = trip if not self._trip_ns else (7 * self._trip_ns + trip) // 8
             self._timed = (0, 0)
+            self._pause_ns = self._first_pause()
         if received > self._received or done >= self._oldest:
             self._heard_ns = now
-            self._pause_ns = self._first_pause()
             self._again_ns = now + self._pause_ns
         self._received = max(self._received, received)
         self._sent = max(self._sent, self._received)
@@ -278,9 +278,7 @@ class WriterEnd:
     def _send(self, now: int, send: Send) -> None:
         if self._sent < self._oldest:
             if self._highest < self._oldest:
-                # Nothing was on its way; what is sent again goes on waiting longer, and for the same answer.
-                self._pause_ns = self._first_pause()
-                self._heard_ns = now
+                self._heard_ns = now  # nothing was on its way
             self._again_ns = now + self._pause_ns
         kept, last = self._kept, self._next - 1
         while self._sent < last:
