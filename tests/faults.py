@@ -116,6 +116,8 @@ EXPECTED = {
     "E16": "Releases that share a protocol work together; others are told which each speaks, on both sides.",
     "E17": "Without a certificate nothing of a kernel is seen, and the reason is in the log.",
     "E18": "A certificate that is not to be used is refused, and the cause is named at the refused end.",
+    "E19": "Orders of who may only look take no effect, are refused with E-DENIED and are in the log.",
+    "E20": "Messages of a session that come again, or come to a later kernel, have no effect.",
     "E21": "A client that floods, stalls or says nonsense is bounded in rate and memory; others are served.",
     "E22": "A thousand short sessions: no call of others fails, and nothing of them is left.",
     "E23": "Right after a reconnection nothing is said to be absent that is there.",

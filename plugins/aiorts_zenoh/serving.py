@@ -141,9 +141,10 @@ class Serving:
         name = branch, *session_in(key)
         carried = self._sessions.get(name)
         if carried is None:
-            # Where what began it was lost, it is asked for how much of it has come; never of one that has ended.
+            # Where what began it was lost, it is asked for how much of it has come. Of one that has ended nothing is
+            # taken: who has recorded it may put it once more.
             begins = message.kind == FRAME and not message.first
-            if not begins and (message.kind != LOOK or name not in self._there or name in self._ended):
+            if name in self._ended or not (begins or (message.kind == LOOK and name in self._there)):
                 return
             of_caller = sum(one[1] == name[1] for one in self._sessions)
             if len(self._sessions) >= _SESSIONS or of_caller >= _OF_ONE:

@@ -128,6 +128,7 @@ def send(opened: Any, message: str, key: str) -> Any:
 
 
 @pytest.mark.row(97)
+@pytest.mark.fault("E20")
 def test_of_a_thousand_forged_keys_the_engine_lets_none_through(tmp_path: Path) -> None:
     certificates = folder(tmp_path, **ROLES)
     address, chosen = f"127.0.0.1:{free_port()}", random.Random(20)
