@@ -23,7 +23,18 @@ from typing import Any, Final, Self
 from aiorts import errors
 from aiorts.control.ahead import Ahead, Waiting
 from aiorts.control.folder import Entry, discard, is_served
-from aiorts.control.protocol import ANSWERS, NEWEST, OLDEST, REQUESTS, STALL_SECONDS, agreed, answer_in, framed, frames
+from aiorts.control.protocol import (
+    ANSWERS,
+    BYE,
+    NEWEST,
+    OLDEST,
+    REQUESTS,
+    STALL_SECONDS,
+    agreed,
+    answer_in,
+    framed,
+    frames,
+)
 from aiorts.errors import AiortsError, ControlError, NoAnswerError, WireError, error_of_code
 from aiorts.late import dataclass
 
@@ -139,13 +150,21 @@ class Client:
         self.hello = hello
 
     def close(self) -> None:
-        """End the session: what it began in the kernel ends with it. Idempotent."""
+        """End the session in order: what it began in the kernel ends with it. Idempotent."""
+        if self._last:
+            self._say_bye()
         if self._ahead is not None:
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
             self._ahead.join()
         if self.begun:
             self._socket.close()
+
+    def _say_bye(self) -> None:
+        with contextlib.suppress(OSError):  # it has ended, or takes nothing
+            if self._ahead is None:
+                self._socket.settimeout(0.0)
+            self._socket.send(BYE, socket.MSG_DONTWAIT)
 
     def read_ahead(self) -> None:
         """From now on a thread takes what comes: this process may be held back, and the kernel does not notice.

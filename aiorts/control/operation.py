@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
 from typing import Any, Final
 
@@ -44,6 +44,8 @@ class Operation:
     streams: bool = False
     demands: Callable[[Any], Right] | None = None
     """The right that these very arguments need, where it is more than `right`."""
+    changes: Callable[[Any, Any], Iterable[str]] | None = None
+    """The components of which the client is the operator afterwards, by the arguments and the result."""
 
     def needed(self, arguments: Any) -> Right:
         """The right that a call with these arguments needs."""

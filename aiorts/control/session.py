@@ -17,6 +17,7 @@ from aiorts.model.plain import plain
 
 if TYPE_CHECKING:
     from aiorts.control.operation import Operation
+    from aiorts.control.operators import Operators
     from aiorts.kernel.microkernel import Microkernel
 
 LOG = KernelLog("aiorts.control")
@@ -31,6 +32,7 @@ class Session:
         who: the client, for the log.
         send: takes a message for the client, from any thread, with a function that is called once it is on its way.
         has_room: whether it takes more than it holds already.
+        operators: who operates the kernel's components.
     """
 
     def __init__(
@@ -40,6 +42,7 @@ class Session:
         who: str,
         send: Callable[[Mapping[str, Any], Callable[[], None]], None],
         has_room: Callable[[], bool] = lambda: True,
+        operators: Operators | None = None,
     ) -> None:
         self.kernel = kernel
         self.right = right
@@ -47,6 +50,7 @@ class Session:
         self.ended = False
         self._send = send
         self._has_room = has_room
+        self._operators = operators
         self._running: dict[int, Callable[[], object]] = {}
         """By the call's number: what cancels it."""
         self._streams: dict[int, Stream] = {}
@@ -73,11 +77,17 @@ class Session:
             stream.finish()
         self.end()
 
-    def end(self) -> None:
-        """The client has gone, or the kernel ends: undo what lasts as long as the session. Idempotent."""
+    def end(self, *, lost: bool = False) -> None:
+        """The client has gone, or the kernel ends: undo what lasts as long as the session. Idempotent.
+
+        Args:
+            lost: whether the client has gone without having said so.
+        """
         if self.ended:
             return
         self.ended = True
+        if self._operators is not None:
+            self._operators.ended(self, self.who, lost=lost)
         for cancel in (*reversed(self._running.values()), *reversed(self._kept.values())):
             try:
                 cancel()
@@ -136,6 +146,8 @@ class Session:
 
     def _succeed(self, number: int, operation: Operation, arguments: Any, value: Any, stream: Stream | None) -> None:
         self._audit(operation, arguments, "done")
+        if operation.changes is not None and self._operators is not None and not self.ended:
+            self._operators.changed(self, operation.changes(arguments, value))
         self._send({"id": number, "ok": value}, _nothing)
         if stream is not None:
             stream.begun()

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Awaitable, Mapping
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Self, TypeVar, cast
 
 from aiorts.errors import (
     AiortsError,
@@ -47,6 +47,9 @@ Hook = Awaitable[None] | None
 """What a hook may return: it is `async def` or plain `def`, and the value is None."""
 
 
+_LINK_LOST: Final = ("continue", "deactivate", "error")
+
+
 class Component(Configurable):
     """The unit of a system. Derive from it, declare ports and parameters, write the hooks you need.
 
@@ -63,6 +66,12 @@ class Component(Configurable):
     """Whether it is kept whole while a plan that takes it out may still be taken back.
 
     False: it holds a device that its replacement needs, and is finalized first.
+    """
+    on_link_lost: ClassVar[Literal["continue", "deactivate", "error"]] = "continue"
+    """What it does, where it is active, when the link to who operates it is lost: `aiorts check` shows it.
+
+    Its operator is the control session that has changed it last, while that is open; one that ends in order is not
+    lost.
     """
     alone: ClassVar[Mapping[str, object]] = MappingProxyType({})
     """The context that it runs in alone, by `aiorts run` or as a filter, as the table of a system file: {"rate": 50.0}.
@@ -92,6 +101,9 @@ class Component(Configurable):
                 elif isinstance(value, Declared):
                     parameters[attribute] = value.named(attribute, body.__qualname__)
         check_spelling(cls)
+        if cls.on_link_lost not in _LINK_LOST:
+            said = f"expected {', '.join(map(repr, _LINK_LOST))}, got {cls.on_link_lost!r:.80}"
+            raise DeclarationError(f"{cls.__qualname__}.on_link_lost: {said}")
         kinds = [
             one for base in reversed(cls.__mro__[1:]) if issubclass(base, Component) for one in declarations(base).kinds
         ]
@@ -393,6 +405,7 @@ _OURS = frozenset(name for name in (*vars(Component), *vars(Configurable)) if no
     *OVERRIDABLE,
     "alone",
     "max_instance",
+    "on_link_lost",
     "parks",
     "on_reload",
 }

@@ -324,6 +324,11 @@ CODES: Final[dict[str, Code]] = {
         "Their connection says adapt = true, and there is one way to make samples of one those of the other.",
         "Ignore the note, or put a FlexiFilter of your own between them, which does it another way.",
     ),
+    "N-OPERATOR": Code(
+        "A component says what it does without its operator: aiorts check notes it.",
+        "Its class has `on_link_lost`, for a client that was killed, or a network that was cut, while it operates it.",
+        "Ignore the note.",
+    ),
     "N-COPY": Code(
         "A port's type is mutable: aiorts check notes that each write makes a snapshot.",
         "The dataclass is not frozen.",

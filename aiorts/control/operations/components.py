@@ -103,9 +103,13 @@ def _needed(given: Creation) -> Right:
     return Right.CODE if is_code(given.type) else Right.OPERATE
 
 
+def _made(_: Creation, done: Done) -> tuple[str]:
+    return (done.text,)
+
+
 ROWS: Final = (
     Operation("add_members", "Make components members of a composite.", Membership, Done, Right.OPERATE, _add_members),
-    Operation("create", "Create a component.", Creation, Done, Right.OPERATE, _create, demands=_needed),
+    Operation("create", "Create a component.", Creation, Done, Right.OPERATE, _create, demands=_needed, changes=_made),
     Operation("remove", "Remove components.", Removal, Done, Right.OPERATE, _remove),
     Operation("remove_members", "Take members out of a composite.", Membership, Done, Right.OPERATE, _remove_members),
 )

@@ -110,6 +110,10 @@ async def _load(session: Session, given: Loading) -> Done:
     return Done()
 
 
+def _one(given: Configuring, _: Done) -> tuple[str]:
+    return (given.component,)
+
+
 ROWS: Final = (
     Operation(
         "configuration",
@@ -120,7 +124,7 @@ ROWS: Final = (
         _configuration,
         idempotent=True,
     ),
-    Operation("configure", "Change parameters and sets.", Configuring, Done, Right.OPERATE, _configure),
+    Operation("configure", "Change parameters and sets.", Configuring, Done, Right.OPERATE, _configure, changes=_one),
     Operation(
         "dump_configuration",
         "The configuration as the text of a file.",

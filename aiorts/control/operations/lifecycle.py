@@ -29,9 +29,13 @@ def _stop(session: Session, given: Stop) -> Done:
     return Done()
 
 
+def _one(given: Member, _: Done) -> tuple[str]:
+    return (given.component,)
+
+
 ROWS: Final = (
-    Operation("activate", "Activate a component.", Member, Done, Right.OPERATE, _activate),
-    Operation("deactivate", "Deactivate a component.", Member, Done, Right.OPERATE, _deactivate),
-    Operation("reset", "Take a component out of error.", Member, Done, Right.OPERATE, _reset),
+    Operation("activate", "Activate a component.", Member, Done, Right.OPERATE, _activate, changes=_one),
+    Operation("deactivate", "Deactivate a component.", Member, Done, Right.OPERATE, _deactivate, changes=_one),
+    Operation("reset", "Take a component out of error.", Member, Done, Right.OPERATE, _reset, changes=_one),
     Operation("stop", "End the run in order.", Stop, Done, Right.OPERATE, _stop, idempotent=True),
 )

@@ -85,8 +85,12 @@ async def _set_mode(session: Session, given: Mode) -> Done:
     return Done()
 
 
+def _one(given: Sending | Mode, _: Done) -> tuple[str]:
+    return (given.component,)
+
+
 ROWS: Final = (
     Operation("machine", "The state machine and modes.", Whose, Shown, Right.VIEW, _machine, idempotent=True),
-    Operation("send_event", "Send an event to a state machine.", Sending, Done, Right.OPERATE, _send),
-    Operation("set_mode", "Change the mode.", Mode, Done, Right.OPERATE, _set_mode, idempotent=True),
+    Operation("send_event", "Send an event to a state machine.", Sending, Done, Right.OPERATE, _send, changes=_one),
+    Operation("set_mode", "Change the mode.", Mode, Done, Right.OPERATE, _set_mode, idempotent=True, changes=_one),
 )

@@ -129,7 +129,20 @@ def _caller(session: Session, given: Calling) -> tuple[OutsideCaller, str]:
     return OutsideCaller(having[0]), method
 
 
+def _provider(given: Calling, _: object) -> tuple[str]:
+    return (given.path.partition(".")[0],)
+
+
 ROWS: Final = (
-    Operation("call", "Call a method of a service.", Calling, Result, Right.OPERATE, _call),
-    Operation("goal", "Send a goal, and stream its feedback.", Calling, Done, Right.OPERATE, _goal, streams=True),
+    Operation("call", "Call a method of a service.", Calling, Result, Right.OPERATE, _call, changes=_provider),
+    Operation(
+        "goal",
+        "Send a goal, and stream its feedback.",
+        Calling,
+        Done,
+        Right.OPERATE,
+        _goal,
+        streams=True,
+        changes=_provider,
+    ),
 )

@@ -5,6 +5,7 @@ No call of a client waits for another client: what is not read by one stays with
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import struct
 import time
@@ -13,7 +14,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
-from aiorts.control.protocol import REQUESTS, STALL_SECONDS, WAITING, agreed, framed, frames, has_frame, request_in
+from aiorts.control.protocol import BYE, REQUESTS, STALL_SECONDS, WAITING, agreed, framed, frames, has_frame, request_in
 from aiorts.control.session import LOG
 from aiorts.errors import AiortsError, BusyError, ControlError, DeniedError, StaleError, WireError
 from aiorts.model.reading import from_plain
@@ -68,6 +69,8 @@ class Connection:
         self.since = time.monotonic()
         self.session: Session | None = None
         self.closed = False
+        self.said_bye = False
+        """Whether the client has ended its session in order."""
         self.closing = False
         """Whether it is closed once all is sent."""
         self.watched = 0
@@ -170,6 +173,9 @@ class Connection:
                 return
         except AiortsError as error:
             self.refuse(error)
+            return
+        if request.get("bye"):
+            self.said_bye = self.closed = True
             return
         session, number = self.session, request.get("id")
         if type(number) is not int or not 0 < number < 2**53:
@@ -294,6 +300,12 @@ class Connection:
                 self._out.popleft()
                 sent()
         self.closed = self.closed or self.closing
+
+    def hear_last(self) -> None:
+        """See whether the last that it has said is that it ends in order; the rest is not looked at any more."""
+        with contextlib.suppress(OSError):
+            self._in += self.socket.recv(_CHUNK)
+        self.said_bye = self.said_bye or self._in.endswith(BYE)
 
     def end(self) -> None:
         """Close it: what waits to be sent is not sent any more."""

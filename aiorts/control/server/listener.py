@@ -20,6 +20,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
+from aiorts.control.operators import Operators
 from aiorts.control.server.connection import Call, Connection, peer_credentials
 from aiorts.control.server.pace import Pace
 from aiorts.control.session import LOG, Session
@@ -68,7 +69,7 @@ class Listener:
         self.right = right
         self.hello = hello
         self.epoch = claim.entry.epoch
-        self._kernel = kernel
+        self._kernel, self._operators = kernel, Operators(kernel)
         self._listener = claim.listener
         self._listener.setblocking(False)
         self.loop_pace = Pace(*_LOOP)
@@ -229,7 +230,7 @@ class Listener:
 
     def greeted(self, connection: Connection, who: str) -> Session:
         """A client has said hello: its session."""
-        return Session(self._kernel, connection.right, who, connection.put, connection.has_room)
+        return Session(self._kernel, connection.right, who, connection.put, connection.has_room, self._operators)
 
     def _serve(self) -> None:
         try:
@@ -402,11 +403,12 @@ class Listener:
 
     def _end(self, connection: Connection) -> None:
         self._connections.discard(connection)
+        connection.hear_last()
         connection.end()
         if self._view is not None and self._view.connection is connection:
             self._view = None
         if connection.session is not None:
-            self._on_loop(connection.session.end)
+            self._on_loop(partial(connection.session.end, lost=not connection.said_bye))
 
 
 _LISTENERS: Final[weakref.WeakSet[Listener]] = weakref.WeakSet()

@@ -41,6 +41,7 @@ def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -
         yield from _open_ports(found, drafts)
         yield from _unwoken(found, drafts)
     yield from _too_many(found)
+    yield from _left_alone(found)
     yield from _mutable(found, drafts)
     yield from _loops(found, drafts)
     yield from _meetings(found)
@@ -131,6 +132,14 @@ def _too_many(found: Survey) -> Iterator[Said]:
         if cls.max_instance is not None and counts[cls] == cls.max_instance + 1:
             text = f"{cls.__name__} allows {cls.max_instance} instances in a kernel, this is one more; take it away"
             yield Said("error", StateError.code, ("components", name, "type"), text)
+
+
+def _left_alone(found: Survey) -> Iterator[Said]:
+    does = {"deactivate": "is deactivated", "error": "goes to error"}
+    for name, cls in found.types.items():
+        if (what := does.get(cls.on_link_lost)) is not None:
+            text = f"{name} {what} when the link to its operator is lost ({cls.__name__}.on_link_lost)"
+            yield Said("note", "N-OPERATOR", ("components", name), text, of_key=True)
 
 
 def _mutable(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:

@@ -1,0 +1,68 @@
+"""Who operates the components of a kernel, and what becomes of them when the link to who does is lost.
+
+The operator of a component is the session that has changed it last, for as long as it is open. A session that its
+client has ended in order leaves all as it is; one that is lost (a client that was killed, a network that was cut) has
+each of its components do what its class says as `on_link_lost`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from aiorts.errors import ControlError, format_error
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.model.lifecycle import LifecycleState
+
+if TYPE_CHECKING:
+    import asyncio
+
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.microkernel import Microkernel
+
+_LOG: Final = KernelLog("aiorts.control")
+
+
+class Operators:
+    """The operators of one kernel's components. Everything here is called on the kernel's loop."""
+
+    def __init__(self, kernel: Microkernel) -> None:
+        self._kernel = kernel
+        self._sessions: dict[str, object] = {}
+        """By the component's name."""
+
+    def changed(self, session: object, components: Iterable[str]) -> None:
+        """A session has changed these: it is their operator now."""
+        for name in components:
+            self._sessions[name] = session
+
+    def ended(self, session: object, who: str, *, lost: bool) -> None:
+        """A session has ended: nobody operates its components any more."""
+        for name in [name for name, operator in self._sessions.items() if operator is session]:
+            del self._sessions[name]
+            component = self._kernel.components.get(name)
+            if lost and component is not None and LifecycleState.ACTIVE in component.states.values():
+                self._lose(component, who)
+
+    def _lose(self, component: Component, who: str) -> None:
+        does = type(component).on_link_lost
+        if does == "continue":
+            return
+        if does == "error":
+            _LOG.warning("%s: the link to its operator is lost: %s; it goes to error", component.name, who)
+            lost = ControlError(f"the link to its operator is lost: {who}")
+            self._kernel.registry.task_failed(component, "the link to its operator", lost)
+            return
+        _LOG.warning("%s: the link to its operator is lost: %s; it is deactivated", component.name, who)
+        for context, state in component.states.items():
+            if state is LifecycleState.ACTIVE:
+                leaving = self._kernel.deactivate(component, context=context, timeout=None)
+                task = kernel_task(self._kernel.loop, leaving, f"aiorts control {component.name}")
+                task.add_done_callback(partial(_report, component.name))
+
+
+def _report(name: str, task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (error := task.exception()) is not None:
+        _LOG.error("%s: is not deactivated: %s", name, format_error(error))

@@ -1,0 +1,20 @@
+"""A client that operates a kernel and holds its session: `python holding_program.py KERNEL OPERATION=COMPONENT...`.
+
+It says "holds" when all is done. A line on its standard input ends it in order.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from aiorts.control import Client, entries
+
+CHANGES = {"configure": {"values": {"": {"step": 2}}}}
+
+entry = next(one for one in entries() if one.name == sys.argv[1])
+with Client.open(entry, timeout=20.0, who="the operator") as client:
+    for word in sys.argv[2:]:
+        operation, _, component = word.partition("=")
+        client.call(operation, 20.0, component=component, **CHANGES.get(operation, {}))
+    print("holds", flush=True)
+    sys.stdin.readline()

@@ -1,0 +1,151 @@
+"""What components do when the link to who operates them is lost: clients in processes of their own are killed."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from aiorts import Component, Kernel, Param, PeriodicContext
+from aiorts.errors import DeclarationError
+from aiorts.system import check
+from control_parts import WAIT, commanded
+
+PROGRAM = Path(__file__).with_name("holding_program.py")
+Hold = Callable[..., Awaitable["subprocess.Popen[str]"]]
+ACTIVATE = ("activate=stops", "activate=fails", "activate=stays")
+
+
+class Stays(Component):
+    """Says nothing."""
+
+    step = Param(1)
+
+
+class Stops(Stays):
+    """Is a drive."""
+
+    on_link_lost = "deactivate"
+
+
+class Fails(Stays):
+    """Is one that somebody has to look after."""
+
+    on_link_lost = "error"
+
+
+@asynccontextmanager
+async def three() -> AsyncIterator[Kernel]:
+    """The three in a kernel with a socket, inactive."""
+    async with Kernel(services={"control": {"name": "unit"}}) as kernel:
+        made = [await kernel.create(kind, kind.__name__.lower()) for kind in (Stops, Fails, Stays)]
+        await kernel.start(PeriodicContext(rate=100.0, name="loop"), *made)
+        yield kernel
+
+
+@pytest.fixture
+def hold() -> Iterator[Hold]:
+    """What makes a client that has done these and holds its session; in a thread, since this process serves it."""
+    made: list[subprocess.Popen[str]] = []
+
+    def begin(*words: str) -> subprocess.Popen[str]:
+        command = [sys.executable, str(PROGRAM), "unit", *words]
+        made.append(client := subprocess.Popen(command, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE))
+        assert client.stdout is not None
+        assert client.stdout.readline() == "holds\n"
+        return client
+
+    yield lambda *words: asyncio.to_thread(begin, *words)
+    for client in made:
+        client.kill()
+        client.communicate(timeout=WAIT)
+
+
+def states(kernel: Kernel) -> list[str]:
+    """Of stops, fails and stays."""
+    return [kernel.components[name].states["loop"].value for name in ("stops", "fails", "stays")]
+
+
+async def until(kernel: Kernel, expected: list[str]) -> None:
+    """Wait for these states."""
+    async with asyncio.timeout(WAIT):
+        while states(kernel) != expected:
+            await asyncio.sleep(0.01)
+
+
+def said(caplog: pytest.LogCaptureFixture) -> list[str]:
+    """What the log has on operators."""
+    return [one.message for one in caplog.records if "the link to its operator is lost" in one.message]
+
+
+def test_each_does_what_it_says_when_the_client_is_killed(hold: Hold, caplog: pytest.LogCaptureFixture) -> None:
+    async def main() -> None:
+        async with three() as kernel:
+            client = await hold(*ACTIVATE)
+            assert states(kernel) == ["active", "active", "active"]
+            client.kill()
+            await until(kernel, ["inactive", "error", "active"])
+
+    with caplog.at_level(logging.WARNING):
+        asyncio.run(main())
+    own = [text for text in said(caplog) if text.startswith(("stops: ", "fails: ", "stays: "))]
+    assert [text.partition(":")[0] for text in own] == ["stops", "fails"]
+    assert all("the operator [process" in text for text in own)
+
+
+def test_who_ends_in_order_is_not_lost(
+    hold: Hold, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def main() -> None:
+        async with three() as kernel:
+            for name in ("stops", "fails", "stays"):
+                assert (await commanded(capsys, "activate", name))[0] == 0
+            client = await hold("configure=stops", "configure=fails")
+            await asyncio.to_thread(client.communicate, "\n", WAIT)
+            assert client.returncode == 0
+            assert (await commanded(capsys, "ls"))[0] == 0  # whatever came before is dealt with by now
+            assert states(kernel) == ["active", "active", "active"]
+
+    with caplog.at_level(logging.WARNING):
+        asyncio.run(main())
+    assert said(caplog) == []
+
+
+def test_the_operator_is_who_has_changed_it_last(hold: Hold) -> None:
+    async def main() -> None:
+        async with three() as kernel:
+            first = await hold(*ACTIVATE)
+            second = await hold("configure=stops")
+            first.kill()
+            await until(kernel, ["active", "error", "active"])
+            second.kill()
+            await until(kernel, ["inactive", "error", "active"])
+
+    asyncio.run(main())
+
+
+def test_another_word_is_refused_when_the_class_is_made() -> None:
+    with pytest.raises(
+        DeclarationError, match=r"Odd.on_link_lost: expected 'continue', 'deactivate', 'error', got 'stop'"
+    ):
+        type("Odd", (Component,), {"on_link_lost": "stop"})
+
+
+def test_check_shows_what_each_does(tmp_path: Path) -> None:
+    (tmp_path / "drives.py").write_text(
+        "from aiorts import Component\n\nclass Drive(Component):\n    on_link_lost = 'deactivate'\n\n"
+        "class Plain(Component):\n    pass\n"
+    )
+    (tmp_path / "system.toml").write_text(
+        'schema = 1\n[components.left]\ntype = "drives.py:Drive"\n[components.plain]\ntype = "drives.py:Plain"\n'
+        '[contexts.loop]\nkind = "periodic"\nrate = 1.0\nmembers = ["left", "plain"]\n'
+    )
+    (found,) = check(tmp_path / "system.toml")
+    assert (found.severity, found.code, found.line) == ("note", "N-OPERATOR", 2)
+    assert found.message == "left is deactivated when the link to its operator is lost (Drive.on_link_lost)"
