@@ -179,6 +179,29 @@ class Kernel(Microkernel):
 
         return await self.service(Isolation).create(kind, name, _plain(limits), params)
 
+    async def stand_in(self, path: str, holder: str = "") -> Component:
+        """Add what stands here for a component of another kernel, under that one's name.
+
+        It has its data ports and parameters, and is started in a context here, such as with a composite. Its lifecycle
+        and configuration are asked for there; what happens there happens here, and when its kernel is lost it is in
+        error, until a reset that finds that kernel again. When it leaves its context the component is active there
+        again if it was before, and else is not; it is never removed there.
+
+        Args:
+            path: "kernel/component", or "host/kernel/component".
+            holder: the composite that it is to be a member of.
+
+        Raises:
+            LinkError: there is no such kernel within 3 s.
+            StateError: it has no such component, or that is a member of a composite already, or there is a component
+                of that name here.
+            DeniedError: that kernel lets this one look only.
+        """
+        self.check_open("stand_in")
+        from aiorts.remote import stand_in  # late: few kernels have members elsewhere
+
+        return await stand_in(self, path, holder)
+
     async def move(
         self, component: Component, to: Context | Literal["process"], *, limits: Limits | None = None
     ) -> Component:

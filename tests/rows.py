@@ -111,6 +111,7 @@ FEATURES = {
     98: "Composites: shared context and order, exported ports",
     99: "Members of a composite change while it runs: all or nothing",
     100: "What a member's error means for its composite is chosen",
+    101: "A composite has members in other kernels, all or none of them",
     78: "A system file has a schema, and is checked whole before anything is made",
     79: "Profiles of components, ports, contexts and connectors",
     81: "Chosen values are monitored at a rate, without an effect",

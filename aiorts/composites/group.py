@@ -59,6 +59,8 @@ class CompositeGroup:
         self.errors = errors
         self.own_schedule = own_schedule
         self.given: tuple[Component | str, ...] = ()
+        self.brought: list[Component] = []
+        """Those of its members that stand for components of other kernels: they come and go with it."""
         self.groups_given: str | Sequence[Sequence[str]] = ()
         self.exports: tuple[Export, ...] = ()
         """Which ports it shows."""
@@ -365,10 +367,12 @@ class CompositeGroup:
                 if isinstance(member, Component) and cell(member).kernel is None:
                     await kernel.add(member)
                     brought.append(member)
-            members = composition_check.resolved(kernel, self, self.given)
+            given = await composition_check.brought_in(kernel, self, self.given)
+            members = composition_check.resolved(kernel, self, given)
             composition_check.check(self, members, self.exports)
             self.groups = composition_check.grouped(self, members, self.groups_given)
         except BaseException:
+            await self.let_go(self.brought)
             for member in reversed(brought):
                 await kernel.remove(member)
             raise
@@ -378,6 +382,12 @@ class CompositeGroup:
         self.lay_out()
         cell(self.component).ports.update(self.ports_of(members))
         self.known = {port: frozenset(port.connectors) for port in cell(self.component).ports.values()}
+
+    async def let_go(self, members: Sequence[Component | str]) -> None:
+        """Remove those of these that were brought in from other kernels."""
+        for member in [one for one in members if isinstance(one, Component) and one in self.brought]:
+            self.brought.remove(member)
+            await self.kernel.remove(member)
 
     def member_replaced(self, old: Component, new: Component) -> None:
         """Put another instance in a member's place."""

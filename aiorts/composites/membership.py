@@ -141,7 +141,9 @@ async def change(composite: CompositeGroup, wanted: Wanted, timeout: float | Non
     kernel = composite.kernel
     kernel.check_mine(composite.component, "change")
     given = wanted.given(composite)
-    concerned = composition_check.resolved(kernel, composite, given)
+    concerned = composition_check.resolved(
+        kernel, composite, [one for one in given if not (isinstance(one, str) and kernel.registry.is_elsewhere(one))]
+    )
     contexts = {context for component in (composite.component, *concerned) for context in component.contexts}
     queued = any(context.runner.inside() for context in contexts)
     task = kernel_task(kernel.loop, _change(composite, wanted, timeout), f"aiorts change {composite.name}")
@@ -154,9 +156,14 @@ async def _change(composite: CompositeGroup, wanted: Wanted, timeout: float | No
     async with kernel.registry.composing:
         kernel.check_mine(composite.component, "change")
         given = wanted.given(composite)
-        after = composition_check.resolved(kernel, composite, given)
-        composition_check.check(composite, after, wanted.rules)
-        groups = composition_check.grouped(composite, after, wanted.groups)
+        there = await composition_check.brought_in(kernel, composite, given)
+        try:
+            after = composition_check.resolved(kernel, composite, there)
+            composition_check.check(composite, after, wanted.rules)
+            groups = composition_check.grouped(composite, after, wanted.groups)
+        except BaseException:
+            await composite.let_go([one for one in there if one not in composite.members])
+            raise
         order = wanted.order or composite.order
         before = composite.members
         inside = frozenset(port for part in composition_check.leaves_of(before) for port in part.ports.values())
@@ -180,6 +187,7 @@ async def _change(composite: CompositeGroup, wanted: Wanted, timeout: float | No
                 cell(component).group = None
             for component in reversed(composition_check.leaves_of(joining)):
                 await return_to_contexts(component, timeout)
+            await composite.let_go(joining)
             raise
         for component in leaving:
             cell(component).group = None
@@ -190,6 +198,7 @@ async def _change(composite: CompositeGroup, wanted: Wanted, timeout: float | No
         composite.publish_change(joining, leaving, ended)
         for component in reversed(composition_check.leaves_of(leaving)):
             await return_to_contexts(component, timeout)
+        await composite.let_go(leaving)
         composite.publish_state()
         return ended
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.kernel.between_cycles import between_cycles
-from aiorts.kernel.commit import Edit, commit, try_out
+from aiorts.kernel.commit import Edit, try_out
+from aiorts.kernel.configuring import put
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.guarded import KernelLog
@@ -134,7 +135,7 @@ class ConfigurationFiles(KernelService):
             try:
                 for component, edit in edits.items():
                     before = cell(component).configuration
-                    await between_cycles(kernel, component, partial(commit, component, edit))
+                    await put(kernel, component, edit)
                     done.append((component, before, cell(component).configuration))
             except BaseException:
                 await _take_back(kernel, done)
@@ -152,7 +153,7 @@ async def _take_back(
 ) -> None:
     for component, before, after in reversed(done):
         try:
-            await between_cycles(kernel, component, partial(commit, component, partial(_as_before, before, after)))
+            await put(kernel, component, partial(_as_before, before, after))
         except AiortsError as error:
             _LOG.warning("%s: its configuration could not be taken back: %s", component.name, error)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from aiorts.control.folder import FURTHER, Carrier, Claim, Entry, entries, private_folder
     from aiorts.control.many import FEW
     from aiorts.control.operation import Right
-    from aiorts.control.protocol import NEWEST, OLDEST, REQUESTS, answer_in, framed, frames
+    from aiorts.control.protocol import NEWEST, OLDEST, REQUESTS, answer_in, error_in, framed, frames
     from aiorts.control.server.service import Control
     from aiorts.control.session import Session
     from aiorts.control.target import (
@@ -60,6 +60,7 @@ __all__ = (
     "answer_in",
     "change_all",
     "entries",
+    "error_in",
     "framed",
     "frames",
     "is_file",
@@ -80,7 +81,7 @@ _late(
         "aiorts.control.folder": "FURTHER Carrier Claim Entry entries private_folder",
         "aiorts.control.many": "FEW",
         "aiorts.control.operation": "Right",
-        "aiorts.control.protocol": "NEWEST OLDEST REQUESTS answer_in framed frames",
+        "aiorts.control.protocol": "NEWEST OLDEST REQUESTS answer_in error_in framed frames",
         "aiorts.control.server.service": "Control",
         "aiorts.control.session": "Session",
         "aiorts.control.together": "Outcome change_all",

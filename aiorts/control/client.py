@@ -32,6 +32,7 @@ from aiorts.control.protocol import (
     STALL_SECONDS,
     agreed,
     answer_in,
+    error_in,
     framed,
     frames,
 )
@@ -137,7 +138,7 @@ class Client:
 
     def _take_hello(self, frame: dict[Any, Any]) -> None:
         if "error" in frame:
-            raise _error_of(frame["error"], self.entry)
+            raise error_in(frame["error"], self.entry.address)
         hello = frame.get("hello")
         if not isinstance(hello, dict):
             raise WireError(f"{self.entry.address}: no hello; what listens there is no kernel of aiorts")
@@ -274,7 +275,7 @@ class Client:
             raise NoAnswerError(f"{self.entry.address}: {self.silence}")
         answer = waiting.take()
         if "error" in answer:
-            raise _error_of(answer["error"], self.entry)
+            raise error_in(answer["error"], self.entry.address)
         return answer
 
     def _sort(self) -> None:
@@ -284,7 +285,7 @@ class Client:
                 self._take_hello(frame)
                 continue
             if "id" not in frame and "error" in frame:
-                raise _error_of(frame["error"], self.entry)
+                raise error_in(frame["error"], self.entry.address)
             number, busy = frame.get("id"), frame.get("busy")
             waiting = self._answers.get(number) if type(number) is int else None
             if waiting is not None:
@@ -516,15 +517,3 @@ def _wait_all(pending: Mapping[int, tuple[Client, int]], *, timeout: float, grac
 def _command() -> str:
     words: Sequence[str] = sys.argv[:2]
     return " ".join(os.path.basename(word) for word in words)[:60]
-
-
-def _error_of(found: object, entry: Entry) -> AiortsError:
-    """The error that a kernel reports, as the class that has its code."""
-    if not isinstance(found, dict):
-        return ControlError(f"{entry.address}: {found!s:.200}")
-    code, text = str(found.get("code", "")), str(found.get("text", ""))
-    if (known := error_of_code(code, text)) is not None:
-        return known
-    error = ControlError(text)
-    error.code = code or ControlError.code  # type: ignore[misc] # of a newer kernel
-    return error

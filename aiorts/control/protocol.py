@@ -17,7 +17,7 @@ from typing import Any, Final, cast
 
 import msgpack  # type: ignore[import-untyped]
 
-from aiorts.errors import ControlError, LimitError, WireError
+from aiorts.errors import AiortsError, ControlError, LimitError, WireError, error_of_code
 from aiorts.model.plain import plain
 from aiorts.wire.limits import KIB, MIB, Limits
 from aiorts.wire.scan import count_values
@@ -110,6 +110,18 @@ def answer_in(frame: bytes) -> dict[Any, Any]:
     if type(value) is not dict:
         raise WireError(f"a frame that is no map but {type(value).__name__}")
     return value
+
+
+def error_in(found: object, address: str) -> AiortsError:
+    """The error that a kernel reports, as the class that has its code."""
+    if not isinstance(found, dict):
+        return ControlError(f"{address}: {found!s:.200}")
+    code, text = str(found.get("code", "")), str(found.get("text", ""))
+    if (known := error_of_code(code, text)) is not None:
+        return known
+    error = ControlError(text)
+    error.code = code or ControlError.code  # type: ignore[misc] # of a newer kernel
+    return error
 
 
 def _plain(value: object) -> Any:

@@ -27,6 +27,8 @@ class Names:
     """The ports of each connector, those of service ports too."""
     in_error: tuple[str, ...] = ()
     """Components that have failed: in error, or finished with an error."""
+    finished: tuple[str, ...] = ()
+    """Sources that have nothing more."""
     links: str = ""
     """The name by which links of other kernels reach it; "" where they cannot."""
     notices: tuple[str, ...] = ()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from aiorts.isolation.messages import MARK, OPERATE, REPORT, First, Report, asked, done, refused
     from aiorts.isolation.moving import move
     from aiorts.isolation.placing import given_of
-    from aiorts.isolation.ports import described
+    from aiorts.isolation.ports import described, fail, follow
     from aiorts.isolation.stand_in import RemoteComponent
     from aiorts.processes import Limits
 
@@ -33,6 +33,8 @@ __all__ = (
     "asked",
     "described",
     "done",
+    "fail",
+    "follow",
     "give_state",
     "given_of",
     "hold",
@@ -52,7 +54,7 @@ _late(
         "aiorts.isolation.messages": "MARK OPERATE REPORT First Report asked done refused",
         "aiorts.isolation.moving": "move",
         "aiorts.isolation.placing": "given_of",
-        "aiorts.isolation.ports": "described",
+        "aiorts.isolation.ports": "described fail follow",
         "aiorts.isolation.stand_in": "RemoteComponent",
         "aiorts.processes": "Limits",
     },

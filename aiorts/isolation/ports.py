@@ -1,4 +1,4 @@
-"""The ports of a component in a process, as its kernel is told of them: also those that no class declares."""
+"""The ports of a component in another kernel, as this one is told of them; and its failure there, here as well."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import DeclarationError, UnknownTypeError
+from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.kernel.ports.far import RemoteInPort, RemoteOutPort
 from aiorts.model.names import Path
@@ -34,11 +35,11 @@ def described(component: Component) -> list[list[Any]]:
     return rows
 
 
-def follow(component: Component, rows: Iterable[list[Any]], kernel: str) -> None:
+def follow(component: Component, rows: Iterable[list[Any]], kernel: str, host: str = "") -> None:
     """Have the ports that these rows describe, and no others; a port that is the same stays, with its connectors.
 
     Args:
-        kernel: the one in which they are.
+        kernel, host: the one in which they are.
 
     Raises:
         DeclarationError: a type of a port is not known here.
@@ -63,7 +64,17 @@ def follow(component: Component, rows: Iterable[list[Any]], kernel: str) -> None
         component.add_port(name, there)
     for name, port in component.ports.items():
         if isinstance(port, RemoteInPort | RemoteOutPort):
-            port.elsewhere = replace(Path.parse(wanted[name][-1]), kernel=kernel)
+            port.elsewhere = replace(Path.parse(wanted[name][-1]), kernel=kernel, host=host)
+
+
+def fail(component: Component, error: Exception) -> None:
+    """It has failed in the other kernel, and so it has here, wherever it is a member."""
+    members = cell(component).members
+    if not members:
+        cell(component).last_error = error
+        component.log.error("%s", error)
+    for member in members:
+        member.context.runner.life.task_failed(member, error)
 
 
 def _is_alike(port: Port[Any], row: list[Any] | None) -> bool:

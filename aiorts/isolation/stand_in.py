@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from aiorts.errors import ComponentError, DeclarationError, ProcessError, StateError
 from aiorts.isolation.placing import RemoteContext, placed
-from aiorts.isolation.ports import follow
+from aiorts.isolation.ports import fail, follow
 from aiorts.isolation.process import text_of
 from aiorts.isolation.services import RemoteServices, remote_end
 from aiorts.kernel.component import Component
@@ -29,6 +29,7 @@ from aiorts.services import ServiceEnd, ServicePort
 if TYPE_CHECKING:
     from aiorts.isolation.messages import Report
     from aiorts.isolation.process import Process
+    from aiorts.model.configuration.sets import ConfigurationState
 
 _LINKED: Final = 2.0
 """Seconds that an activation waits for the links of its out-ports."""
@@ -43,10 +44,10 @@ class RemoteKind(Kind):
     def keeps_code(self, component: Any) -> str:
         return "it runs in a process of its own; remove it, and create it anew"
 
-    async def configuring(self, component: RemoteComponent, values: Mapping[str, Any]) -> None:
+    async def configuring(self, component: RemoteComponent, state: ConfigurationState) -> None:
         process = component._process
         if process is not None and process.runs and not component.kernel.registry.is_arriving(component):
-            await process.ask("configure", component=component.name, values={"": dict(values)})
+            await process.ask("configure", component=component.name, values={"": dict(state.values)})
             await component._follow()
 
 
@@ -168,12 +169,7 @@ class RemoteComponent(Component, kind=RemoteKind()):
             self.finish()
 
     def _fail(self, error: Exception) -> None:
-        members = cell(self).members
-        if not members:
-            cell(self).last_error = error
-            self.log.error("%s", error)
-        for member in members:
-            member.context.runner.life.task_failed(member, error)
+        fail(self, error)
 
     async def ask(self, operation: str, **arguments: Any) -> Any:
         """What its process answers. ProcessError: it does not. AiortsError: what refused it."""

@@ -22,7 +22,7 @@ from aiorts.kernel.ports import InPort, OutPort
 from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
 
 if TYPE_CHECKING:
-    from aiorts.kernel.execution.cell import Configured
+    from aiorts.kernel.execution.cell import Configured, KernelSide
     from aiorts.model.configuration.configuration_profile import ConfigurationProfile
     from aiorts.model.configuration.parameters import ParameterSpec
 
@@ -135,12 +135,9 @@ class Configuration:
 
     async def _put(self, edit: Edit) -> None:
         component, kernel = self._component, cell(self._component).kernel
-        change = partial(commit, component, edit)
         if kernel is not None:
-            for kind in kinds_of(component):
-                await kind.configuring(component, edit(self._state).values)
-            await between_cycles(kernel, component, change)
-        elif (error := change()) is not None:
+            await put(kernel, component, edit)
+        elif (error := commit(component, edit)) is not None:
             raise error
 
     def _apply_soon(self, edit: Edit) -> None:
@@ -151,6 +148,13 @@ class Configuration:
             soon(kernel, component, change)
         elif (error := change()) is not None:
             raise error
+
+
+async def put(kernel: KernelSide, component: Configured, edit: Edit) -> None:
+    """Put a change in force between two cycles, after what stands for another kernel's has been accepted there."""
+    for kind in kinds_of(component):
+        await kind.configuring(component, edit(cell(component).configuration))
+    await between_cycles(kernel, component, partial(commit, component, edit))
 
 
 def _only(held: Mapping[str, Any], named: Mapping[str, object]) -> dict[str, Any]:

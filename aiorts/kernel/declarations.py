@@ -36,8 +36,8 @@ class Kind:
         """The context to start in the place of this one, with these components; StateError: they do not go together."""
         return context
 
-    async def configuring(self, component: Any, values: Mapping[str, Any]) -> None:
-        """These values of its parameters are about to be in force; what it raises refuses them."""
+    async def configuring(self, component: Any, state: ConfigurationState) -> None:
+        """This configuration of it is about to be in force; what it raises refuses it."""
 
     def keeps_code(self, component: Any) -> str:
         """Why its code cannot be replaced now; "" where it can."""

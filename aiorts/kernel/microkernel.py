@@ -332,6 +332,10 @@ class Microkernel:
         self.check_open("add")
         return await self.registry.add(component, params)
 
+    async def stand_in(self, path: str, holder: str = "") -> Component:
+        """Add what stands here for a component of another kernel; see `Kernel.stand_in`."""
+        raise StateError(f"{path}: this kernel reaches no other one")
+
     async def remove(self, component: Component) -> None:
         """Take a component out: out of its contexts, its ports disconnected, `on_finalize` run.
 

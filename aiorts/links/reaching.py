@@ -15,6 +15,8 @@ from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.registry import known
 
 if TYPE_CHECKING:
+    import socket
+
     from aiorts.kernel.extensions.catalogue import Catalogue
     from aiorts.links.kernels import Kernels
     from aiorts.links.transport import Caller, Peer, Transport
@@ -183,6 +185,13 @@ class Reach:
             if path.host.lower() in ("", "localhost", peer.host.lower())
         ]
         return found[-1] if found else None
+
+    async def session(self, path: Path) -> tuple[socket.socket, str] | None:
+        """A connection for a session with the kernel of a path, and that kernel's address; None where no transport
+        carries one: kernels of this host have sockets of their own."""
+        peer = self.peer_of(path)
+        carry = None if peer is None else getattr(self.peers[peer], "session", None)
+        return None if peer is None or carry is None else (await carry(peer), f"{peer.host}/{peer.kernel}")
 
     def host_of(self, peer: Peer | None) -> str:
         """The host of a kernel that the general transport does not reach, where another may have its name; else ""."""

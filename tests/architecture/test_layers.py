@@ -46,6 +46,7 @@ aiorts/reload
 aiorts/control
 aiorts/links
 aiorts/isolation
+aiorts/remote
 aiorts/planning
 aiorts/adapting
 aiorts/control/operations
@@ -80,6 +81,7 @@ SERVICES = (
         "processes",
         "realtime",
         "reload",
+        "remote",
         "rules",
         "services",
         "statemachines",

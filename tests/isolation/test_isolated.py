@@ -123,6 +123,16 @@ async def test_parameters_and_sets_are_in_force_there_or_refused() -> None:
         assert (scale.factor, await answer(source, sink, 2)) == (1000, 2000)
 
 
+async def test_a_configuration_file_is_in_force_there(tmp_path: Path) -> None:
+    async with Kernel() as kernel:
+        source, scale, sink, _ = await chain(kernel)
+        file = tmp_path / "values.toml"
+        await kernel.save_configuration(file)
+        file.write_text(file.read_text().replace("factor = 2\n", "factor = 7\n"))
+        await kernel.load_configuration(file)
+        assert (scale.factor, await answer(source, sink, 1)) == (7, 7)
+
+
 @pytest.mark.parametrize(
     ("value", "said"),
     [(-1, "ValueError: negative"), (-11, "KeyboardInterrupt"), (-12, "... (3,000,012 letters)")],

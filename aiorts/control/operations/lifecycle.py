@@ -1,12 +1,25 @@
-"""Operations on lifecycles, and on the run as a whole."""
+"""Operations on lifecycles, who has them in hand from another kernel, and on the run as a whole."""
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import Final
 
 from aiorts.control.operation import Operation, Right
+from aiorts.control.operations.known import component_named
 from aiorts.control.session import Session
 from aiorts.control.values import Done, Member, Stop
+from aiorts.errors import StateError
+from aiorts.kernel.execution.cell import cell
+from aiorts.late import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Holding:
+    """A component, and the composite of another kernel that has it as a member."""
+
+    component: str
+    holder: str
 
 
 async def _activate(session: Session, given: Member) -> Done:
@@ -24,6 +37,21 @@ async def _reset(session: Session, given: Member) -> Done:
     return Done()
 
 
+def _hold(session: Session, given: Holding) -> Done:
+    component = component_named(session, given.component)
+    here, group = cell(component), cell(component).group
+    held = group.name if group is not None else here.own.get(Holding)
+    if held is not None:
+        raise StateError(f"{component.name}: is a member of {held} already")
+    here.own = MappingProxyType({**here.own, Holding: given.holder})
+
+    def let_go() -> None:
+        here.own = MappingProxyType({kind: kept for kind, kept in here.own.items() if kind is not Holding})
+
+    session.keep(let_go)
+    return Done()
+
+
 def _stop(session: Session, given: Stop) -> Done:
     session.kernel.request_stop(given.status)
     return Done()
@@ -37,5 +65,13 @@ ROWS: Final = (
     Operation("activate", "Activate a component.", Member, Done, Right.OPERATE, _activate, changes=_one),
     Operation("deactivate", "Deactivate a component.", Member, Done, Right.OPERATE, _deactivate, changes=_one),
     Operation("reset", "Take a component out of error.", Member, Done, Right.OPERATE, _reset, changes=_one),
+    Operation(
+        "hold",
+        "Have a component as a member of a composite of another kernel, as long as the session lasts.",
+        Holding,
+        Done,
+        Right.OPERATE,
+        _hold,
+    ),
     Operation("stop", "End the run in order.", Stop, Done, Right.OPERATE, _stop, idempotent=True),
 )

@@ -32,6 +32,7 @@ def _names(session: Session, _: Nothing) -> Names:
         contexts=MappingProxyType({name: one.profile.members for name, one in kernel.contexts.items()}),
         connectors=MappingProxyType({**wires, **calls}),
         in_error=tuple(name for name, one in kernel.components.items() if one.last_error is not None),
+        finished=tuple(name for name, one in kernel.components.items() if one.has_finished),
         links="" if far is None else far.open_as,
         notices=tuple(one.notice for one in kernel.services if one.notice),
         pid=os.getpid(),

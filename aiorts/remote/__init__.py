@@ -1,0 +1,23 @@
+"""Components of other kernels that are members of composites of this one.
+
+`Kernel.stand_in` adds what stands here for such a component: its data ports are linked when they are connected, its
+lifecycle and configuration are asked for through the control table of its kernel, and what happens to it there happens
+to the stand-in here.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.remote.elsewhere import ElsewhereComponent
+    from aiorts.remote.finding import stand_in
+
+__all__ = ("ElsewhereComponent", "stand_in")
+
+_late(
+    globals(),
+    {"aiorts.remote.finding": "stand_in", "aiorts.remote.elsewhere": "ElsewhereComponent"},
+)

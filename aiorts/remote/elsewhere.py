@@ -1,0 +1,268 @@
+"""What stands in a kernel for a component of another one.
+
+It has the component's data ports and parameters, and is started here as any other, such as with the composite that it
+is a member of. Its hooks ask the other kernel to do the same; what happens there happens to it. While it is in a
+context here, that says whether the component is active; when it has left, the component is as it was before.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.errors import AiortsError, ClosedError, ComponentError, LinkError, StateError
+from aiorts.isolation import fail, follow
+from aiorts.kernel.component import Component
+from aiorts.kernel.declarations import Kind
+from aiorts.kernel.execution.cell import cell
+from aiorts.links import Links
+from aiorts.model.configuration.configuration_profile import plain_value
+from aiorts.model.lifecycle import LifecycleState
+
+if TYPE_CHECKING:
+    from aiorts.model.configuration.sets import ConfigurationState
+    from aiorts.model.names import Path
+    from aiorts.remote.session import KernelSession
+
+_ACTIVE, _ERROR, _INACTIVE = LifecycleState.ACTIVE, LifecycleState.ERROR, LifecycleState.INACTIVE
+_LINKED: Final = 2.0
+"""Seconds that an activation waits for the links of its out-ports."""
+_TIMEOUT: Final = 4.0
+"""Seconds that a transition may take there."""
+_NEWS: Final = (
+    *("StateChanged", "HookFailed", "ParametersChanged", "PortAdded", "PortRemoved", "ComponentRemoved"),
+    *("MemberAdded", "MemberRemoved", "ContextStopped"),
+)
+"""Events after which it is looked how the component is."""
+
+
+class ElsewhereKind(Kind):
+    """Passes changes of the configuration on, before they are in force here."""
+
+    async def configuring(self, component: ElsewhereComponent, state: ConfigurationState) -> None:
+        await component.passes_on(state)
+
+    def keeps_code(self, component: Any) -> str:
+        return "it runs in another kernel; reload it there"
+
+
+class ElsewhereComponent(Component, kind=ElsewhereKind()):
+    """A component of another kernel, as this one sees it. `Kernel.stand_in` makes it."""
+
+    _where: Path
+    _holder = ""
+    _session: KernelSession | None = None
+    _there = _INACTIVE
+    """The state that its kernel has told last."""
+    _was_active = False
+    """Whether it was active before it was in a context here."""
+    _copying = False
+    """Whether the configuration of there is being taken over."""
+    _own = 0
+    """Transitions of this end that are under way."""
+    _looks: asyncio.Task[None] | None = None
+    _news = False
+
+    def stands_for(self, where: Path, holder: str, session: KernelSession) -> None:
+        """It is the component of this path, held for a composite of this name."""
+        self._where, self._holder, self._session = where, holder, session
+        self._turn = asyncio.Lock()
+        """One question that changes something, or look, at a time."""
+
+    @property
+    def path(self) -> str:
+        """Of the component in its kernel."""
+        return str(self._where)
+
+    # -- its kernel ------------------------------------------------------------------------------------------------
+
+    async def on_initialize(self) -> None:
+        await self._begin()
+
+    async def on_finalize(self) -> None:
+        if self._looks is not None:
+            self._looks.cancel()
+        if self._session is not None:
+            self._session.close()
+
+    async def _begin(self) -> None:
+        """Hold it there, and have its ports and configuration."""
+        session, name = self._asked, self._where.component
+        links = self.kernel.service(Links)
+        holder = f"{links.reached_as}/{self._holder}" if self._holder else f"kernel {links.reached_as}"
+        await session.call("hold", component=name, holder=holder)
+        session.lost = self._lost
+        await session.follow("events", self._happened, kinds=_NEWS)
+        await self._look()
+
+    async def _connect(self) -> None:
+        """Reach its kernel again, where it was lost."""
+        from aiorts.remote.finding import opened  # late: that knows this class
+
+        if self._session is None or not self._session.is_open:
+            self._session = await opened(self.kernel, self._where, self.path)
+            await self._begin()
+
+    @property
+    def _asked(self) -> KernelSession:
+        if self._session is None or not self._session.is_open:
+            raise self._is_lost()
+        return self._session
+
+    def _is_lost(self) -> LinkError:
+        return LinkError(f"{self.path}: its kernel {self._where.kernel} is lost; reset it when that is back")
+
+    def _lost(self) -> None:
+        self._there = _ERROR
+        self._fails(self._is_lost())
+
+    def _fails(self, error: Exception) -> None:
+        if self.state is not _ERROR:
+            fail(self, error)
+
+    # -- what happens there ----------------------------------------------------------------------------------------
+
+    def _happened(self, item: Mapping[str, Any]) -> None:
+        if item["event"].get("component", self._where.component) != self._where.component:
+            return
+        self._news = True
+        if self._looks is None or self._looks.done():
+            self._looks = self.kernel.service(Links).run(self._looking(), f"aiorts look {self.name}")
+
+    async def _looking(self) -> None:
+        while self._news:
+            self._news = False
+            try:
+                async with self._turn:
+                    said = await self._look()
+                await self._follow_state(*said)
+            except (ClosedError, LinkError, StateError):
+                continue  # it is lost, which the session says, or its state here has changed meanwhile
+            except AiortsError as error:
+                self.log.warning("%s", error)
+
+    async def _look(self) -> tuple[bool, str]:
+        """Have its ports, values and state; returns whether it has finished, and its error."""
+        session, name = self._asked, self._where.component
+        names = await session.call("names")
+        if name not in names["components"]:
+            session.close()
+            self._there = _ERROR
+            gone = LinkError(f"{self.path}: is there no more")
+            self._fails(gone)
+            raise gone
+        states = names["components"][name].values()
+        report = (await session.call("part", components=[name]))["components"][name]
+        outline = (await session.call("outline", components=[name]))[name]
+        rows = _rows(name, report, outline["ports"])
+        if rows and not names["links"] and self.kernel.service(Links).peer_of(self._where) is None:
+            raise StateError(
+                f"{self.path}: links of other kernels cannot reach {self._where.kernel}; give it a [links] table"
+            )
+        follow(self, rows, names["links"] or self._where.kernel, self._where.host)
+        await self._copy(report["configuration"])
+        self._there = _ERROR if "error" in states else _ACTIVE if "active" in states else _INACTIVE
+        return name in names["finished"], report["last_error"] or "is in error"
+
+    async def _copy(self, configuration: Mapping[str, Any]) -> None:
+        """Have the values that are in force there."""
+        sets, active = configuration["sets"], configuration["active"]
+        here = {key: plain_value(dict(values)) for key, values in self.configuration.sets.items()}
+        if (sets, active) == (here, self.configuration.active):
+            return
+        self._copying = True
+        try:
+            await self.configuration.replace(sets, active)
+        finally:
+            self._copying = False
+
+    async def _follow_state(self, finished: bool, error: str) -> None:
+        if self._own:
+            return  # the hook that asks for it has not come to its end
+        if self._there is _ERROR:
+            self._fails(ComponentError(f"{self.path}: {error}"))
+        elif self._there is _INACTIVE and self.state is _ACTIVE:
+            if finished:
+                self.finish()
+            else:
+                await self.kernel.deactivate(self)
+        elif self._there is _ACTIVE and self.state is _INACTIVE:
+            await self.kernel.activate(self)
+
+    # -- what is asked of it ---------------------------------------------------------------------------------------
+
+    async def passes_on(self, state: ConfigurationState) -> None:
+        """Ask for this configuration there."""
+        before = cell(self).configuration
+        if self._copying or self._session is None or self.kernel.registry.is_arriving(self):
+            return
+        values = {
+            key: {one: plain_value(value) for one, value in values.items() if _differs(before, key, one, value)}
+            for key, values in state.sets.items()
+        }
+        changed = {key: one for key, one in values.items() if one or key not in before.sets}
+        activate = None if state.active == before.active else state.active
+        gone = [key for key in before.sets if key not in state.sets]
+        added = [key for key in state.sets if key not in before.sets]
+        if changed or activate or gone or added:
+            one = self._where.component
+            await self._ask("configure", component=one, values=changed, add=added, remove=gone, activate=activate)
+
+    async def on_startup(self) -> None:
+        await self._connect()
+        if self._there is _ERROR:
+            raise StateError(f"{self.path}: is in error there; reset it there first")
+        self._was_active = self._there is _ACTIVE
+        await self._to(_INACTIVE, "deactivate")
+
+    async def on_shutdown(self) -> None:
+        if self._session is not None and self._session.is_open and self._there is not _ERROR:
+            await (self._to(_ACTIVE, "activate") if self._was_active else self._to(_INACTIVE, "deactivate"))
+
+    async def on_activated(self) -> None:
+        # What it wrote before its links are made would have no connector that counts it.
+        connectors = [one for port in self.ports.values() for one in port.connectors]
+        await self.kernel.service(Links).up(connectors, _LINKED)
+        await self._to(_ACTIVE, "activate")
+
+    async def on_deactivated(self) -> None:
+        if self._session is not None and self._session.is_open:
+            await self._to(_INACTIVE, "deactivate")
+
+    async def on_reset(self) -> None:
+        await self._connect()
+        if self._there is _ERROR:
+            await self._ask("reset", component=self._where.component, timeout=_TIMEOUT)
+            self._there = _INACTIVE
+        await self._to(_INACTIVE, "deactivate")
+
+    async def _to(self, state: LifecycleState, operation: str) -> None:
+        """Have it in this state there."""
+        if self._there is not state and not (self._there is _ERROR and state is _INACTIVE):
+            self._own += 1
+            try:
+                await self._ask(operation, component=self._where.component, timeout=_TIMEOUT)
+            finally:
+                self._own -= 1
+            self._there = state
+
+    async def _ask(self, operation: str, **arguments: Any) -> None:
+        async with self._turn:
+            await self._asked.call(operation, **arguments)
+
+
+def _differs(before: ConfigurationState, key: str, name: str, value: Any) -> bool:
+    values = before.sets.get(key, {})
+    return name not in values or values[name] != value
+
+
+def _rows(name: str, report: Mapping[str, Any], outline: Mapping[str, Any]) -> list[list[Any]]:
+    """Its data ports, as `follow` takes them."""
+    exported = (report["composite"] or {}).get("exported", {})
+    rows = []
+    for port, one in report["ports"].items():
+        if one["direction"] != "service":
+            what = [one["direction"], outline[port]["full_type"], one["unit"], one["shape"], one["doc"], None, None]
+            rows.append([port, *what, exported.get(port, f"{name}.{port}")])
+    return rows

@@ -1,0 +1,276 @@
+"""Composites with members in kernels of other processes of this host."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from anyio import fail_after
+
+from aiorts import Composite, Kernel, LifecycleState, PeriodicContext
+from aiorts.control import Client
+from aiorts.errors import AiortsError, ComponentError, ConfigurationError, DeniedError, LinkError, StateError
+from aiorts.types import TimedLong
+from control_parts import with_client
+from elsewhere_parts import Local, left, until
+
+pytestmark = [pytest.mark.anyio, pytest.mark.row(101)]
+ACTIVE, ERROR, INACTIVE = LifecycleState.ACTIVE, LifecycleState.ERROR, LifecycleState.INACTIVE
+
+
+@asynccontextmanager
+async def right(name: str = "right") -> AsyncIterator[Kernel]:
+    async with Kernel(name, services={"links": {}}) as kernel:
+        yield kernel
+
+
+async def arm_of(kernel: Kernel, *, activate: bool = True, **options: Any) -> Composite:
+    """A composite with one member here, and one elsewhere."""
+    arm = await kernel.add(Composite("arm", Local("near"), "left/gripper", **options))
+    await kernel.start(PeriodicContext(100.0), arm, activate=activate)
+    return arm
+
+
+async def asked(name: str, operation: str, **arguments: object) -> Any:
+    def ask(client: Client) -> Any:
+        return client.call(operation, **arguments)
+
+    return await with_client(name, ask)
+
+
+async def state_there(component: str = "gripper") -> str:
+    states: Mapping[str, str] = (await asked("left", "names"))["components"].get(component, {})
+    return states.get("loop", "")
+
+
+async def is_there(state: str) -> None:
+    """Wait until the gripper is in this state in its own kernel."""
+    with fail_after(20):
+        while await state_there() != state:
+            await asyncio.sleep(0.01)
+
+
+def near_and_gripper(kernel: Kernel) -> list[LifecycleState | None]:
+    return [kernel.components[name].state for name in ("near", "gripper")]
+
+
+# -- ports -----------------------------------------------------------------------------------------------------------
+
+
+async def test_an_exported_port_of_a_member_elsewhere_carries_samples(tmp_path: Path) -> None:
+    async with left(tmp_path), right() as kernel:
+        source = await kernel.create(Local, "source")
+        exported = {"gripper.force": "force", "gripper.inp": "inp"}
+        arm = await kernel.add(Composite("arm", Local("near"), "left/gripper", exported=exported))
+        await kernel.connect(source.out, arm.ports["inp"])
+        await kernel.connect(arm.ports["force"], source.inp)
+        await kernel.start(PeriodicContext(100.0), arm, activate=True)
+        for value in range(100):
+            source.out.write_nowait(TimedLong(0, value))
+        seen: list[int] = []
+        with fail_after(20):
+            while len(seen) < 100:
+                seen.append((await source.inp.read()).data)
+        assert seen == [2 * value for value in range(100)]
+
+
+# -- lifecycle -------------------------------------------------------------------------------------------------------
+
+
+async def test_the_lifecycle_of_the_composite_is_that_of_the_member_elsewhere(tmp_path: Path) -> None:
+    async with left(tmp_path), right() as kernel:
+        arm = await arm_of(kernel)
+        assert (arm.state, await state_there()) == (ACTIVE, "active")
+        await arm.deactivate()
+        assert (arm.state, await state_there()) == (INACTIVE, "inactive")
+        await arm.activate()
+        assert (near_and_gripper(kernel), await state_there()) == ([ACTIVE, ACTIVE], "active")
+
+
+async def test_an_activation_that_fails_elsewhere_activates_nothing(tmp_path: Path) -> None:
+    async with left(tmp_path), right() as kernel:
+        arm = await arm_of(kernel, activate=False)
+        await kernel.components["gripper"].configure(stuck=True)
+        with pytest.raises(ComponentError, match="is stuck"):
+            await arm.activate()
+        assert near_and_gripper(kernel) == [INACTIVE, ERROR]
+        await kernel.components["gripper"].configure(stuck=False)
+        await arm.reset()
+        await arm.activate()
+        assert (near_and_gripper(kernel), await state_there()) == ([ACTIVE, ACTIVE], "active")
+
+
+async def test_an_activation_that_fails_here_is_taken_back_elsewhere(tmp_path: Path) -> None:
+    class Stuck(Local):
+        async def on_activated(self) -> None:
+            raise RuntimeError("is stuck")
+
+    async with left(tmp_path), right() as kernel:
+        arm = await kernel.add(Composite("arm", "left/gripper", Stuck("near")))
+        await kernel.start(PeriodicContext(100.0), arm)
+        with pytest.raises(ComponentError, match="is stuck"):
+            await arm.activate()
+        assert (near_and_gripper(kernel), await state_there()) == ([ERROR, INACTIVE], "inactive")
+
+
+async def test_what_is_asked_of_the_member_in_its_own_kernel_happens_in_the_composite(tmp_path: Path) -> None:
+    async with left(tmp_path), right() as kernel:
+        await arm_of(kernel)
+        await asked("left", "deactivate", component="gripper")
+        await until(lambda: near_and_gripper(kernel) == [ACTIVE, INACTIVE])
+        await asked("left", "activate", component="gripper")
+        await until(lambda: near_and_gripper(kernel) == [ACTIVE, ACTIVE])
+
+
+async def test_a_source_that_has_finished_elsewhere_has_finished_here(tmp_path: Path) -> None:
+    async with left(tmp_path), right() as kernel:
+        source = await kernel.create(Local, "source")
+        arm = await arm_of(kernel, exported=["gripper.inp"])
+        await kernel.connect(source.out, arm.ports["inp"])
+        source.out.write_nowait(TimedLong(0, -2))
+        await until(lambda: kernel.components["gripper"].has_finished)
+        assert near_and_gripper(kernel) == [ACTIVE, INACTIVE]
+
+
+@pytest.mark.parametrize("before", ["active", "inactive"])
+async def test_a_member_that_leaves_is_as_it_was_before_it_came(tmp_path: Path, before: str) -> None:
+    async with left(tmp_path, activate=before == "active"):
+        await is_there(before)
+        async with right() as kernel:
+            arm = await arm_of(kernel, activate=False)
+            assert await state_there() == "inactive"
+            await arm.activate()
+            assert await state_there() == "active"
+            await arm.remove_members("gripper")
+            assert await state_there() == before
+            assert ("gripper" in kernel.components, [one.name for one in arm.members]) == (False, ["near"])
+            await arm.add_members("left/gripper")
+            assert await state_there() == "active"
+            await kernel.remove(arm)
+            assert (await state_there(), "gripper" in kernel.components) == (before, False)
+        async with right("again") as kernel:
+            await arm_of(kernel)
+        assert await state_there() == before
+
+
+# -- configuration ---------------------------------------------------------------------------------------------------
+
+
+async def test_values_and_sets_are_those_of_the_member_elsewhere(tmp_path: Path) -> None:
+    async with left(tmp_path), right() as kernel:
+        await arm_of(kernel)
+        gripper = kernel.components["gripper"]
+        await gripper.configure(factor=5)
+        await gripper.configuration.activate("large")
+        there = await asked("left", "configuration", component="gripper")
+        assert (there["active"], there["sets"]) == (
+            "large",
+            {"default": {"factor": 5, "stuck": False}, "large": {"factor": 1000}},
+        )
+        with pytest.raises(ConfigurationError, match="13 is no factor"):
+            await gripper.configure(factor=13)
+        assert gripper.configuration.values["factor"] == 1000
+        await asked("left", "configure", component="gripper", values={"": {"factor": 7}})
+        await until(lambda: gripper.configuration.values["factor"] == 7)
+
+
+async def test_a_configuration_of_several_members_is_in_force_in_all_or_in_none(tmp_path: Path) -> None:
+    async with left(tmp_path), right() as kernel:
+        await arm_of(kernel)
+        file = tmp_path / "sets.toml"
+        await kernel.save_configuration(file)
+        saved = file.read_text()
+        changed = saved.replace("gain = 1\n", "gain = 3\n").replace("factor = 2\n", "factor = 13\n")
+        assert changed != saved
+        file.write_text(changed)
+        with pytest.raises(ConfigurationError, match="13 is no factor"):
+            await kernel.load_configuration(file)
+        assert kernel.components["near"].configuration.values["gain"] == 1
+        file.write_text(changed.replace("factor = 13\n", "factor = 4\n"))
+        await kernel.load_configuration(file)
+        there = await asked("left", "configuration", component="gripper")
+        assert there["sets"]["default"]["factor"] == 4
+        assert kernel.components["near"].configuration.values["gain"] == 3
+
+
+# -- errors ----------------------------------------------------------------------------------------------------------
+
+AFTER = {"stop": (ERROR, INACTIVE), "report": (ERROR, ACTIVE), "isolate": (ACTIVE, ACTIVE)}
+"""The states of the composite and of the member here, by the policy, when the one elsewhere has failed."""
+
+
+@pytest.mark.parametrize("errors", AFTER)
+async def test_an_error_elsewhere_is_one_here_and_a_reset_is_one_there(tmp_path: Path, errors: str) -> None:
+    async with left(tmp_path), right() as kernel:
+        source = await kernel.create(Local, "source")
+        arm = await arm_of(kernel, exported=["gripper.inp"], errors=errors)
+        await kernel.connect(source.out, arm.ports["inp"])
+        source.out.write_nowait(TimedLong(0, -1))
+        await until(lambda: near_and_gripper(kernel) == [AFTER[errors][1], ERROR])
+        assert arm.state is AFTER[errors][0]
+        assert "left/gripper: " in str(arm.last_error)
+        assert "lost its grip" in str(arm.last_error)
+        await arm.reset()
+        await arm.activate()
+        assert (near_and_gripper(kernel), await state_there()) == ([ACTIVE, ACTIVE], "active")
+
+
+@pytest.mark.parametrize("errors", AFTER)
+async def test_a_member_whose_kernel_is_killed_is_in_error_until_that_is_back_and_it_is_reset(
+    tmp_path: Path, errors: str
+) -> None:
+    async with AsyncExitStack() as lefts, right() as kernel:
+        process = await lefts.enter_async_context(left(tmp_path))
+        arm = await arm_of(kernel, errors=errors, exported=["gripper.*"])
+        source = await kernel.create(Local, "source")
+        await kernel.connect(source.out, arm.ports["inp"])
+        await kernel.connect(arm.ports["force"], source.inp)
+        process.kill()
+        await until(lambda: near_and_gripper(kernel) == [AFTER[errors][1], ERROR])
+        assert arm.state is AFTER[errors][0]
+        assert "left/gripper: its kernel left is lost" in str(arm.last_error)
+        with pytest.raises(AiortsError, match=r"no kernel 'left' runs|left is lost"):
+            await arm.reset()
+        await lefts.enter_async_context(left(tmp_path))
+        await arm.reset()
+        await arm.activate()
+        assert (near_and_gripper(kernel), await state_there()) == ([ACTIVE, ACTIVE], "active")
+        source.out.write_nowait(TimedLong(0, 21))
+        with fail_after(20):
+            while (await source.inp.read()).data != 42:
+                pass
+
+
+# -- refused ---------------------------------------------------------------------------------------------------------
+
+
+async def test_members_that_cannot_be_had_are_refused_with_the_reason_and_nothing_is_left(tmp_path: Path) -> None:
+    async with left(tmp_path), right() as kernel:
+        for member, error, why in (
+            ("lft/gripper", LinkError, "lft/gripper: no kernel 'lft' runs; did you mean 'left'?"),
+            ("left/griper", StateError, "left/griper: griper: no such component; did you mean gripper?"),
+            ("left/near", StateError, "left/near: there is a component 'near' here already"),
+        ):
+            with pytest.raises(error) as caught:
+                await kernel.add(Composite("arm", Local("near"), "left/finger", member))
+            assert why in str(caught.value)
+            assert not kernel.components
+
+
+async def test_a_kernel_that_lets_others_look_only_has_no_members(tmp_path: Path) -> None:
+    async with left(tmp_path, "left", "--control", "view"), right() as kernel:
+        with pytest.raises(DeniedError, match=r"left/gripper: .*/left lets this kernel look only"):
+            await kernel.add(Composite("arm", "left/gripper"))
+
+
+async def test_a_component_is_a_member_of_one_composite_at_a_time_which_the_error_names(tmp_path: Path) -> None:
+    async with left(tmp_path), right() as one, right("other") as two:
+        await one.add(Composite("arm", "left/gripper"))
+        with pytest.raises(StateError, match=r"left/gripper: .*is a member of right/arm already"):
+            await two.add(Composite("hand", "left/gripper"))
+        await one.remove(one.components["arm"])
+        await two.add(Composite("hand", "left/gripper"))

@@ -1,0 +1,37 @@
+"""Composites with members in another kernel of this program: what is quick to see."""
+
+from __future__ import annotations
+
+import pytest
+
+from aiorts import Component, Composite, Kernel, LifecycleState, PeriodicContext
+from elsewhere_gripper import Gripper
+from elsewhere_parts import Local, until
+
+pytestmark = [pytest.mark.anyio, pytest.mark.row(101)]
+ACTIVE, ERROR, INACTIVE = LifecycleState.ACTIVE, LifecycleState.ERROR, LifecycleState.INACTIVE
+
+
+async def test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component() -> None:
+    services = {"control": {"name": "left"}, "links": {}}
+    async with Kernel(services=services) as left, Kernel("right", services={"links": {}}) as right:
+        gripper: Component = await left.create(Gripper, "gripper")
+        await left.start(PeriodicContext(200.0), gripper)
+        arm = await right.add(Composite("arm", Local("near"), "left/gripper", exported=["gripper.*"]))
+        assert list(arm.ports) == ["inp", "force"]
+        await right.start(PeriodicContext(200.0), arm, activate=True)
+        assert (arm.state, gripper.state) == (ACTIVE, ACTIVE)
+        await right.components["gripper"].configure(factor=5)
+        assert gripper.configuration.values["factor"] == 5
+        await arm.deactivate()
+        await right.components["gripper"].configure(stuck=True)
+        with pytest.raises(RuntimeError, match="is stuck"):
+            await arm.activate()
+        assert [member.state for member in arm.members] == [INACTIVE, ERROR]
+        await gripper.configure(stuck=False)
+        await until(lambda: not right.components["gripper"].configuration.values["stuck"])
+        await arm.reset()
+        await arm.activate()
+        await left.remove(gripper)
+        await until(lambda: [member.state for member in arm.members] == [INACTIVE, ERROR])
+        assert "left/gripper: is there no more" in str(arm.last_error)
