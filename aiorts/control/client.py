@@ -36,7 +36,7 @@ from aiorts.control.protocol import (
     framed,
     frames,
 )
-from aiorts.errors import AiortsError, ControlError, NoAnswerError, WireError, error_of_code
+from aiorts.errors import AiortsError, ControlError, NoAnswerError, WireError
 from aiorts.late import dataclass
 
 TIMEOUT: Final = 5.0

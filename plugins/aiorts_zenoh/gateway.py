@@ -7,27 +7,21 @@ the kernels whose tokens are there. A session begins when a command wants one; o
 from __future__ import annotations
 
 import asyncio
-import secrets
 from collections.abc import Coroutine, Mapping
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from aiorts.control import REQUESTS, Carrier, answer_in, framed, frames
 from aiorts.errors import AbsentError, AiortsError, LinkError
 from aiorts.links import Peer
-from aiorts_zenoh.carried import Carried
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
-from aiorts_zenoh.envelope import read
-from aiorts_zenoh.keys import CTL, HELLO, INFO, ClientKeys, peer_of, session_in
+from aiorts_zenoh.keys import INFO, ClientKeys, peer_of
+from aiorts_zenoh.sessions import Sessions
 from aiorts_zenoh.stream import CHUNK
 
 _DEADLINE: Final = 3.0
-"""Seconds that kernels have to say what this client may do."""
-_ROUND: Final = 0.5
-"""Seconds until they are asked again."""
-_AGAIN: Final = 0.05
+"""Seconds to find the kernels that are there."""
 _FIRST: Final = 1.0
 """Seconds to wait for the first answer of many kernels, and for another one once there is one."""
 _NEXT: Final = 0.25
@@ -50,11 +44,9 @@ class Gateway:
         self._keys, self._settings = keys, settings
         self._carrier = Carrier(folder)
         self._engine = Engine()
+        self._sessions = Sessions(self._engine, keys)
         self._peers: dict[tuple[str, str], Peer] = {}
         """Those that are there, by host and name."""
-        self._branches: dict[Peer, str] = {}
-        """Below which sessions with a kernel are, as far as it has said what this client may do."""
-        self._sessions: dict[str, tuple[Peer, Carried]] = {}
         self._tasks: set[asyncio.Task[Any]] = set()
         self._asking: asyncio.Task[None]
         self._early: tuple[str, asyncio.Task[dict[Peer, bytes]]] | None = None
@@ -81,14 +73,13 @@ class Gateway:
             self._present(token, True)
         self._settle()
         self._server = await asyncio.start_unix_server(self._came, self._carrier.path, backlog=_COMMANDS)
-        self._asking = self._run(self._find_operable())
+        self._asking = self._run(self._sessions.find_operable())
         self._engine.presence(self._keys.tokens, self._present)
 
     def _declare(self) -> None:
         engine, keys = self._engine, self._keys
         engine.open(self._settings, self._inbox)
-        for branch in (INFO, CTL):
-            engine.subscribe(keys.answers(branch), self._arrived)
+        self._sessions.declare()
         self._found = engine.present(keys.tokens, _DEADLINE)
 
     def ask_early(self, operation: str) -> None:
@@ -127,65 +118,7 @@ class Gateway:
         self._settling = False
         there = set(self._peers.values())
         self._carrier.write((_address(peer), _epoch(peer)) for peer in there)
-        for gone in self._branches.keys() - there:
-            del self._branches[gone]
-        for peer, carried in tuple(self._sessions.values()):
-            if peer not in there:
-                carried.close()
-
-    async def _find_operable(self) -> None:
-        """Ask all at once which let this client operate them."""
-        answers = await self._asked(self._keys.every(CTL, HELLO), _ROUND)
-        self._branches |= {peer: CTL for peer, data in answers[0].items() if _operates(data)}
-
-    async def _branch(self, peer: Peer) -> str:
-        """Below which a session with a kernel is to be.
-
-        That it says nothing below CTL is no answer, until it has said something below INFO meanwhile, in two rounds
-        where the question below CTL had no end. Where it says nothing at all, it is asked again until a deadline.
-        """
-        await asyncio.wait([self._asking])
-        until, rounds = asyncio.get_running_loop().time() + _DEADLINE, 0
-        while peer not in self._branches and asyncio.get_running_loop().time() < until:
-            keys = [self._keys.session(branch, peer, HELLO) for branch in (CTL, INFO)]
-            (operates, ended), (looks, _) = await asyncio.gather(*(self._asked(key, _ROUND) for key in keys))
-            rounds += bool(looks)
-            if _operates(operates.get(peer, b"")):
-                self._branches[peer] = CTL
-            elif looks and (ended or rounds > 1):
-                self._branches[peer] = INFO
-            else:
-                await asyncio.sleep(_AGAIN)
-        return self._branches.get(peer, INFO)
-
-    async def _asked(self, key: str, first: float, following: float | None = None) -> tuple[dict[Peer, bytes], bool]:
-        """The answers to a question, by who gave them, and whether all who were asked have answered.
-
-        Args:
-            first: seconds to wait for the first answer, and with `following` for another after each; else for all.
-        """
-        found: dict[Peer, bytes] = {}
-        ended: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
-        news = asyncio.Event()
-
-        def answered(at: str, data: bytes) -> None:
-            if (peer := peer_of(at)) is not None:
-                found[peer] = data
-            news.set()
-
-        def over(whole: bool) -> None:
-            if not ended.done():
-                ended.set_result(whole)
-            news.set()
-
-        within = first if following is None else _DEADLINE
-        await in_thread(partial(self._engine.ask_all, key, within, answered, over))
-        with suppress(TimeoutError):
-            while not ended.done():
-                async with asyncio.timeout(following if found and following else first):
-                    await news.wait()
-                news.clear()
-        return found, ended.done() and ended.result()
+        self._sessions.keep(there)
 
     # -- commands --------------------------------------------------------------------------------------------------
 
@@ -201,7 +134,9 @@ class Gateway:
                 writer.write(framed({"said": await self._told(str(first["every"]))}))
                 await writer.drain()
             else:
-                await self._carry(self._meant(first), begun, reader, writer)
+                peer = self._meant(first)
+                await asyncio.wait([self._asking])
+                await self._sessions.carry(peer, reader, writer, begun)
         except AiortsError as error:
             writer.write(framed({"error": {"code": error.code, "text": str(error)}}))
         except (OSError, TimeoutError):
@@ -220,27 +155,6 @@ class Gateway:
             raise AbsentError(f"{address}: is gone; `aiorts ls` shows what runs")
         return peer
 
-    async def _carry(
-        self, peer: Peer, begun: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
-    ) -> None:
-        branch = await self._branch(peer)
-        session = secrets.token_hex(8)
-        key = self._keys.session(branch, peer, session)
-        token = self._engine.hold(f"{key}/live")
-        carried = Carried(partial(self._engine.put, f"{key}/c", urgent=branch == CTL), int(session[:8], 16))
-        self._sessions[session] = peer, carried
-        try:
-            await carried.run(reader, writer, begun)
-        finally:
-            del self._sessions[session]
-            self._engine.release(token)
-
-    def _arrived(self, key: str, data: bytes) -> None:
-        _, session = session_in(key)
-        if (found := self._sessions.get(session)) is not None:
-            with suppress(ValueError):  # it is no message, and nothing is lost with it
-                found[1].arrived(read(data))
-
     async def _told(self, operation: str) -> list[tuple[str, str, Any]]:
         """What kernels say to a call: address, epoch and value of each that answers soon."""
         early, self._early = self._early, None
@@ -252,7 +166,7 @@ class Gateway:
         return told
 
     async def _said(self, operation: str) -> dict[Peer, bytes]:
-        return (await self._asked(self._keys.every(INFO, operation), _FIRST, _NEXT))[0]
+        return (await self._sessions.asked(self._keys.every(INFO, operation), _FIRST, _NEXT))[0]
 
     def _run(self, coroutine: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
         task = asyncio.get_running_loop().create_task(coroutine)
@@ -269,14 +183,6 @@ async def _first_frame(reader: asyncio.StreamReader) -> tuple[bytes, dict[Any, A
         for frame in frames(bytearray(begun), REQUESTS.frame):
             return begun, answer_in(frame)
     raise LinkError("nothing was said")
-
-
-def _operates(answer: bytes) -> bool:
-    """Whether a kernel says by this that it can be operated."""
-    try:
-        return bool(answer_in(answer)["ok"]["right"] == "operate")
-    except (AiortsError, LookupError, TypeError):
-        return False
 
 
 def _address(peer: Peer) -> str:

@@ -134,6 +134,10 @@ class Network(KernelService):
         self._security = "certificates" if secured else "insecure: plain TCP" if settings.insecure else ""
         own, clock = engine_settings(settings, secured), self.kernel.clock
         self._transport = ZenohTransport(host, settings.domain, own, now=clock.time_ns, rename=settings.rename)
+        if secured is not None:
+            self._transport.sessions_denied = (
+                f"the certificate of {secured.identity.name} has the role {COMPONENT}, which operates no other kernel"
+            )
         self._neighbours = Neighbours(endpoints_of(settings.connect), secured, _LOG.warning)
         self._transport.beside.append(self._neighbours.declare)
         self._transport.admits = self._neighbours.admits

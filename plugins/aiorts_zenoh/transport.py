@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
-from aiorts.errors import LinkError, LinkTimeout
+from aiorts.errors import DeniedError, LinkError, LinkTimeout
 from aiorts.links import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
 from aiorts_zenoh.clocks import ClockOffset
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read
 from aiorts_zenoh.gate import Gate
-from aiorts_zenoh.keys import BY_READER, BY_WRITER, Keys, asked
+from aiorts_zenoh.keys import BY_READER, BY_WRITER, ClientKeys, Keys, asked
 from aiorts_zenoh.presence import Presence, this_machine
 from aiorts_zenoh.sending import Budget, Receiver, Sender
+from aiorts_zenoh.sessions import Sessions
 
 _LOOK_AGAIN: Final = 0.5
 """Seconds until it is asked once more how far the other end has come."""
@@ -102,11 +104,15 @@ class ZenohTransport:
         """The name of this kernel here, where it is not its own."""
         self.last: list[Callable[[], None]] = []
         """What waits, for a moment, before the session ends; called in a thread."""
+        self.sessions_denied = ""
+        """Why this kernel may not ask others for operations; "" where it may."""
         self.admits: Callable[[str], bool] = lambda name: True
         """Whether a kernel of this name may be there."""
         self.kernel: KernelFace
         self.loop: asyncio.AbstractEventLoop
         self.keys: Keys
+        self._client: ClientKeys
+        self._sessions: Sessions
         self._presence: Presence | None = None
 
     async def open(self, kernel: KernelFace) -> None:
@@ -118,6 +124,8 @@ class ZenohTransport:
         self.kernel, self.loop = kernel, asyncio.get_running_loop()
         own = Peer(self.host, kernel.name, kernel.epoch)
         self.keys = Keys(self.domain, own, time.time_ns(), self._machine)
+        self._client = ClientKeys(self.domain, kernel.name)
+        self._sessions = Sessions(self.engine, self._client)
         self._inbox = Inbox(self.loop)
         self.engine.gate = self._gate = Gate(lambda name: name in self._named, self._say)
         connects, listens = (bool(self._settings.get(f"{what}/endpoints")) for what in ("connect", "listen"))
@@ -145,6 +153,8 @@ class ZenohTransport:
         engine.open(self._settings, self._inbox)
         # Who sees the token may ask at once: so it comes last.
         self._declare_links(keys)
+        if not self.sessions_denied:
+            self._sessions.declare()
         for declare in self.beside:
             declare(engine, keys)
         self._presence.declare()
@@ -252,6 +262,7 @@ class ZenohTransport:
             self._gone(peer)
 
     def _gone(self, peer: Peer) -> None:
+        self._sessions.end(peer)
         error = LinkError(f"{peer.kernel}: is gone")
         for whom, future in tuple(self._asked.values()):
             if whom == peer and not future.done():
@@ -430,6 +441,21 @@ class ZenohTransport:
             raise LinkTimeout(f"{peer.kernel}: no answer within {within:g} s") from None
         finally:
             self._asked.pop(number, None)
+
+    async def session(self, peer: Peer) -> socket.socket:
+        """A connection for a session with another kernel, in which this one operates it if it is let, else looks.
+
+        Raises:
+            DeniedError: its own certificate lets this kernel do neither.
+        """
+        if self.sessions_denied:
+            raise DeniedError(f"{peer.host}/{peer.kernel}: {self.sessions_denied}")
+        ours, theirs = socket.socketpair()
+        for end in (ours, theirs):
+            end.setblocking(False)
+        reader, writer = await asyncio.open_unix_connection(sock=theirs)
+        self.kernel.run_in_background(self._sessions.carry(peer, reader, writer), "aiorts session")
+        return ours
 
     def answer(self, what: str, handler: Handler) -> None:
         """Answer such questions with `handler` from now on."""

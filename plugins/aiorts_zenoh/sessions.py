@@ -1,0 +1,147 @@
+"""A client's sessions with kernels of other hosts: a local connection at this end of each."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import Collection
+from contextlib import suppress
+from functools import partial
+from typing import Final
+
+from aiorts.control import answer_in
+from aiorts.errors import WireError
+from aiorts.links import Peer
+from aiorts_zenoh.carried import Carried
+from aiorts_zenoh.engine import Engine, in_thread
+from aiorts_zenoh.envelope import read
+from aiorts_zenoh.keys import CTL, HELLO, INFO, ClientKeys, peer_of, session_in
+
+_DEADLINE: Final = 3.0
+"""Seconds that kernels have to say what this client may do."""
+_ROUND: Final = 0.5
+"""Seconds until they are asked again."""
+_AGAIN: Final = 0.05
+
+
+class Sessions:
+    """The sessions of one client.
+
+    Args:
+        engine: carries them.
+        keys: the domain and the client's name.
+    """
+
+    def __init__(self, engine: Engine, keys: ClientKeys) -> None:
+        self._engine, self._keys = engine, keys
+        self._there: dict[str, tuple[Peer, Carried]] = {}
+        self._branches: dict[Peer, str] = {}
+        """Below which sessions with a kernel are, as far as it has said what this client may do."""
+
+    def declare(self) -> None:
+        """Take what kernels send from now on; in a thread."""
+        for branch in (INFO, CTL):
+            self._engine.subscribe(self._keys.answers(branch), self._arrived)
+
+    # -- questions -------------------------------------------------------------------------------------------------
+
+    async def find_operable(self) -> None:
+        """Ask all at once which let this client operate them."""
+        answers = await self.asked(self._keys.every(CTL, HELLO), _ROUND)
+        self._branches |= {peer: CTL for peer, data in answers[0].items() if _operates(data)}
+
+    async def _branch(self, peer: Peer) -> str:
+        """Below which a session with a kernel is to be.
+
+        That it says nothing below CTL is no answer, until it has said something below INFO meanwhile, in two rounds
+        where the question below CTL had no end. Where it says nothing at all, it is asked again until a deadline.
+        """
+        until, rounds = asyncio.get_running_loop().time() + _DEADLINE, 0
+        while peer not in self._branches and asyncio.get_running_loop().time() < until:
+            keys = [self._keys.session(branch, peer, HELLO) for branch in (CTL, INFO)]
+            (operates, ended), (looks, _) = await asyncio.gather(*(self.asked(key, _ROUND) for key in keys))
+            rounds += bool(looks)
+            if _operates(operates.get(peer, b"")):
+                self._branches[peer] = CTL
+            elif looks and (ended or rounds > 1):
+                self._branches[peer] = INFO
+            else:
+                await asyncio.sleep(_AGAIN)
+        return self._branches.get(peer, INFO)
+
+    async def asked(self, key: str, first: float, following: float | None = None) -> tuple[dict[Peer, bytes], bool]:
+        """The answers to a question, by who gave them, and whether all who were asked have answered.
+
+        Args:
+            first: seconds to wait for the first answer, and with `following` for another after each; else for all.
+        """
+        found: dict[Peer, bytes] = {}
+        ended: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
+        news = asyncio.Event()
+
+        def answered(at: str, data: bytes) -> None:
+            if (peer := peer_of(at)) is not None:
+                found[peer] = data
+            news.set()
+
+        def over(whole: bool) -> None:
+            if not ended.done():
+                ended.set_result(whole)
+            news.set()
+
+        within = first if following is None else _DEADLINE
+        await in_thread(partial(self._engine.ask_all, key, within, answered, over))
+        with suppress(TimeoutError):
+            while not ended.done():
+                async with asyncio.timeout(following if found and following else first):
+                    await news.wait()
+                news.clear()
+        return found, ended.done() and ended.result()
+
+    # -- sessions --------------------------------------------------------------------------------------------------
+
+    async def carry(
+        self, peer: Peer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, begun: bytes = b""
+    ) -> None:
+        """Carry one session until either end ends it: it operates the kernel where that lets it, else it looks.
+
+        Args:
+            begun: what has come from the local connection before.
+        """
+        branch, session = await self._branch(peer), secrets.token_hex(8)
+        key = self._keys.session(branch, peer, session)
+        token = self._engine.hold(f"{key}/live")
+        carried = Carried(partial(self._engine.put, f"{key}/c", urgent=branch == CTL), int(session[:8], 16))
+        self._there[session] = peer, carried
+        try:
+            await carried.run(reader, writer, begun)
+        finally:
+            del self._there[session]
+            self._engine.release(token)
+
+    def end(self, peer: Peer) -> None:
+        """The kernel is gone: end the sessions with it."""
+        self._branches.pop(peer, None)
+        for whose, carried in tuple(self._there.values()):
+            if whose == peer:
+                carried.close()
+
+    def keep(self, there: Collection[Peer]) -> None:
+        """These kernels are there: end the sessions with all others."""
+        for peer in self._branches.keys() | {whose for whose, _ in self._there.values()}:
+            if peer not in there:
+                self.end(peer)
+
+    def _arrived(self, key: str, data: bytes) -> None:
+        _, session = session_in(key)
+        if (found := self._there.get(session)) is not None:
+            with suppress(ValueError):  # it is no message, and nothing is lost with it
+                found[1].arrived(read(data))
+
+
+def _operates(data: bytes) -> bool:
+    """Whether a kernel has said by this that the client may operate it."""
+    try:
+        return bool(answer_in(data)["ok"]["right"] == "operate")
+    except (WireError, LookupError, TypeError):
+        return False
