@@ -263,6 +263,16 @@ def test_a_window_is_also_one_of_bytes() -> None:
     assert writer.room == 0
 
 
+def test_a_large_sample_is_not_kept_until_there_are_many() -> None:
+    pair = Pair(0)
+    pair.connect()
+    pair.step(pair.now + 10 * MS)
+    for size, kept in ((1 << 10, 1), (1 << 20, 0)):
+        pair.writer.offer(pair.now, (0).to_bytes(4, "little"), (memoryview(bytes(size)),))
+        pair.step(pair.now + 10 * MS)
+        assert pair.writer.ledger.in_flight == kept
+
+
 @settings(deadline=None, max_examples=300)
 @given(st.binary(max_size=80), st.integers(0, 5))
 def test_no_bytes_of_a_peer_do_harm(frame: bytes, place: int) -> None:

@@ -15,6 +15,9 @@ from aiorts.model.links.state import LinkState
 _ERA: Final = 1 << 64
 ACK_NS: Final = 50_000_000
 """How long an acknowledgement may be kept back."""
+_ACK_BYTES: Final = 1 << 19
+"""After so many bytes it is not: until then the writer keeps large samples, and its memory for the next is fresh, which
+the system clears page by page."""
 _AGAIN_NS: Final = 200_000_000
 """After this time without an answer a sample is asked for again; each time it doubles, up to the next."""
 _LONGEST_NS: Final = 2_000_000_000
@@ -62,7 +65,7 @@ class ReaderEnd:
         self._window, self._window_bytes = window, window_bytes
         self._bytes = 0
         """Bytes of what is held."""
-        self._unacknowledged = 0
+        self._unacknowledged, self._most_unacknowledged = 0, min(window_bytes // 2, _ACK_BYTES)
         """Bytes of what has come since the last acknowledgement."""
         self._peer_epoch = 0
         self._era = 0
@@ -142,37 +145,42 @@ class ReaderEnd:
         confirm: bool,
         ages: Sequence[int],
     ) -> None:
-        if parts and len(samples) != 1:
+        count = len(samples)
+        if parts and count != 1:
             raise BadFrame("parts of several samples")
         if self._fates and oldest > min(self._fates):
             self._fates = {number: fate for number, fate in self._fates.items() if number >= oldest}
-        last, ledger, held = first + len(samples) - 1, self.ledger, self._held
+        last, ledger, held = first + count - 1, self.ledger, self._held
         if last <= self._received:
-            ledger.duplicates += len(samples)
+            ledger.duplicates += count
             self._ack_ns = now  # the acknowledgement was lost
             return
         if first > self._received + 1:
-            ledger.ahead += len(samples)
+            ledger.ahead += count
             return
         room = 2 * self._window - len(held) if self._bytes < 2 * self._window_bytes else 0
         fresh = samples
-        if first <= self._received or len(samples) > room:
+        if first <= self._received or count > room:
             fresh = samples[self._received + 1 - first :]
-            ledger.duplicates += len(samples) - len(fresh)
+            ledger.duplicates += count - len(fresh)
             fresh = fresh[: max(0, room)]
-        size = sum(map(len, fresh)) if not parts or not fresh else len(fresh[0]) + sum(map(len, parts))
+            count = len(fresh)
+        size = sum(map(len, fresh)) if count != 1 else len(fresh[0]) + (sum(map(len, parts)) if parts else 0)
         self._bytes += size
         self._unacknowledged += size
         next_ticket = self._era + self._received + 1
-        held.extend(zip(range(next_ticket, next_ticket + len(fresh)), fresh, repeat(parts)))
+        if count == 1:
+            held.append((next_ticket, fresh[0], parts))
+        else:
+            held.extend(zip(range(next_ticket, next_ticket + count), fresh, repeat(parts)))
         if ages:
             ages = ages[self._received + 1 - first :]
-            self._dates.update((next_ticket + place, now - ages[place]) for place in range(len(fresh)))
-        self._received += len(fresh)
-        if self._wanted and fresh:
+            self._dates.update((next_ticket + place, now - ages[place]) for place in range(count))
+        self._received += count
+        if self._wanted and count:
             self._wanted, self._want_ns = 0, None
-        ledger.received += len(fresh)
-        ledger.held += len(fresh)
+        ledger.received += count
+        ledger.held += count
         if confirm:
             self._confirm = self._received
         elif self._ack_ns is None:
@@ -250,7 +258,7 @@ class ReaderEnd:
         if (
             (self._confirm and number >= self._confirm)
             or number - self._told >= self._window // 2
-            or self._unacknowledged >= self._window_bytes // 2
+            or self._unacknowledged >= self._most_unacknowledged
         ):
             self._ack_ns = now
         elif self._ack_ns is None:

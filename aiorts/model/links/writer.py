@@ -293,9 +293,8 @@ class WriterEnd:
                 confirm |= confirms
                 heads.append(head)
                 number += 1
-            frame = frames.data(
-                self.number, first, self._oldest, heads, confirm=confirm, ages=self._ages(now, first, number)
-            )
+            ages = self._ages(now, first, number) if self._dates else ()
+            frame = frames.data(self.number, first, self._oldest, heads, confirm=confirm, ages=ages)
             if not send(frame, parts):
                 return
             self._sent = number
@@ -308,7 +307,7 @@ class WriterEnd:
 
     def _ages(self, now: int, first: int, last: int) -> Sequence[int]:
         dates = self._dates
-        return [max(0, now - dates.get(number, now)) for number in range(first, last + 1)] if dates else ()
+        return [max(0, now - dates.get(number, now)) for number in range(first, last + 1)]
 
     def end(self, now: int, send: Send) -> None:
         """This end was disconnected: say so. What was sent and is not acknowledged is of unknown fate, the rest is
