@@ -37,8 +37,9 @@ _AT_ONCE: Final = 256
 _MANY: Final = 16
 """After so many at once the loop is not woken for the next: it looks again after a pause."""
 _PAUSE: Final = 0.001
-"""Seconds. A loop that is woken at each message of a flood fights for the interpreter with the thread that brings them:
-with the pause 0.6 to 0.8 of a flood that nobody hands over is handled, without it 0.4."""
+_LONG_PAUSE: Final = 0.004
+"""Seconds: the first pause, and the longest, to which they double as long as so many come again. A loop that is woken
+at each message of a flood fights for the interpreter with the thread that brings them."""
 
 
 class Inbox:
@@ -51,6 +52,7 @@ class Inbox:
         self._came = self._left = 0
         """Bytes of what was ever put in and taken out; each is changed by one side alone."""
         self._due = self._closed = False
+        self._pause = 0.0
         self.dropped = 0
         """Items that were left out."""
 
@@ -67,8 +69,10 @@ class Inbox:
             if self._due:
                 return
             self._due = True
-        with contextlib.suppress(RuntimeError):  # the loop has ended
+        try:
             self._loop.call_soon_threadsafe(self._handle)
+        except RuntimeError:  # the loop has ended
+            return
 
     def close(self) -> None:
         """Handle nothing any more."""
@@ -93,8 +97,10 @@ class Inbox:
     def _is_done(self, done: int) -> bool:
         """Whether the loop may turn to other things; after many items it looks again by itself."""
         if done >= _MANY:
-            self._loop.call_later(_PAUSE, self._handle)
+            self._pause = min(2 * self._pause, _LONG_PAUSE) or _PAUSE
+            self._loop.call_later(self._pause, self._handle)
             return True
+        self._pause = 0.0
         with self._lock:
             self._due = bool(self._items)
             return not self._due

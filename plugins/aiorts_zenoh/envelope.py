@@ -40,6 +40,7 @@ _MOST: Final = 2**63
 _HEAD: Final = struct.Struct("<BBHIQq")
 _HEAD_OF_ONE: Final = struct.Struct("<BBHIQqI")
 """A head, and the length of the only block."""
+_ONE: Final = _HEAD_OF_ONE.size
 _LENGTH: Final = struct.Struct("<I")
 _PLACE: Final = struct.Struct("<QQ")
 _FILLED: Final = 65_400
@@ -81,24 +82,26 @@ def cost(size: int) -> int:
 
 def size_of(blocks: Sequence[Block]) -> int:
     """Bytes of a message of these blocks, but for its head."""
+    if len(blocks) == 1 and not isinstance(block := blocks[0], list):
+        return len(block) + _LENGTH.size
     return sum(map(_length, blocks)) + _LENGTH.size * len(blocks)
 
 
 def read(data: bytes) -> Message:
     """The message in these bytes. ValueError: there is none."""
     size = len(data)
-    if size < _HEAD.size:
+    length = -1
+    if size >= _ONE:
+        version, kind, count, epoch, first, sent_ns, length = _HEAD_OF_ONE.unpack_from(data)
+    elif size >= _HEAD.size:
+        version, kind, count, epoch, first, sent_ns = _HEAD.unpack_from(data)
+    else:
         raise ValueError(f"a message of {size} bytes")
-    version, kind, count, epoch, first, sent_ns = _HEAD.unpack_from(data)
     if version != VERSION or not FRAME <= kind <= HAVE or first >= _MOST:
         raise ValueError(f"a message of version {version} and kind {kind}")
     view = memoryview(data)
-    if (
-        count == 1
-        and size >= _HEAD_OF_ONE.size
-        and _LENGTH.unpack_from(data, _HEAD.size)[0] == size - _HEAD_OF_ONE.size
-    ):
-        return Message(kind, epoch, first, sent_ns, (view[_HEAD_OF_ONE.size :],))
+    if count == 1 and length == size - _ONE:
+        return Message(kind, epoch, first, sent_ns, (view[_ONE:],))
     return Message(kind, epoch, first, sent_ns, tuple(_blocks(view[_HEAD.size :], count)))
 
 

@@ -24,9 +24,9 @@ ROOM: Final = 16 * BATCH
 _ROOM_FOR_ANY: Final = ROOM - cost(LONG + 100)
 """What may be for any message to follow."""
 _IDLE: Final = BATCH
-"""What may be for a frame of up to ALONE bytes to follow in one message."""
+"""What may be for a frame of up to ALONE bytes to follow in one message: as much as one channel is silent about."""
 ALONE: Final = 1_050_000
-_TOLD: Final = BATCH // 2
+_TOLD: Final = BATCH
 """After what cost the other end says how far it is, without being asked."""
 _FULL: Final = 1 << 20
 """Bytes that wait at one channel beyond which it takes no more."""
@@ -119,7 +119,14 @@ class Sender:
         return True
 
     def _cut(self) -> None:
-        """Have the first frame that waits sent in pieces."""
+        """Have the first frame that waits sent in pieces.
+
+        Others may have sent a little that nobody has said anything of, since it is little: they ask, for the next frame
+        to go in one message.
+        """
+        for sender in self._budget.senders:
+            if sender is not self:
+                sender.look()
         _, blocks = self._queue.popleft()
         found = [*pieces(blocks)]
         self._queue.extendleft((PIECE, piece) for piece in reversed(found))

@@ -103,6 +103,25 @@ def test_what_a_lost_message_took_up_is_free_again() -> None:
     assert way.came == [b"last"]
 
 
+def test_what_others_were_silent_about_has_one_long_frame_cut_and_no_more() -> None:
+    budget = Budget()
+    large, others = Way(budget), [Way(budget) for _ in range(3)]
+    for way in others:
+        for _ in range(300):
+            way.sender.send([bytes(30)])
+            way.step()
+    messages = []
+    for _ in range(2):
+        assert large.sender.send([bytes(1 << 20)])
+        messages.append(len(large.under_way))
+        for way in (large, *others):
+            while way.under_way:
+                way.step()
+                budget.pump()
+    assert messages[0] > 1
+    assert messages[1] == 1
+
+
 def test_a_channel_that_closes_leaves_its_share_to_the_others() -> None:
     budget = Budget()
     one, other = Way(budget), Way(budget)
