@@ -14,10 +14,10 @@ from aiorts_bench.harness import machine
 from aiorts_bench.harness.bench import Bench, Options
 from aiorts_bench.harness.case import COST, LATENCY, RATE, Aim, Case, Sense, tails
 from aiorts_bench.harness.report import Report, Row
-from aiorts_bench.interprocess.networked import PLAIN, BesideEnds, NetworkEnds, Way
+from aiorts_bench.interprocess.networked import PLAIN, ROUTED, SECURED, BesideEnds, NetworkEnds
 
-WAYS: Final[tuple[Way, ...]] = (PLAIN,)
-"""The ways that are measured; one more has rows of its own, beside bare Zenoh over the same."""
+WAYS: Final = (PLAIN, SECURED, ROUTED)
+"""The ways that are measured, each beside bare Zenoh over the same; with --quick the first alone."""
 _TAIL: Final = tails("latency", 99.0)
 _P99: Final = _TAIL[0]
 _FASTER: Final = Sense.AT_LEAST
@@ -48,13 +48,16 @@ def cases(ends: NetworkEnds) -> tuple[Case, ...]:
     quick = (Aim(echo, factor=1.2), Aim(echo, factor=1.5, measure=_P99))
     many = (Aim(express, _FASTER, 1.0), Aim(batched, _FASTER, 0.8))
     handed = (Aim(flood, _FASTER, 1.0),)
+    floods = (
+        Case(flood, "24 bytes each, counted in the callback", COST, ends.flood, 10_000, columns=(RATE,), peer=True),
+        Case(f"{name}hand-over", "counted on the loop", COST, ends.flood_handed, 10_000, handed, columns=(RATE,)),
+    )
     return (
         Case(echo, how, LATENCY, ends.zenoh, 300, columns=_TAIL, peer=True),
         Case(large, how, LATENCY, ends.zenoh_large, 10, columns=_TAIL, peer=True),
         Case(express, how, COST, ends.zenoh_many, 5_000, columns=(RATE,), peer=True),
         Case(batched, "puts that Zenoh sends together", COST, ends.zenoh_batched, 5_000, columns=(RATE,), peer=True),
-        Case(flood, "24 bytes each, counted in the callback", COST, ends.flood, 10_000, columns=(RATE,), peer=True),
-        Case(f"{name}hand-over", "counted on the loop", COST, ends.flood_handed, 10_000, handed, columns=(RATE,)),
+        *(floods if ends.way is PLAIN else ()),  # what is handed over has come, whatever the way
         Case(f"{name}link, there and back", "two links", LATENCY, ends.link, 300, quick, columns=_TAIL),
         Case(f"{name}link, flush", "until it is acknowledged", LATENCY, ends.link_flush, 300, (), True, _TAIL),
         Case(f"{name}link, 1 MiB", "two links", LATENCY, ends.link_large, 10, (Aim(large, factor=1.0),), columns=_TAIL),
@@ -74,7 +77,7 @@ def report(options: Options) -> Report:
     zmq = options.peers and find_spec("zmq") is not None
     rows: tuple[Row, ...] = ()
     for loop in options.loops:
-        bare, ways = BesideEnds(loop, zmq=zmq), [NetworkEnds(loop, way) for way in WAYS]
+        bare, ways = BesideEnds(loop, zmq=zmq), [NetworkEnds(loop, way) for way in WAYS[: 1 if options.quick else None]]
 
         @asynccontextmanager
         async def opened(ends: tuple[BesideEnds | NetworkEnds, ...] = (bare, *ways)) -> AsyncIterator[None]:
@@ -91,8 +94,9 @@ def report(options: Options) -> Report:
         rows,
         described,
         notes=notes,
-        how="Two processes on one host, over TCP on 127.0.0.1. A link confirms each sample and counts what became of "
-        "it; the others do not. Bare Zenoh has the settings, the codec and the hand-over of a kernel.",
+        how="Two processes on one host, over TCP on 127.0.0.1; TLS with certificates at both ends; the router is a "
+        "third process. A link confirms each sample and counts what became of it, and a component reads it; the others "
+        "do neither. Bare Zenoh has the settings, the codec and the hand-over of a kernel.",
     )
 
 
@@ -100,4 +104,6 @@ BENCH: Final = Bench(
     "network",
     "Connectors into a kernel of another host, beside bare Zenoh, ZeroMQ and a bare connection.",
     report,
+    rounds=11,
+    full_scale=2.0,
 )

@@ -5,15 +5,20 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
-from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass, field
+import subprocess
+import sys
+import tempfile
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from dataclasses import dataclass
 from itertools import repeat
+from pathlib import Path
 from time import perf_counter_ns
 from typing import Any, Final
 
 from aiorts import Kernel
 from aiorts.types import TimedDouble
+from aiorts_bench.harness import child
 from aiorts_bench.harness.case import Reading
 from aiorts_bench.interprocess.express import BATCHED, FLOOD, HANDED, Express
 from aiorts_bench.interprocess.far import KERNEL, PATIENCE
@@ -22,29 +27,32 @@ from aiorts_bench.interprocess.zeromq import LAST, STREAM, opened
 from aiorts_bench.push.peers import free_port
 from aiorts_zenoh import Network, NetworkSettings
 from aiorts_zenoh.network import engine_settings
+from aiorts_zenoh.security.access import COMPONENT
+from aiorts_zenoh.security.folder import Folder
+from aiorts_zenoh.security.tls import secured_by
 
 _POOL: Final = "latency"
+_NEAR: Final = "bench-near"
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """How two kernels reach each other: what the tables of the service `zenoh` have besides the endpoints.
+    """How two kernels reach each other.
 
     Attributes:
         name: stands before the names of its cases.
+        secured: over TLS, with certificates at both ends.
+        routed: through `aiorts router`.
     """
 
     name: str
-    listens: Mapping[str, Any] = field(default_factory=dict)
-    connects: Mapping[str, Any] = field(default_factory=dict)
-
-    def ends(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The table of the end that listens, and of the one that connects, at a port of their own."""
-        endpoint = f"127.0.0.1:{free_port()}"
-        return {"listen": endpoint, **self.listens}, {"connect": endpoint, **self.connects}
+    secured: bool = False
+    routed: bool = False
 
 
-PLAIN: Final = Way("", {"insecure": True}, {"insecure": True})
+PLAIN: Final = Way("")
+SECURED: Final = Way("TLS: ", secured=True)
+ROUTED: Final = Way("router: ", routed=True)
 
 
 class NetworkEnds(Ends):
@@ -53,6 +61,8 @@ class NetworkEnds(Ends):
     def __init__(self, loop: str, way: Way = PLAIN) -> None:
         super().__init__(loop, peers=True)
         self.way = way
+        self._security: dict[str, Any] = {"insecure": True}
+        self._router = ""
         self._express: Express
         self._flood: dict[str, _Flood] = {}
 
@@ -60,12 +70,29 @@ class NetworkEnds(Ends):
     async def open(self) -> AsyncIterator[None]:
         """Start the processes and connect."""
         async with AsyncExitStack() as stack:
+            if self.way.secured:
+                self._security = {"certificates": stack.enter_context(_certificates())}
+            if self.way.routed:
+                self._router = stack.enter_context(_router())
             await self._open_zenoh(stack)
             await self._open_kernel(stack)
             yield
 
+    def _ends(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The tables of the service `zenoh` at both ends, at a port of their own or the router's."""
+        endpoint = self._router or f"127.0.0.1:{free_port()}"
+        far = "connect" if self._router else "listen"
+        return {far: endpoint, **self._security}, {"connect": endpoint, **self._security}
+
+    def _engine(self, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
+        """The settings of a kernel's engine, but for who may send what: there is no kernel."""
+        folder = table.get("certificates")
+        secured = None if folder is None else secured_by(Path(folder), name, (COMPONENT,))
+        settings = engine_settings(NetworkSettings(**table), secured)
+        return {key: value for key, value in settings.items() if key != "access_control"}
+
     async def _open_zenoh(self, stack: AsyncExitStack) -> None:
-        listens, connects = (dict(engine_settings(NetworkSettings(**one))) for one in self.way.ends())
+        listens, connects = map(self._engine, (KERNEL, _NEAR), self._ends())
         await self._start(stack, "express", json.dumps(listens))
         peer = self._express = Express(connects)
         for key in (FLOOD, HANDED):
@@ -74,11 +101,11 @@ class NetworkEnds(Ends):
         await self._meet(stack, peer)
 
     async def _open_kernel(self, stack: AsyncExitStack) -> None:
-        listens, connects = self.way.ends()
+        listens, connects = self._ends()
         stack.enter_context(own_folder())
         self._far = await self._start(stack, "kernel", json.dumps({"zenoh": {"host": "far", **listens}}))
         stack.enter_context(own_folder())  # another one: what is on two hosts has no socket file in common
-        kernel = await stack.enter_async_context(Kernel("bench-near", services={"zenoh": {"host": "near", **connects}}))
+        kernel = await stack.enter_async_context(Kernel(_NEAR, services={"zenoh": {"host": "near", **connects}}))
         await kernel.service(Network).opened()
         await self._connect(kernel, f"{KERNEL}/echo")
 
@@ -101,6 +128,37 @@ class NetworkEnds(Ends):
         async with asyncio.timeout(PATIENCE):
             await elapsed
         return Reading.timed(count, perf_counter_ns() - began)
+
+
+@contextmanager
+def _certificates() -> Iterator[str]:
+    """A folder with the certificates of both kernels."""
+    with tempfile.TemporaryDirectory(prefix="aiorts-") as path:
+        folder = Folder(Path(path) / "certs")
+        folder.init()
+        for name in (KERNEL, _NEAR):
+            folder.issue(name, COMPONENT)
+        yield str(folder.path)
+
+
+@contextmanager
+def _router() -> Iterator[str]:
+    """Where a router of this bench listens.
+
+    Raises:
+        OSError: it ended before it did.
+    """
+    endpoint = f"127.0.0.1:{free_port()}"
+    words = [sys.executable, "-m", "aiorts", "router", "--listen", endpoint, "--insecure-network"]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, env=child.environment())  # noqa: S603 - ours
+    with process:
+        try:
+            assert process.stderr is not None  # noqa: S101 - a pipe
+            if not process.stderr.readline():
+                raise OSError("aiorts bench network: the router ended before it was ready")
+            yield endpoint
+        finally:
+            process.kill()  # it keeps nothing
 
 
 class _Flood:
