@@ -15,7 +15,7 @@ from aiorts import KernelService, setting
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
 from aiorts_zenoh.keys import base_of
-from aiorts_zenoh.security.access import COMPONENT, Access
+from aiorts_zenoh.security.access import COORDINATOR, KERNELS, OPERATORS, Access
 from aiorts_zenoh.security.tls import Secured, secured_by, tls_settings
 
 if TYPE_CHECKING:
@@ -28,9 +28,11 @@ _LOG: Final = logging.getLogger("aiorts.zenoh")
 _NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,252}")
 """One part of a key: of a host that calls itself otherwise the user says the name."""
 LEASE: Final = 2.5
-"""Seconds without a word after which a connection is over; each end says something four times as often."""
+"""Seconds without a word after which a connection is over."""
 _HARDENED: Final[Mapping[str, Any]] = {
     "transport/link/tx/lease": int(LEASE * 1_000),
+    # A lost link is noticed a lease after the last word that came: with this many in a lease, within 3 s.
+    "transport/link/tx/keep_alive": 8,
     # Who connects and says nothing has a place for a second. There are so many places that others find one.
     "transport/unicast/accept_timeout": 1_000,
     "transport/unicast/accept_pending": 2_000,
@@ -65,7 +67,7 @@ class NetworkSettings:
     )
     access: Any = setting(
         None,
-        "Names by what they may do: viewer, operator, component, router; by default as the folder's index says.",
+        "Names by what they may do: viewer, operator, component, coordinator, router; by default as the folder's index says.",
         type="object",
         additionalProperties={"type": "array", "items": {"type": "string"}},
     )
@@ -134,9 +136,10 @@ class Network(KernelService):
         self._security = "certificates" if secured else "insecure: plain TCP" if settings.insecure else ""
         own, clock = engine_settings(settings, secured), self.kernel.clock
         self._transport = ZenohTransport(host, settings.domain, own, now=clock.time_ns, rename=settings.rename)
-        if secured is not None:
+        if secured is not None and (role := secured.access.roles[secured.identity.name]) not in OPERATORS:
             self._transport.sessions_denied = (
-                f"the certificate of {secured.identity.name} has the role {COMPONENT}, which operates no other kernel"
+                f"{secured.identity.name} has the role {role}, which operates no other kernel; "
+                f"certify it as {COORDINATOR}"
             )
         self._neighbours = Neighbours(endpoints_of(settings.connect), secured, _LOG.warning)
         self._transport.beside.append(self._neighbours.declare)
@@ -201,7 +204,7 @@ def _secured(settings: NetworkSettings, kernel: str) -> Secured | None:
     """
     if settings.certificates is None:
         return None
-    return secured_by(settings.certificates, kernel, (COMPONENT,), settings.access)
+    return secured_by(settings.certificates, kernel, KERNELS, settings.access)
 
 
 def engine_settings(settings: NetworkSettings, secured: Secured | None = None) -> Mapping[str, Any]:

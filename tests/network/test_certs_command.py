@@ -65,7 +65,7 @@ def test_a_certificate_is_renewed_with_its_role_and_addresses(where: Path) -> No
     ("words", "said"),
     [
         (("init",), "has an authority already"),
-        (("issue", "robot"), "role: expected viewer, operator, component, router, got ''"),
+        (("issue", "robot"), "role: expected viewer, operator, component, coordinator, router, got ''"),
         (("issue", "a/b", "--role", "viewer"), "name: expected at most 64 letters"),
         (("issue", "-a", "--role", "viewer"), "No such option"),
         (("issue", "ca", "--role", "viewer"), "name: 'ca' is the authority's own"),

@@ -44,7 +44,7 @@ class Sink(Component):
     [
         ({"listen": "127.0.0.1:7447"}, "certificates: other hosts are reached with certificates alone"),
         ({"insecure": True, "certificates": Path("certs")}, "insecure: there are certificates as well"),
-        ({"access": {"boss": ["a"]}}, "access: expected viewer, operator, component, router, got"),
+        ({"access": {"boss": ["a"]}}, "access: expected viewer, operator, component, coordinator, router, got"),
         ({"access": {"viewer": "a"}}, "access: viewer: expected a list of names"),
         ({"access": {"viewer": ["a"], "operator": ["a"]}}, "access: .a. is viewer and operator"),
         ({"connect": "robot", "insecure": True}, "connect: expected host:port, got 'robot'"),

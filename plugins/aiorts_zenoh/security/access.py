@@ -19,8 +19,12 @@ from aiorts.late import dataclass
 VIEWER: Final = "viewer"
 OPERATOR: Final = "operator"
 COMPONENT: Final = "component"
+COORDINATOR: Final = "coordinator"
+"""A kernel that operates others: it has composites with members there."""
 ROUTER: Final = "router"
-ROLES: Final = (VIEWER, OPERATOR, COMPONENT, ROUTER)
+ROLES: Final = (VIEWER, OPERATOR, COMPONENT, COORDINATOR, ROUTER)
+KERNELS: Final = (COMPONENT, COORDINATOR)
+OPERATORS: Final = (OPERATOR, COORDINATOR)
 _DENIED: Final = "denied"
 """The role of a name that was revoked: it hears that it was, and nothing else."""
 _ANY: Final = "*"
@@ -38,9 +42,8 @@ class Row(NamedTuple):
     """Below the domain."""
 
 
-_KERNELS: Final = (COMPONENT,)
-_LOOKERS: Final = (VIEWER, OPERATOR)
-_ALL: Final = (VIEWER, OPERATOR, COMPONENT)
+_LOOKERS: Final = (VIEWER, *OPERATORS)
+_ALL: Final = (VIEWER, OPERATOR, *KERNELS)
 _WATCH: Final = ("declare_liveliness_subscriber", "liveliness_query")
 _ASK: Final = ("query", "put", "declare_subscriber", "liveliness_token")
 """What a client does: it calls, and has sessions, which are there for as long as their tokens."""
@@ -50,27 +53,27 @@ _ANSWER: Final = ("reply", "put")
 ROWS: Final = (
     # Who is there: a kernel shows its own name alone.
     Row(_ALL, _ALL, _WATCH, ("live/*/*/**",)),
-    Row(_KERNELS, _ALL, ("liveliness_token",), ("live/*/{a}/**",)),
+    Row(KERNELS, _ALL, ("liveliness_token",), ("live/*/{a}/**",)),
     # What a kernel tells others of names that they may not see.
-    Row(_KERNELS, _KERNELS, ("declare_subscriber",), ("heard/*/{a}/*",)),
-    Row(_KERNELS, _KERNELS, ("put",), ("heard/*/{b}/*",)),
+    Row(KERNELS, KERNELS, ("declare_subscriber",), ("heard/*/{a}/*",)),
+    Row(KERNELS, KERNELS, ("put",), ("heard/*/{b}/*",)),
     # That a name was revoked, to that name alone.
     Row((*_ALL, _DENIED), _ALL, _WATCH, ("denied/{a}",)),
-    Row(_KERNELS, (*_ALL, _DENIED), ("liveliness_token",), ("denied/{b}",)),
+    Row(KERNELS, (*_ALL, _DENIED), ("liveliness_token",), ("denied/{b}",)),
     # What kernels ask each other.
-    Row(_KERNELS, _KERNELS, ("declare_queryable",), ("svc/*/{a}/*/**",)),
-    Row(_KERNELS, _KERNELS, ("query",), ("svc/*/{b}/*/{a}/**",)),
-    Row(_KERNELS, _KERNELS, ("reply",), ("svc/*/{a}/*/{b}/**",)),
+    Row(KERNELS, KERNELS, ("declare_queryable",), ("svc/*/{a}/*/**",)),
+    Row(KERNELS, KERNELS, ("query",), ("svc/*/{b}/*/{a}/**",)),
+    Row(KERNELS, KERNELS, ("reply",), ("svc/*/{a}/*/{b}/**",)),
     # Frames of links: what its writer sends, and what its reader does.
-    Row(_KERNELS, _KERNELS, ("declare_subscriber",), ("link/*/*/*/{a}/*/w", "link/*/{a}/*/*/*/r")),
-    Row(_KERNELS, _KERNELS, ("put",), ("link/*/{a}/*/{b}/*/w", "link/*/{b}/*/{a}/*/r")),
+    Row(KERNELS, KERNELS, ("declare_subscriber",), ("link/*/*/*/{a}/*/w", "link/*/{a}/*/*/*/r")),
+    Row(KERNELS, KERNELS, ("put",), ("link/*/{a}/*/{b}/*/w", "link/*/{b}/*/{a}/*/r")),
     # Looking into kernels, and controlling them; a call may be one to all of them.
-    Row(_LOOKERS, _KERNELS, _ASK, ("info/*/*/*/{a}/**",)),
-    Row(_KERNELS, _LOOKERS, _OFFER, ("info/*/{a}/*/**",)),
-    Row(_KERNELS, _LOOKERS, _ANSWER, ("info/*/{a}/*/{b}/**",)),
-    Row((OPERATOR,), _KERNELS, _ASK, ("ctl/*/*/*/{a}/**",)),
-    Row(_KERNELS, (OPERATOR,), _OFFER, ("ctl/*/{a}/*/**",)),
-    Row(_KERNELS, (OPERATOR,), _ANSWER, ("ctl/*/{a}/*/{b}/**",)),
+    Row(_LOOKERS, KERNELS, _ASK, ("info/*/*/*/{a}/**",)),
+    Row(KERNELS, _LOOKERS, _OFFER, ("info/*/{a}/*/**",)),
+    Row(KERNELS, _LOOKERS, _ANSWER, ("info/*/{a}/*/{b}/**",)),
+    Row(OPERATORS, KERNELS, _ASK, ("ctl/*/*/*/{a}/**",)),
+    Row(KERNELS, OPERATORS, _OFFER, ("ctl/*/{a}/*/**",)),
+    Row(KERNELS, OPERATORS, _ANSWER, ("ctl/*/{a}/*/{b}/**",)),
 )
 
 
@@ -110,11 +113,11 @@ class Access:
 
     def is_kernel(self, name: str) -> bool:
         """Whether a kernel may have this name."""
-        return self.roles.get(name) == COMPONENT
+        return self.roles.get(name) in KERNELS
 
     def is_client(self, name: str, operates: bool) -> bool:
         """Whether a client of this name may look, or operate."""
-        return self.roles.get(name) in ((OPERATOR,) if operates else _LOOKERS)
+        return self.roles.get(name) in (OPERATORS if operates else _LOOKERS)
 
     def fault(self, name: str) -> str:
         """Why a name may do nothing; "" when it may."""
