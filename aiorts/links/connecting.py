@@ -63,9 +63,9 @@ _RETRY: Final = (0.2, 0.4, 0.8, 1.6, 2.0)
 """Seconds until an offer without an answer is made again."""
 _READ_SECONDS: Final = 0.05
 """How often it is looked whether a connector without a writer was read empty."""
-_BY_ONE: Final = 1_000
+_BY_ONE: Final = 10_000
 """Connectors of this kernel that another one may have made."""
-_BY_ALL: Final = 10_000
+_BY_ALL: Final = 20_000
 """Connectors of this kernel that others may have made, all together."""
 _LAST_SECONDS: Final = 1.0
 """How long a kernel that ends waits for acknowledgements."""

@@ -26,10 +26,13 @@ class Limit(NamedTuple):
     most: int
     seconds: float
     text: str
+    at_first: int = 0
+    """So many more, once."""
 
 
 LIMITS: Final[Mapping[str, Limit]] = {
-    "question": Limit(2_000, 10.0, "200 questions a second"),
+    # A kernel that begins offers all its connectors.
+    "question": Limit(2_000, 10.0, "200 questions a second", at_first=10_000),
     "bad": Limit(100, 60.0, "100 messages a minute that are none"),
     "slow": Limit(3, 60.0, "3 messages a minute that take longer to read than they may"),
 }
@@ -67,13 +70,14 @@ class Limits:
     def count(self, who: str, what: str, now: float) -> str:
         """A peer has done one thing that is limited; what to say if it is cut off for it, else ""."""
         limit = LIMITS[what]
-        level, at = self._levels.pop((who, what), (0.0, now))
-        level = max(0.0, level - (now - at) * limit.most / limit.seconds) + 1.0
+        level, at = self._levels.pop((who, what), (-float(limit.at_first), now))
+        level = max(min(level, 0.0), level - (now - at) * limit.most / limit.seconds) + 1.0
         if level <= limit.most:
             self._levels[who, what] = level, now  # the last is the one that was heard last
             if len(self._levels) > _PEERS:
                 del self._levels[next(iter(self._levels))]
             return ""
+        self._levels[who, what] = 0.0, now + CUT_OFF
         self._until[who] = now + CUT_OFF
         if len(self._until) > _PEERS:
             del self._until[next(iter(self._until))]
