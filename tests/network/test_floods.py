@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import random
 import resource
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -23,6 +25,8 @@ pytest.importorskip("cryptography")
 from network.certificate_parts import folder
 from network.network_parts import free_port
 
+GARBAGE = 10_000 if os.environ.get("AIORTS_CAMPAIGN") else 100
+"""Connections; of those that fail the engine takes ten a second."""
 JOINS = 2.0
 """Seconds within which a kernel with a certificate is seen."""
 LISTENS = """
@@ -94,3 +98,43 @@ def test_idle_half_open_and_senseless_connections_hold_nobody_up(
         assert took < JOINS
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+@pytest.mark.fault("E11")
+def test_garbage_of_many_connections_does_no_harm_and_leaves_nothing(address: str, tmp_path: Path) -> None:
+    process, chosen = listener_of(address), random.Random(11)
+    host, port = address.rpartition(":")[::2]
+    asyncio.run(joins(address, tmp_path))
+    files, memory = descriptors(process), resident(process)
+    for _ in range(GARBAGE):
+        with suppress(ConnectionError), socket.create_connection((host, int(port)), 5.0) as one:
+            one.sendall(chosen.randbytes(chosen.randint(1, 4_000)))
+    assert asyncio.run(joins(address, tmp_path)) < 10 * JOINS
+    until = time.monotonic() + 20.0
+    while descriptors(process) > files + 10:
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    assert resident(process) < memory + (50 << 20)
+
+
+def listener_of(address: str) -> int:
+    """The process that listens there."""
+    wanted = f":{int(address.rpartition(':')[2]):04X} 00000000:0000 0A"
+    (line,) = [line for line in Path("/proc/net/tcp").read_text().splitlines() if wanted in line]
+    socket_of = f"socket:[{line.split()[9]}]"
+    for process in (int(name) for name in os.listdir("/proc") if name.isdecimal()):
+        with suppress(OSError):
+            folder = f"/proc/{process}/fd"
+            if socket_of in [os.readlink(f"{folder}/{name}") for name in os.listdir(folder)]:
+                return process
+    raise AssertionError("nobody listens there")
+
+
+def descriptors(process: int) -> int:
+    return len(os.listdir(f"/proc/{process}/fd"))
+
+
+def resident(process: int) -> int:
+    """Bytes of its memory."""
+    return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * resource.getpagesize()
