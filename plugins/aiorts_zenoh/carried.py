@@ -71,9 +71,12 @@ class Carried:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
+            while self._came:  # the last words of an end that is gone, such as an answer to stop
+                writer.write(self._came.popleft())
             writer.close()
-            with contextlib.suppress(OSError):
-                await writer.wait_closed()
+            with contextlib.suppress(OSError, TimeoutError):
+                async with asyncio.timeout(_REST):
+                    await writer.wait_closed()
 
     async def _out(self, reader: asyncio.StreamReader, begun: bytes) -> None:
         stream = self._stream

@@ -20,7 +20,9 @@ from aiorts_zenoh.keys import CTL, HELLO, INFO, ClientKeys, peer_of, session_in
 _DEADLINE: Final = 3.0
 """Seconds that kernels have to say what this client may do."""
 _ROUND: Final = 0.5
-"""Seconds until they are asked again."""
+"""Seconds for the answers of all; who has not answered is asked again when a session is to begin."""
+_LATER: Final = 1.0
+"""Seconds by which the answer of who may operate may come later than that of who may look."""
 _AGAIN: Final = 0.05
 
 
@@ -51,23 +53,30 @@ class Sessions:
         self._branches |= {peer: CTL for peer, data in answers[0].items() if _operates(data)}
 
     async def _branch(self, peer: Peer) -> str:
-        """Below which a session with a kernel is to be.
-
-        That it says nothing below CTL is no answer, until it has said something below INFO meanwhile, in two rounds
-        where the question below CTL had no end. Where it says nothing at all, it is asked again until a deadline.
-        """
-        until, rounds = asyncio.get_running_loop().time() + _DEADLINE, 0
-        while peer not in self._branches and asyncio.get_running_loop().time() < until:
-            keys = [self._keys.session(branch, peer, HELLO) for branch in (CTL, INFO)]
-            (operates, ended), (looks, _) = await asyncio.gather(*(self.asked(key, _ROUND) for key in keys))
-            rounds += bool(looks)
-            if _operates(operates.get(peer, b"")):
-                self._branches[peer] = CTL
-            elif looks and (ended or rounds > 1):
-                self._branches[peer] = INFO
-            else:
-                await asyncio.sleep(_AGAIN)
+        """Below which a session with a kernel is to be; it is asked until a deadline."""
+        if peer not in self._branches:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(_DEADLINE):
+                    self._branches[peer] = await self._ask_branch(peer)
         return self._branches.get(peer, INFO)
+
+    async def _ask_branch(self, peer: Peer) -> str:
+        """Ask until a kernel has said it. That it says nothing below CTL counts only beside an answer below INFO."""
+        while True:
+            operates, looks = (
+                asyncio.ensure_future(self.asked(self._keys.session(branch, peer, HELLO), _DEADLINE))
+                for branch in (CTL, INFO)
+            )
+            try:
+                seen, _ = await looks
+                await asyncio.wait([operates], timeout=_LATER)
+                if operates.done() and _operates(operates.result()[0].get(peer, b"")):
+                    return CTL
+            finally:
+                operates.cancel()
+            if seen:
+                return INFO
+            await asyncio.sleep(_AGAIN)
 
     async def asked(self, key: str, first: float, following: float | None = None) -> tuple[dict[Peer, bytes], bool]:
         """The answers to a question, by who gave them, and whether all who were asked have answered.
