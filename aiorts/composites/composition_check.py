@@ -52,10 +52,10 @@ async def brought_in(
     try:
         for one in given:
             if isinstance(one, str) and kernel.registry.is_elsewhere(one):
-                there = next((member for member in composite.brought if getattr(member, "path", "") == one), None)
+                there = next((member for member, path in composite.brought.items() if path == one), None)
                 if there is None:
                     there = await kernel.stand_in(one, composite.name)
-                    composite.brought.append(there)
+                    composite.brought[there] = one
                     new.append(there)
                 found.append(there)
             else:

@@ -59,8 +59,8 @@ class CompositeGroup:
         self.errors = errors
         self.own_schedule = own_schedule
         self.given: tuple[Component | str, ...] = ()
-        self.brought: list[Component] = []
-        """Those of its members that stand for components of other kernels: they come and go with it."""
+        self.brought: dict[Component, str] = {}
+        """Those of its members that stand for components of other kernels, which come and go with it: their paths."""
         self.groups_given: str | Sequence[Sequence[str]] = ()
         self.exports: tuple[Export, ...] = ()
         """Which ports it shows."""
@@ -372,7 +372,7 @@ class CompositeGroup:
             composition_check.check(self, members, self.exports)
             self.groups = composition_check.grouped(self, members, self.groups_given)
         except BaseException:
-            await self.let_go(self.brought)
+            await self.let_go(tuple(self.brought))
             for member in reversed(brought):
                 await kernel.remove(member)
             raise
@@ -386,7 +386,7 @@ class CompositeGroup:
     async def let_go(self, members: Sequence[Component | str]) -> None:
         """Remove those of these that were brought in from other kernels."""
         for member in [one for one in members if isinstance(one, Component) and one in self.brought]:
-            self.brought.remove(member)
+            del self.brought[member]
             await self.kernel.remove(member)
 
     def member_replaced(self, old: Component, new: Component) -> None:

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.clock import SimulatedClock
-from aiorts.composites import Composite, group_of
+from aiorts.composites import Composite, group_of, outer_of
 from aiorts.isolation import RemoteComponent, given_of
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.service import owned_by
@@ -76,8 +76,11 @@ class _Reader:
         composites: list[Composite] = []
         components: dict[str, ComponentEntry] = {}
         for one in tuple(kernel.components.values()):
+            outer = outer_of(one)
             if isinstance(one, Composite):
                 composites.append(one)
+            elif outer is not None and one in outer.brought:
+                continue  # it stands for one of another kernel, and comes with the composite
             elif not kernel.registry.is_arriving(one):
                 components[one.name] = self._component(one)
                 yield
@@ -136,7 +139,8 @@ class _Reader:
             options["own_schedule"] = True
         if group is not None and group.exports:
             options["exported"] = {rule.pattern: rule.name for rule in group.exports}
-        members = tuple(member.name for member in composite.members)
+        brought = {} if group is None else group.brought
+        members = tuple(brought.get(member, member.name) for member in composite.members)
         return CompositeEntry(composite.name, members, MappingProxyType(options), named=True)
 
     def _context(self, context: Context) -> ContextEntry:
@@ -164,7 +168,7 @@ class _Reader:
             if owned is not None and owned(connector):
                 continue
             number += 1
-            ports = (connector.out.path, connector.in_.path)
+            ports = (self._shown(connector.out.path), self._shown(connector.in_.path))
             yield self._canon.connection(ports, connector.profile, connector.in_.length, number)
         for service in tuple(self._kernel.service_connectors.values()):
             number += 1
@@ -172,6 +176,17 @@ class _Reader:
             ports = (one.ports[0], one.ports[1])
             entry = service_connection(one.name, ports, service.ports, one.mapping, strict=one.strict)
             yield dataclasses.replace(entry, number=number)
+
+    def _shown(self, path: str) -> str:
+        """A path as a file has it: a port of a member elsewhere is that of its composite, or one of its kernel."""
+        name, _, port = path.partition(".")
+        member = self._kernel.components.get(name)
+        outer = None if member is None else outer_of(member)
+        if member is None or outer is None or member not in outer.brought:
+            return path
+        names = (key for key, one in outer.component.ports.items() if one is member.ports.get(port))
+        shown = next(names, None)
+        return f"{outer.brought[member]}.{port}" if shown is None else f"{outer.name}.{shown}"
 
     # -- the whole -------------------------------------------------------------------------------------------------
 

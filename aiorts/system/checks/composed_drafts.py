@@ -14,7 +14,7 @@ from aiorts.late import dataclass
 from aiorts.model.wanted.entries import CompositeEntry
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
-from aiorts.system.file.families import inner_first
+from aiorts.system.file.families import inner_first, is_far_member
 from aiorts.system.file.values import SystemFile
 from aiorts.system.text.places import Key
 
@@ -33,11 +33,12 @@ def compositions(system: SystemFile, drafts: Mapping[str, Draft], broken: Collec
     found: dict[str, Draft] = {}
     said: list[Said] = []
     for entry in inner_first(system.composites):
-        known = {**drafts, **found}
+        far = {name: Draft(None, {}, complete=False) for name in entry.members if is_far_member(name)}
+        known = {**drafts, **found, **far}
         if entry.name in broken or any(name not in known or known[name].error for name in entry.members):
             found[entry.name] = Draft(None, {}, complete=False, error=SystemFileError("has been said of it"))
             continue
-        members = {name: known[name] for name in entry.members}
+        members = {name.rpartition("/")[2]: known[name] for name in entry.members}
         complete = all(one.complete for one in members.values())
         said += _strangers(entry, members, complete=complete)
         found[entry.name] = _draft(entry, members, said, complete=complete)
@@ -88,7 +89,8 @@ def _strangers(entry: CompositeEntry, members: Mapping[str, Draft], *, complete:
             continue
         unsure = not complete and (rule.component not in members or not members[rule.component].complete)
         near = get_close_matches(pattern, ports, n=1)
-        if unsure and not near:
+        whose = members.get(rule.component)
+        if unsure and (not near or (whose is not None and not whose.ports)):
             continue
         key: Key = ("composites", entry.name, "exported", entry.exported_key(number))
         listed = ", ".join(ports[:20]) or "none"

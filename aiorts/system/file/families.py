@@ -11,6 +11,11 @@ from aiorts.system.file.values import SystemFile
 from aiorts.system.text.places import Key
 
 
+def is_far_member(name: str) -> bool:
+    """Whether a member of a composite is a component of another kernel."""
+    return "/" in name
+
+
 def owners(composites: Mapping[str, CompositeEntry]) -> dict[str, str]:
     """The composite of each member."""
     return {member: entry.name for entry in composites.values() for member in entry.members}
@@ -25,10 +30,11 @@ def root(composites: Mapping[str, CompositeEntry], name: str) -> str:
 
 
 def parts(composites: Mapping[str, CompositeEntry], name: str, *, everybody: bool = False) -> tuple[str, ...]:
-    """The components that run with this one, in the order stated; `everybody`: also with a schedule of their own."""
+    """The components of this kernel that run with this one, in the order stated; `everybody`: also with a schedule of
+    their own."""
     entry = composites.get(name)
     if entry is None:
-        return (name,)
+        return () if is_far_member(name) else (name,)
     return tuple(
         part
         for member in entry.members

@@ -30,7 +30,7 @@ from aiorts.supervision import StartRule, Supervision, in_order
 from aiorts.system.expansion.choices import AS_WRITTEN, Choices
 from aiorts.system.expansion.expand import TOP_KEYS, Expanded, expand
 from aiorts.system.expansion.repeating import IF, REPEAT
-from aiorts.system.file.families import misplaced
+from aiorts.system.file.families import is_far_member, misplaced
 from aiorts.system.file.values import Override, SystemFile
 from aiorts.system.text.origins import Source
 from aiorts.system.text.places import Key
@@ -459,7 +459,10 @@ class _Reader(Reading):
             self._say((*key, "isolation"), f"members that a file lists have no process together; {what}", of_key=True)
             table = {word: value for word, value in table.items() if word not in ("isolation", "limits")}
         self._only(key, table, _COMPOSITE)
-        members = self._members(key, self._get(key, table, "members", list, missing=[]), known)
+        given = self._get(key, table, "members", list, missing=[])
+        far = {one: None for one in given if isinstance(one, str) and is_far_member(one)}
+        members = self._members(key, given, {**known, **far})
+        named = tuple(one.rpartition("/")[2] for one in members)
         options: dict[str, Any] = {
             word: value
             for word, allowed in (("order", ORDERS), ("errors", tuple(ErrorPolicy)))
@@ -468,11 +471,11 @@ class _Reader(Reading):
         if self._get(key, table, "own_schedule", bool, default=False):
             options["own_schedule"] = True
         if "groups" in table:
-            groups = self._try((*key, "groups"), lambda: groups_of(_texts(table["groups"]), members, name))
+            groups = self._try((*key, "groups"), lambda: groups_of(_texts(table["groups"]), named, name))
             if groups:
                 options["groups"] = groups
         given = table.get("exported", [])
-        if exported := self._exported((*key, "exported"), given, members):
+        if exported := self._exported((*key, "exported"), given, named):
             options["exported"] = exported
         return CompositeEntry(name, members, MappingProxyType(options), isinstance(given, dict))
 

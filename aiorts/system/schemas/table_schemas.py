@@ -121,7 +121,7 @@ def composite_schema() -> dict[str, Any]:
             "members": {
                 **_TEXTS,
                 "uniqueItems": True,
-                "description": "Components and other composites, in the order in which they run.",
+                "description": "Components, composites, KERNEL/COMPONENT elsewhere, in the order in which they run.",
             },
             "exported": {
                 "anyOf": [_TEXTS, {"type": "string"}, {"type": "object", "additionalProperties": {"type": "string"}}],

@@ -1,0 +1,67 @@
+"""System files with members of composites in other kernels."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from elsewhere_parts import left
+
+pytestmark = [pytest.mark.anyio, pytest.mark.row(101)]
+FILE = """
+schema = 1
+[links]
+[components.source]
+type = "FlexiConst"
+options = ["-p", "TimedLong", "-c", "3", "--count", "3"]
+[components.show]
+type = "FlexiDump"
+options = ["-p", "TimedLong"]
+[composites.arm]
+members = ["left/gripper"]
+exported = ["gripper.inp", "gripper.force"]
+[[connections]]
+from = "source.output"
+to = "arm.inp"
+[[connections]]
+from = "arm.force"
+to = "show.input0"
+[contexts.loop]
+kind = "periodic"
+rate = 20.0
+members = ["source", "arm", "show"]
+"""
+
+
+def aiorts(*words: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "aiorts", *words], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+async def test_a_file_with_a_member_elsewhere_is_checked_runs_and_is_saved_as_it_was(tmp_path: Path) -> None:
+    file = tmp_path / "right.toml"
+    file.write_text(FILE)
+    aiorts("check", str(file))
+    async with left(tmp_path):
+        printed = await asyncio.to_thread(aiorts, "run", "--name", "right", str(file))
+        assert [line.rpartition(" ")[2] for line in printed.splitlines()] == ["6", "6", "6"]
+        forever = tmp_path / "forever.toml"
+        forever.write_text(FILE.replace(', "--count", "3"', ""))
+        again = [sys.executable, "-m", "aiorts", "run", "--name", "again", str(forever)]
+        with subprocess.Popen(again, stdout=subprocess.PIPE, text=True) as process:
+            try:
+                assert process.stdout is not None
+                await asyncio.to_thread(process.stdout.readline)
+                saved = await asyncio.to_thread(aiorts, "save", "again")
+            finally:
+                process.kill()
+    assert 'members = ["left/gripper"]' in saved
+    assert 'to = "arm.inp"' in saved
+    assert "components.gripper" not in saved
