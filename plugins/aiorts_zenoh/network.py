@@ -67,7 +67,8 @@ class NetworkSettings:
     )
     access: Any = setting(
         None,
-        "Names by what they may do: viewer, operator, component, coordinator, router; by default as the folder's index says.",
+        "Names by what they may do: viewer, operator, component, coordinator, router; by default as the index of the "
+        "folder says.",
         type="object",
         additionalProperties={"type": "array", "items": {"type": "string"}},
     )

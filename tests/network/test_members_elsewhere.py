@@ -81,6 +81,6 @@ async def test_a_kernel_that_is_certified_as_component_operates_no_other_one_and
 ) -> None:
     certificates = folder(tmp_path / "certs", left="component", right="component").path
     async with two(tmp_path, monkeypatch, "--allow-control", certificates=certificates) as (kernel, _):
-        with pytest.raises(DeniedError, match="pc2/left: right has the role component, which.*coordinator"):
+        with pytest.raises(DeniedError, match=r"pc2/left: right has the role component, which.*coordinator"):
             await kernel.add(Composite("arm", "left/gripper"))
         assert not kernel.components
