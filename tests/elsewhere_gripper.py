@@ -17,6 +17,7 @@ class Gripper(Component):
     factor: int = Param(2, ge=0)
     stuck: bool = Param(False)
     configurations: ClassVar[Mapping[str, Mapping[str, object]]] = {"large": {"factor": 1000}}
+    on_link_lost = "deactivate"
 
     async def on_activated(self) -> None:
         if self.stuck:

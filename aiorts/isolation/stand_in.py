@@ -227,7 +227,7 @@ def stand_in_of(cls: type[Component], text: str, limits: Mapping[str, Any]) -> t
     if (known := _classes.get(key)) is not None:
         return known
     body: dict[str, Any] = {"original": cls, "type_text": text, "limits": MappingProxyType(dict(limits))}
-    body["configurations"] = cls.configurations
+    body["configurations"], body["on_link_lost"] = cls.configurations, cls.on_link_lost
     for attribute, port in declarations(cls).ports.items():
         body[attribute] = _remote_port(cls, attribute, port)
     for base in reversed(cls.__mro__):

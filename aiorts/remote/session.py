@@ -88,8 +88,10 @@ class KernelSession:
         await self.call(operation, **arguments)
 
     def close(self) -> None:
-        """End it; idempotent."""
+        """End it in order; idempotent."""
         self.lost = _nothing
+        if not self._closed:
+            self._send({"bye": True})  # it is not lost, which would have the component do what it says for that
         self._end(ClosedError(f"{self.address}: the session was closed"))
 
     def _begin(self, operation: str, arguments: Mapping[str, object]) -> tuple[int, asyncio.Future[Any]]:

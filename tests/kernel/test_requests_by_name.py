@@ -222,6 +222,7 @@ PUBLIC = {
     *("context", "contexts", "finish", "has_finished", "kernel", "last_error", "log", "max_instance", "name"),
     *("on_aborting", "on_activated", "on_deactivated", "on_error", "on_execute", "on_finalize", "on_initialize"),
     *(
+        "on_link_lost",
         "on_rate_changed",
         "on_reload",
         "on_reset",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Mapping
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +154,7 @@ async def test_a_member_that_leaves_is_as_it_was_before_it_came(tmp_path: Path, 
             assert (await state_there(), "gripper" in kernel.components) == (before, False)
         async with right("again") as kernel:
             await arm_of(kernel)
+        await asyncio.sleep(0.3)  # a session that ended in order is no link that was lost, which would deactivate it
         assert await state_there() == before
 
 
@@ -274,3 +275,17 @@ async def test_a_component_is_a_member_of_one_composite_at_a_time_which_the_erro
             await two.add(Composite("hand", "left/gripper"))
         await one.remove(one.components["arm"])
         await two.add(Composite("hand", "left/gripper"))
+
+
+@pytest.mark.fault("G05")
+async def test_what_is_cancelled_while_it_looks_for_a_member_leaves_nothing(tmp_path: Path) -> None:
+    async with left(tmp_path), right() as kernel:
+        for turns in (0, 1, 3, 10, 30, 100, 300):
+            finding = asyncio.ensure_future(kernel.stand_in("left/gripper", "arm"))
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            finding.cancel()
+            with suppress(asyncio.CancelledError):
+                await kernel.remove(await finding)
+            assert not kernel.components
+        await kernel.add(Composite("arm", "left/gripper"))

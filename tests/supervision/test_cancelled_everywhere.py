@@ -162,6 +162,8 @@ ELSEWHERE = {
     "SimulatedClock.advance_to": "the same",
     "RealtimeContext.add": "Context.add, after a check that waits for nothing",
     "Kernel.create_isolated": "isolation/test_isolated.py",
+    "Kernel.stand_in": "remote/test_members.py",
+    "Microkernel.stand_in": "remote/test_members.py",
     "Kernel.apply": "planning/test_apply_cancelled.py",
     "Kernel.reload": "reload/test_cancelled.py",
     "Kernel.save": "planning/test_save.py",
