@@ -38,6 +38,10 @@ class Budget:
     def __init__(self) -> None:
         self.used = 0
         self.senders: list[Sender] = []
+        self.waiting: dict[Sender, None] = {}
+        """Those that have something to send, in turn: of thousands of channels few have."""
+        self.refusing: set[Sender] = set()
+        """Those that have refused a frame since it was said last that there is room."""
 
     @property
     def has_room(self) -> bool:
@@ -61,7 +65,7 @@ class Budget:
         """Send at all channels what there is room for, one message at each in turn."""
         sent = [True]
         while any(sent):
-            sent = [sender.send_next() for sender in self.senders if self.has_room]
+            sent = [sender.send_next() for sender in tuple(self.waiting) if self.has_room]
 
 
 class Sender:
@@ -77,7 +81,6 @@ class Sender:
         self._budget, self._put, self._epoch, self._now = budget, put, epoch, now
         self._queue: deque[tuple[int, Sequence[Block]]] = deque()
         self._waits = 0
-        self._refused = False
         self._sent = self._taken = 0
         self._looked = -1
         """How much was sent when it was asked last how far the other end has come."""
@@ -95,9 +98,10 @@ class Sender:
             self._give(FRAME, blocks)
             return True
         if self._waits >= _FULL:
-            self._refused = True
+            budget.refusing.add(self)
             return False
         self._queue.append((FRAME, blocks))
+        budget.waiting[self] = None
         self._waits += size
         while budget.has_room and self.send_next():
             pass
@@ -114,7 +118,11 @@ class Sender:
         if kind == FRAME and not self._budget.takes(size_of(blocks)):
             self._cut()
         kind, blocks = queue.popleft()
-        self._waits = self._waits - size_of(blocks) if queue else 0
+        if queue:
+            self._waits -= size_of(blocks)
+        else:
+            self._waits = 0
+            self._budget.waiting.pop(self, None)
         self._give(kind, blocks)
         return True
 
@@ -158,9 +166,10 @@ class Sender:
 
     def room_made(self) -> bool:
         """Whether a frame was refused, and would be taken now; once."""
-        if not self._refused or self._waits >= _FULL // 2:
+        refusing = self._budget.refusing
+        if self not in refusing or self._waits >= _FULL // 2:
             return False
-        self._refused = False
+        refusing.discard(self)
         return True
 
     def close(self) -> None:
@@ -168,6 +177,8 @@ class Sender:
         if self in self._budget.senders:
             self._budget.senders.remove(self)
             self._budget.used -= self._sent - self._taken
+        self._budget.waiting.pop(self, None)
+        self._budget.refusing.discard(self)
         self._queue.clear()
 
 

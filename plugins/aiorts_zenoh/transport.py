@@ -348,7 +348,7 @@ class ZenohTransport:
         budget.pump()
         if not budget.has_room:
             budget.look()
-        for channel in tuple(self._channels.values()):
+        for channel in tuple(self._channels.values()) if budget.refusing else ():
             if channel.peer == peer and channel.sender.room_made():
                 channel.events.on_room()
 
