@@ -57,8 +57,10 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
     """The state that its kernel has told last."""
     _was_active = False
     """Whether it was active before it was in a context here."""
-    _copying = False
-    """Whether the configuration of there is being taken over."""
+    _copier: asyncio.Task[Any] | None = None
+    """Takes over the configuration of there."""
+    _changes = 0
+    """How often something was asked for there."""
     _own = 0
     """Transitions of this end that are under way."""
     _looks: asyncio.Task[None] | None = None
@@ -102,7 +104,11 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
 
         if self._session is None or not self._session.is_open:
             self._session = await opened(self.kernel, self._where, self.path)
-            await self._begin()
+            try:
+                await self._begin()
+            except BaseException:
+                self._session.close()  # the next reset begins anew
+                raise
 
     @property
     def _asked(self) -> KernelSession:
@@ -134,16 +140,37 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
         while self._news:
             self._news = False
             try:
-                async with self._turn:
-                    said = await self._look()
-                await self._follow_state(*said)
+                await self._follow_state(*await self._look())
             except (ClosedError, LinkError, StateError):
                 continue  # it is lost, which the session says, or its state here has changed meanwhile
             except AiortsError as error:
                 self.log.warning("%s", error)
 
     async def _look(self) -> tuple[bool, str]:
-        """Have its ports, values and state; returns whether it has finished, and its error."""
+        """Have its ports, values and state; returns whether it has finished, and its error.
+
+        What is asked for there meanwhile is newer than what was seen: then it is looked again.
+        """
+        while True:
+            changes = self._changes
+            async with self._turn:
+                names, report, outline = await self._see()
+            if changes == self._changes:
+                break
+        states = names["components"][self._where.component].values()
+        rows = _rows(self._where.component, report, outline["ports"])
+        if rows and not names["links"] and self.kernel.service(Links).peer_of(self._where) is None:
+            raise StateError(
+                f"{self.path}: links of other kernels cannot reach {self._where.kernel}; give it a [links] table"
+            )
+        follow(self, rows, names["links"] or self._where.kernel, self._where.host)
+        self._there = _ERROR if "error" in states else _ACTIVE if "active" in states else _INACTIVE
+        # A hook that waits for its turn holds up the context which the values are to be in force in.
+        await self._copy(report["configuration"])
+        return self._where.component in names["finished"], report["last_error"] or "is in error"
+
+    async def _see(self) -> tuple[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any]]:
+        """Its kernel's names, and its report and outline there. LinkError: it is there no more."""
         session, name = self._asked, self._where.component
         names = await session.call("names")
         if name not in names["components"]:
@@ -152,18 +179,8 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
             gone = LinkError(f"{self.path}: is there no more")
             self._fails(gone)
             raise gone
-        states = names["components"][name].values()
         report = (await session.call("part", components=[name]))["components"][name]
-        outline = (await session.call("outline", components=[name]))[name]
-        rows = _rows(name, report, outline["ports"])
-        if rows and not names["links"] and self.kernel.service(Links).peer_of(self._where) is None:
-            raise StateError(
-                f"{self.path}: links of other kernels cannot reach {self._where.kernel}; give it a [links] table"
-            )
-        follow(self, rows, names["links"] or self._where.kernel, self._where.host)
-        await self._copy(report["configuration"])
-        self._there = _ERROR if "error" in states else _ACTIVE if "active" in states else _INACTIVE
-        return name in names["finished"], report["last_error"] or "is in error"
+        return names, report, (await session.call("outline", components=[name]))[name]
 
     async def _copy(self, configuration: Mapping[str, Any]) -> None:
         """Have the values that are in force there."""
@@ -171,11 +188,11 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
         here = {key: plain_value(dict(values)) for key, values in self.configuration.sets.items()}
         if (sets, active) == (here, self.configuration.active):
             return
-        self._copying = True
+        self._copier = asyncio.current_task()
         try:
             await self.configuration.replace(sets, active)
         finally:
-            self._copying = False
+            self._copier = None
 
     async def _follow_state(self, finished: bool, error: str) -> None:
         if self._own:
@@ -195,7 +212,8 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
     async def passes_on(self, state: ConfigurationState) -> None:
         """Ask for this configuration there."""
         before = cell(self).configuration
-        if self._copying or self._session is None or self.kernel.registry.is_arriving(self):
+        is_copy = self._copier is not None and self._copier is asyncio.current_task()
+        if is_copy or self._session is None or self.kernel.registry.is_arriving(self):
             return
         values = {
             key: {one: plain_value(value) for one, value in values.items() if _differs(before, key, one, value)}
@@ -249,6 +267,7 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
 
     async def _ask(self, operation: str, **arguments: Any) -> None:
         async with self._turn:
+            self._changes += 1
             await self._asked.call(operation, **arguments)
 
 

@@ -80,10 +80,14 @@ async def opened(kernel: Microkernel, where: Path, path: str, patience: float = 
             f"{path}: {address} lets this kernel look only; on this host it runs with --control on, "
             "on another one with --allow-control"
         )
-    while where.component not in (await session.call("names"))["components"]:
-        if kernel.loop.time() >= until:
-            break  # who asks for it there is told that there is none
-        await asyncio.sleep(_LOOK)
+    try:
+        while where.component not in (await session.call("names"))["components"]:
+            if kernel.loop.time() >= until:
+                break  # who asks for it there is told that there is none
+            await asyncio.sleep(_LOOK)
+    except BaseException:
+        session.close()
+        raise
     return session
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from aiorts.control import NEWEST, OLDEST, answer_in, error_in, framed, frames
-from aiorts.errors import AiortsError, ClosedError, NoAnswerError
+from aiorts.errors import AiortsError, ClosedError, NoAnswerError, WireError
 from aiorts.kernel.loop.tasks import kernel_task
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class KernelSession:
         self._last += 1
         answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         self._answers[self._last] = answer
-        self._send({"id": self._last, "op": operation, "epoch": self.hello["epoch"], "args": arguments})
+        self._send({"id": self._last, "op": operation, "epoch": self.hello.get("epoch", ""), "args": arguments})
         return self._last, answer
 
     def _send(self, message: Mapping[str, Any]) -> None:
@@ -118,7 +118,10 @@ class KernelSession:
             pass  # as at the end
         except AiortsError as fault:
             error = fault
-        self._end(error)
+        except (LookupError, TypeError, ValueError) as fault:
+            error = WireError(f"{self.address}: says what is no answer: {fault!r}")
+        finally:
+            self._end(error)
 
     def _take(self, frame: Mapping[Any, Any]) -> None:
         number = frame.get("id")

@@ -289,3 +289,62 @@ async def test_what_is_cancelled_while_it_looks_for_a_member_leaves_nothing(tmp_
                 await kernel.remove(await finding)
             assert not kernel.components
         await kernel.add(Composite("arm", "left/gripper"))
+
+
+async def test_changes_there_while_it_is_activated_and_deactivated_here_hold_nothing_up(tmp_path: Path) -> None:
+    async with left(tmp_path), right() as kernel:
+        arm, over = await arm_of(kernel, activate=False), False
+
+        async def change() -> None:
+            number = 0
+            while not over:
+                number += 1
+                await asked("left", "configure", component="gripper", values={"": {"factor": 20 + number}})
+
+        changing = asyncio.ensure_future(change())
+        try:
+            for _ in range(10):
+                await arm.activate()
+                assert near_and_gripper(kernel) == [ACTIVE, ACTIVE]
+                await arm.deactivate()
+                assert near_and_gripper(kernel) == [INACTIVE, INACTIVE]
+        finally:
+            over = True
+            await changing
+
+
+async def test_a_change_here_while_one_there_is_taken_over_is_in_force_in_both(tmp_path: Path) -> None:
+    async with left(tmp_path), right() as kernel:
+        await arm_of(kernel)
+        gripper = kernel.components["gripper"]
+        for number in range(1, 11):
+            there = asyncio.ensure_future(
+                asked("left", "configure", component="gripper", values={"": {"factor": 1000 + number}})
+            )
+            await asyncio.sleep(number * 0.001)
+            await gripper.configure(factor=number + 20)
+            await there
+            with fail_after(10):
+                while True:
+                    parameters = (await asked("left", "configuration", component="gripper"))["parameters"]
+                    if [one["value"] for one in parameters if one["name"] == "factor"] == [gripper.configuration.values["factor"]]:
+                        break
+                    await asyncio.sleep(0.02)
+
+
+async def test_a_reset_that_was_refused_there_can_be_asked_for_again(tmp_path: Path) -> None:
+    async with AsyncExitStack() as stack:
+        process = await stack.enter_async_context(left(tmp_path))
+        kernel, third = await stack.enter_async_context(right()), await stack.enter_async_context(right("third"))
+        arm = await arm_of(kernel)
+        process.kill()
+        process.wait()
+        await until(lambda: kernel.components["gripper"].state is ERROR)
+        await stack.enter_async_context(left(tmp_path))
+        await third.stand_in("left/gripper", "other")
+        with pytest.raises(AiortsError, match="is a member of third/other already"):
+            await arm.reset()
+        await third.remove(third.components["gripper"])
+        await arm.reset()
+        await arm.activate()
+        assert (near_and_gripper(kernel), await state_there()) == ([ACTIVE, ACTIVE], "active")
