@@ -37,8 +37,10 @@ class Sessions:
     def __init__(self, engine: Engine, keys: ClientKeys) -> None:
         self._engine, self._keys = engine, keys
         self._there: dict[str, tuple[Peer, Carried]] = {}
-        self._branches: dict[Peer, str] = {}
-        """Below which sessions with a kernel are, as far as it has said what this client may do."""
+        self._begins: dict[str, Peer] = {}
+        """Sessions of which it is not known yet below which branch they are to be."""
+        self._operable: set[Peer] = set()
+        """Kernels that have said that this client may operate them; another may be late, and is asked again."""
 
     def declare(self) -> None:
         """Take what kernels send from now on; in a thread."""
@@ -50,15 +52,16 @@ class Sessions:
     async def find_operable(self) -> None:
         """Ask all at once which let this client operate them."""
         answers = await self.asked(self._keys.every(CTL, HELLO), _ROUND)
-        self._branches |= {peer: CTL for peer, data in answers[0].items() if _operates(data)}
+        self._operable |= {peer for peer, data in answers[0].items() if _operates(data)}
 
     async def _branch(self, peer: Peer) -> str:
         """Below which a session with a kernel is to be; it is asked until a deadline."""
-        if peer not in self._branches:
-            with suppress(TimeoutError):
-                async with asyncio.timeout(_DEADLINE):
-                    self._branches[peer] = await self._ask_branch(peer)
-        return self._branches.get(peer, INFO)
+        if peer in self._operable:
+            return CTL
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_DEADLINE):
+                return await self._ask_branch(peer)
+        return INFO
 
     async def _ask_branch(self, peer: Peer) -> str:
         """Ask until a kernel has said it. That it says nothing below CTL counts only beside an answer below INFO."""
@@ -117,7 +120,17 @@ class Sessions:
         Args:
             begun: what has come from the local connection before.
         """
-        branch, session = await self._branch(peer), secrets.token_hex(8)
+        session = secrets.token_hex(8)
+        self._begins[session] = peer
+        try:
+            branch = await self._branch(peer)
+        finally:
+            is_there = self._begins.pop(session, None) is not None
+        if not is_there:
+            writer.close()
+            return
+        if branch == CTL:
+            self._operable.add(peer)
         key = self._keys.session(branch, peer, session)
         token = self._engine.hold(f"{key}/live")
         carried = Carried(partial(self._engine.put, f"{key}/c", urgent=branch == CTL), int(session[:8], 16))
@@ -130,14 +143,15 @@ class Sessions:
 
     def end(self, peer: Peer) -> None:
         """The kernel is gone: end the sessions with it."""
-        self._branches.pop(peer, None)
+        self._operable.discard(peer)
+        self._begins = {session: whose for session, whose in self._begins.items() if whose != peer}
         for whose, carried in tuple(self._there.values()):
             if whose == peer:
                 carried.close()
 
     def keep(self, there: Collection[Peer]) -> None:
         """These kernels are there: end the sessions with all others."""
-        for peer in self._branches.keys() | {whose for whose, _ in self._there.values()}:
+        for peer in {*self._operable, *self._begins.values(), *(whose for whose, _ in self._there.values())}:
             if peer not in there:
                 self.end(peer)
 
