@@ -107,6 +107,8 @@ class Neighbours:
                 Folder(self._secured.identity.certificate.parent), self._secured.access.denied, self._say
             )
             self._tasks.append(self._loop.create_task(self._watch_index(revoking), name="aiorts zenoh revoked"))
+        for task in self._tasks:
+            task.add_done_callback(self._ended)
 
     def close(self) -> None:
         """Watch nothing any more."""
@@ -114,6 +116,10 @@ class Neighbours:
             timer.cancel()
         for task in self._tasks:
             task.cancel()
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._report(f"zenoh: {task.get_name()} has ended: {error!r}")
 
     # -- those that are connected ----------------------------------------------------------------------------------
 
@@ -146,23 +152,30 @@ class Neighbours:
             self._say(f"the name {token.rpartition('/')[2]!r} was revoked: others take nothing from this kernel")
 
     async def _watch_index(self, revoking: Revoking) -> None:
+        assert self._secured is not None  # noqa: S101 - there is no index without certificates
         while True:
             new: list[str] = []
             await in_thread(lambda: new.extend(sorted(revoking.look())))  # noqa: B023 - it is awaited here
+            self._secured = self._secured._replace(access=self._secured.access.without(new))
             for name in new:
-                await self._deny(name)
+                await self._deny(name, self._secured.identity.name)
             await asyncio.sleep(EVERY)
 
-    async def _deny(self, name: str) -> None:
-        assert self._secured is not None  # noqa: S101 - there is no index without certificates
-        self._secured = self._secured._replace(access=self._secured.access.without((name,)))
-        if name == self._secured.identity.name:
+    async def _deny(self, name: str, own: str) -> None:
+        """Cut off a name that was revoked. What fails is said, and keeps nothing else from being cut off."""
+        if name == own:
             self._denied(name, True)
         else:
             self._say(f"{name!r} was revoked: its links are cut, and nothing of it is taken any more")
         for deny in self.denies:
-            deny(name)
-        await in_thread(partial(self._hold, name))
+            try:
+                deny(name)
+            except Exception as error:  # noqa: BLE001 - whatever it is, the others are cut off
+                self._say(f"{name!r} was revoked, and is not cut off everywhere: {error!r}")
+        try:
+            await in_thread(partial(self._hold, name))
+        except Exception as error:  # noqa: BLE001 - the same
+            self._say(f"{name!r} was revoked, and is not told of it: {error!r}")
 
     # -- those that are not ----------------------------------------------------------------------------------------
 

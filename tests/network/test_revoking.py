@@ -21,8 +21,10 @@ from aiorts.types import TimedLong
 pytest.importorskip("zenoh")
 pytest.importorskip("cryptography")
 
-from aiorts_zenoh.security.access import Access
+from aiorts_zenoh.neighbours import Neighbours
+from aiorts_zenoh.security.access import KERNELS, Access
 from aiorts_zenoh.security.revoking import Revoking
+from aiorts_zenoh.security.tls import secured_by
 from network.certificate_parts import folder
 from network.network_parts import free_port
 from network.test_router import start
@@ -201,3 +203,32 @@ def test_a_list_that_cannot_be_read_changes_nothing_and_is_said(tmp_path: Path) 
     made.revoke("base")
     assert (looks.look(), looks.look()) == ({"base"}, frozenset())
     assert looks.denied == {"arm", "base"}
+
+
+@pytest.mark.fault("E18")
+def test_a_name_that_cannot_be_cut_off_somewhere_keeps_none_from_being_cut_off(tmp_path: Path) -> None:
+    made, said, denied = (
+        folder(tmp_path, robot="component", arm="component", base="component"),
+        list[str](),
+        list[str](),
+    )
+
+    def fails(name: str) -> None:
+        raise OSError(f"no way to {name}")
+
+    async def main() -> None:
+        neighbours = Neighbours((), secured_by(tmp_path, "robot", KERNELS), said.append)
+        neighbours.denies += [fails, denied.append]
+        neighbours.start()
+        try:
+            for names in (["arm"], ["arm", "base"]):
+                made.revoke(names[-1])
+                async with asyncio.timeout(WAIT):
+                    while denied != names:
+                        await asyncio.sleep(0.01)
+                assert not any(neighbours.admits(name) for name in names)
+        finally:
+            neighbours.close()
+
+    asyncio.run(main())
+    assert [name for name in ("arm", "base") if any(f"no way to {name}" in one for one in said)] == ["arm", "base"]
