@@ -34,6 +34,7 @@ class Carried:
         """Something has come."""
         self._closed = asyncio.Event()
         self._writer: asyncio.StreamWriter | None = None
+        self._is_over = False
 
     def arrived(self, message: Message) -> None:
         """A message of the other end has come."""
@@ -47,6 +48,7 @@ class Carried:
 
     def end(self) -> None:
         """Pass on nothing any more, and have the other end know that it is over."""
+        self._is_over = True
         if self._writer is not None:
             with contextlib.suppress(OSError):  # it has ended
                 self._writer.get_extra_info("socket").shutdown(socket.SHUT_RDWR)
@@ -63,6 +65,8 @@ class Carried:
     async def run(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, begun: bytes = b"") -> None:
         """Carry what comes from either side to the other, until one ends; `begun` has come from this side before."""
         self._writer = writer
+        if self._is_over:  # before there was a connection
+            self.end()
         ways = self._out(reader, begun), self._in(writer), self._look(), self._closed.wait()
         tasks: list[asyncio.Future[Any]] = [asyncio.ensure_future(one) for one in ways]
         try:
