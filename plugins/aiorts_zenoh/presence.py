@@ -96,7 +96,6 @@ class Presence:
         for host, name in [one for one in self._named if one[1] == kernel]:
             for claim in tuple(self._named[host, name]):
                 self._forget(claim)
-            self._look_at(host, name)
 
     def close(self) -> None:
         """Tell nothing any more."""
@@ -121,10 +120,7 @@ class Presence:
             self._named.setdefault((claim.host, claim.kernel), set()).add(claim)
             self._machines.setdefault(claim.host, Counter())[claim.machine] += 1
         if not tokens:
-            several = self._several(claim.host)
             self._forget(claim, was_there=not is_new)
-            if several:
-                self._look_at_all(claim.host)
         elif up and claim.host == self._name.own.host:
             self._meets(claim, owned=owned, is_new=is_new)
         self._look_at(claim.host, claim.kernel)
@@ -132,7 +128,8 @@ class Presence:
             self._pass_on(claim, token, up=up)
 
     def _forget(self, claim: Claim, *, was_there: bool = True) -> None:
-        """A claim is there no more."""
+        """A claim is there no more: look soon who is to be seen instead."""
+        several = self._several(claim.host)
         del self._said[claim.host][claim]
         if was_there:
             self._named[claim.host, claim.kernel].remove(claim)
@@ -141,6 +138,9 @@ class Presence:
             machines = self._machines[claim.host]
             machines -= Counter([claim.machine])  # and what is 0 is no more in it
         self._hide(claim)
+        if several:  # and they may be no more
+            self._look_at_all(claim.host)
+        self._look_at(claim.host, claim.kernel)
 
     def _pass_on(self, claim: Claim, token: str, *, up: bool) -> None:
         """Tell those that this claim meets of it, and it of them; and who gave way to it, when it has gone."""

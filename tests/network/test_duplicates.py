@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import subprocess
 import sys
@@ -14,11 +15,14 @@ from typing import Any
 import pytest
 
 from aiorts import Kernel
-from aiorts.links import Links
+from aiorts.links import Links, Peer
 
 pytest.importorskip("zenoh")
 
+import zenoh
+
 from aiorts_zenoh import Network, NetworkSettings, ZenohTransport
+from aiorts_zenoh.keys import Keys
 from aiorts_zenoh.network import engine_settings
 from network.network_parts import free_port
 
@@ -160,6 +164,26 @@ class ZenohWatch(At):
         super().__init__("watch", 1, listen=address)
         settings = engine_settings(NetworkSettings(insecure=True, listen=address))
         self.transport = ZenohTransport("station", engine=settings, machine=9)
+
+
+@pytest.mark.fault("E18")
+def test_a_kernel_is_seen_when_that_of_another_machine_with_its_host_name_is_revoked() -> None:
+    async def main() -> None:
+        address = f"127.0.0.1:{free_port()}"
+        async with ZenohWatch(address) as watch:
+            await _until(lambda: watch.standing == "owns")  # else it looks at all once more when it does
+            config = zenoh.Config()
+            config.insert_json5("connect/endpoints", json.dumps([f"tcp/{address}"]))
+            with await asyncio.to_thread(zenoh.open, config) as others:
+                kept: list[Any] = []
+                for start_ns, name, machine in ((2, "arm", 1), (1, "leg", 2)):  # who was there first is seen
+                    keys = Keys("default", Peer("same", name, 10), start_ns, machine)
+                    kept += [others.liveliness().declare_token(one) for one in (keys.token, keys.owned)]
+                    await _until(lambda name=name: watch.sees == [(name, 10)])  # type: ignore[misc]
+                watch.transport.deny("leg")
+                await _until(lambda: watch.sees == [("arm", 10)])
+
+    asyncio.run(main())
 
 
 def test_a_name_that_is_taken_is_said_at_both_ends(caplog: pytest.LogCaptureFixture) -> None:
