@@ -230,25 +230,20 @@ class Engine:
             held.undeclare()
 
     def ask_all(
-        self, key: str, within: float, answered: Callable[[str, bytes], None], over: Callable[[bool], None]
+        self, key: str, within: float, answered: Callable[[str, bytes], None], over: Callable[[], None]
     ) -> None:
-        """Have `answered` called with key and bytes of each answer to a question to all, and `over` at their end.
-
-        `over` is told whether all that were asked have answered in time.
-        """
-        put, late = self._inbox.put, []
+        """Have `answered` called with key and bytes of each answer to a question to all, and `over` at their end."""
+        put = self._inbox.put
 
         def came(reply: Any) -> None:
-            if reply.ok is None:
-                late.append(reply)
-            else:
+            if reply.ok is not None:
                 data = reply.ok.payload.to_bytes()
                 put(answered, str(reply.ok.key_expr), data, size=len(data))
 
         zenoh = self._zenoh
         self._session.get(
             key,
-            zenoh.handlers.Callback(came, lambda: put(over, not late), indirect=False),
+            zenoh.handlers.Callback(came, lambda: put(over), indirect=False),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,  # else no answer comes before the last
             timeout=within,

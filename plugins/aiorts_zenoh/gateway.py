@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Coroutine, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,11 +18,9 @@ from aiorts.errors import AbsentError, AiortsError, LinkError
 from aiorts.links import Peer
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.keys import INFO, ClientKeys, peer_of
-from aiorts_zenoh.sessions import Sessions
+from aiorts_zenoh.sessions import DEADLINE, Sessions
 from aiorts_zenoh.stream import CHUNK
 
-_DEADLINE: Final = 3.0
-"""Seconds to find the kernels that are there."""
 _FIRST: Final = 1.0
 """Seconds to wait for the first answer of many kernels, and for another one once there is one."""
 _NEXT: Final = 0.25
@@ -51,7 +50,7 @@ class Gateway:
         self._asking: asyncio.Task[None]
         self._early: tuple[str, asyncio.Task[dict[Peer, bytes]]] | None = None
         self._settling = False
-        self._inbox: Inbox
+        self._inbox: Inbox | None = None
         self._server: asyncio.Server | None = None
         self._found: list[str] = []
 
@@ -67,8 +66,8 @@ class Gateway:
             LinkError: nothing answers where this is to connect to.
             MissingExtra: the engine is not installed.
         """
-        self._inbox = Inbox(asyncio.get_running_loop())
-        await in_thread(self._declare)
+        self._inbox = inbox = Inbox(asyncio.get_running_loop())
+        await in_thread(partial(self._declare, inbox))
         for token in self._found:
             self._present(token, True)
         self._settle()
@@ -76,11 +75,11 @@ class Gateway:
         self._asking = self._run(self._sessions.find_operable())
         self._engine.presence(self._keys.tokens, self._present)
 
-    def _declare(self) -> None:
+    def _declare(self, inbox: Inbox) -> None:
         engine, keys = self._engine, self._keys
-        engine.open(self._settings, self._inbox)
+        engine.open(self._settings, inbox)
         self._sessions.declare()
-        self._found = engine.present(keys.tokens, _DEADLINE)
+        self._found = engine.present(keys.tokens, DEADLINE)
 
     def ask_early(self, operation: str) -> None:
         """A command begins that will ask this of all kernels, when it has come so far: once."""
@@ -93,7 +92,7 @@ class Gateway:
         for task in tuple(self._tasks):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        if hasattr(self, "_inbox"):
+        if self._inbox is not None:
             self._inbox.close()
         await in_thread(self._engine.close)
 
@@ -166,7 +165,7 @@ class Gateway:
         return told
 
     async def _said(self, operation: str) -> dict[Peer, bytes]:
-        return (await self._sessions.asked(self._keys.every(INFO, operation), _FIRST, _NEXT))[0]
+        return await self._sessions.asked(self._keys.every(INFO, operation), _FIRST, _NEXT)
 
     def _run(self, coroutine: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
         task = asyncio.get_running_loop().create_task(coroutine)

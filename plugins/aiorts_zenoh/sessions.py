@@ -17,8 +17,8 @@ from aiorts_zenoh.engine import Engine, in_thread
 from aiorts_zenoh.envelope import read
 from aiorts_zenoh.keys import CTL, HELLO, INFO, ClientKeys, peer_of, session_in
 
-_DEADLINE: Final = 3.0
-"""Seconds that kernels have to say what this client may do."""
+DEADLINE: Final = 3.0
+"""Seconds in which kernels are found, and in which they say what this client may do."""
 _ROUND: Final = 0.5
 """Seconds for the answers of all; who has not answered is asked again when a session is to begin."""
 _LATER: Final = 1.0
@@ -52,14 +52,14 @@ class Sessions:
     async def find_operable(self) -> None:
         """Ask all at once which let this client operate them."""
         answers = await self.asked(self._keys.every(CTL, HELLO), _ROUND)
-        self._operable |= {peer for peer, data in answers[0].items() if _operates(data)}
+        self._operable |= {peer for peer, data in answers.items() if _operates(data)}
 
     async def _branch(self, peer: Peer) -> str:
         """Below which a session with a kernel is to be; it is asked until a deadline."""
         if peer in self._operable:
             return CTL
         with suppress(TimeoutError):
-            async with asyncio.timeout(_DEADLINE):
+            async with asyncio.timeout(DEADLINE):
                 return await self._ask_branch(peer)
         return INFO
 
@@ -67,13 +67,13 @@ class Sessions:
         """Ask until a kernel has said it. That it says nothing below CTL counts only beside an answer below INFO."""
         while True:
             operates, looks = (
-                asyncio.ensure_future(self.asked(self._keys.session(branch, peer, HELLO), _DEADLINE))
+                asyncio.ensure_future(self.asked(self._keys.session(branch, peer, HELLO), DEADLINE))
                 for branch in (CTL, INFO)
             )
             try:
-                seen, _ = await looks
+                seen = await looks
                 await asyncio.wait([operates], timeout=_LATER)
-                if operates.done() and _operates(operates.result()[0].get(peer, b"")):
+                if operates.done() and _operates(operates.result().get(peer, b"")):
                     return CTL
             finally:
                 operates.cancel()
@@ -81,34 +81,32 @@ class Sessions:
                 return INFO
             await asyncio.sleep(_AGAIN)
 
-    async def asked(self, key: str, first: float, following: float | None = None) -> tuple[dict[Peer, bytes], bool]:
-        """The answers to a question, by who gave them, and whether all who were asked have answered.
+    async def asked(self, key: str, first: float, following: float | None = None) -> dict[Peer, bytes]:
+        """The answers to a question, by who gave them.
 
         Args:
             first: seconds to wait for the first answer, and with `following` for another after each; else for all.
         """
         found: dict[Peer, bytes] = {}
-        ended: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
-        news = asyncio.Event()
+        ended, news = asyncio.Event(), asyncio.Event()
 
         def answered(at: str, data: bytes) -> None:
             if (peer := peer_of(at)) is not None:
                 found[peer] = data
             news.set()
 
-        def over(whole: bool) -> None:
-            if not ended.done():
-                ended.set_result(whole)
+        def over() -> None:
+            ended.set()
             news.set()
 
-        within = first if following is None else _DEADLINE
+        within = first if following is None else DEADLINE
         await in_thread(partial(self._engine.ask_all, key, within, answered, over))
         with suppress(TimeoutError):
-            while not ended.done():
+            while not ended.is_set():
                 async with asyncio.timeout(following if found and following else first):
                     await news.wait()
                 news.clear()
-        return found, ended.done() and ended.result()
+        return found
 
     # -- sessions --------------------------------------------------------------------------------------------------
 
