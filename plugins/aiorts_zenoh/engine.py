@@ -173,8 +173,10 @@ class Engine:
         self._kept.append(subscriber := self._session.declare_subscriber(key, self._direct(came)))
         return lambda: subscriber.undeclare()
 
-    def answer(self, key: str, asked: Callable[[str, bytes, bytes, Any], None], inbox: Inbox | None = None) -> None:
-        """Have `asked` called with key, body, attachment and what `reply` takes."""
+    def answer(
+        self, key: str, asked: Callable[[str, bytes, bytes, Any], None], inbox: Inbox | None = None
+    ) -> Callable[[], None]:
+        """Have `asked` called with key, body, attachment and what `reply` takes; returns its end."""
         put = (inbox or self._inbox).put
 
         def came(query: Any) -> None:
@@ -186,10 +188,13 @@ class Engine:
             body = b"" if query.payload is None else query.payload.to_bytes()
             put(asked, where, body, beside, query, size=len(body) + len(beside))
 
-        self._kept.append(self._session.declare_queryable(key, self._direct(came), complete=True))
+        self._kept.append(queryable := self._session.declare_queryable(key, self._direct(came), complete=True))
+        return lambda: queryable.undeclare()
 
-    def presence(self, key: str, present: Callable[[str, bool], None], inbox: Inbox | None = None) -> None:
-        """Have `present` called with each token that is there, comes or goes."""
+    def presence(
+        self, key: str, present: Callable[[str, bool], None], inbox: Inbox | None = None
+    ) -> Callable[[], None]:
+        """Have `present` called with each token that is there, comes or goes; returns its end."""
         put = (inbox or self._inbox).put
 
         def came(sample: Any) -> None:
@@ -198,7 +203,8 @@ class Engine:
                 put(present, token, up)
 
         liveliness = self._session.liveliness()
-        self._kept.append(liveliness.declare_subscriber(key, self._direct(came), history=True))
+        self._kept.append(subscriber := liveliness.declare_subscriber(key, self._direct(came), history=True))
+        return lambda: subscriber.undeclare()
 
     def neighbours(self, changed: Callable[[str, str, str, bool], None]) -> None:
         """Have `changed` called with the name in the certificate and the addresses of both ends of each connection."""

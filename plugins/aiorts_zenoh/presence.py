@@ -69,6 +69,8 @@ class Presence:
         self._due_hosts: set[str] = set()
         """Names to look at anew, and host names."""
         self._renamed, self._declared = renamed, keys
+        self._end_told: Callable[[], None]
+        """Of what others tell this kernel under its name."""
         self._told: tuple[Standing, Keys] | None = None
         self._telling = False
         self._timer: asyncio.TimerHandle | None = None
@@ -81,7 +83,7 @@ class Presence:
 
     def declare(self) -> None:
         """Look who is there, and claim the name; in a thread."""
-        self._engine.subscribe(self._keys.told(_peer(self._name.own)), self._was_told)
+        self._end_told = self._engine.subscribe(self._keys.told(_peer(self._name.own)), self._was_told)
         self._engine.presence(self._keys.tokens, self._came)
         self._engine.announce(self._keys.token)
 
@@ -297,7 +299,8 @@ class Presence:
     def _declare_as(self, keys: Keys) -> None:
         """Have all that others ask be where they ask it under another name, before they see that; in a thread."""
         self._engine.announce()
-        self._engine.subscribe(keys.told(keys.own), self._was_told)
+        self._end_told()
+        self._end_told = self._engine.subscribe(keys.told(keys.own), self._was_told)
         if self._renamed is not None:
             self._renamed(keys)
         self._declared = keys

@@ -62,6 +62,8 @@ class Serving:
         """Why there was no session, each said once."""
         self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False
+        self._ends: list[Callable[[], None]] = []
+        """Of what is declared under the name of the kernel."""
         self._engine: Engine
         self._keys: Keys
         self._loop: asyncio.AbstractEventLoop
@@ -83,11 +85,15 @@ class Serving:
 
     def declare_as(self, engine: Engine, keys: Keys) -> None:
         """Serve those who know this kernel by these keys."""
-        self._keys = keys
+        for end in self._ends:
+            end()
+        self._keys, self._ends = keys, []
         for branch in self._branches:
-            engine.subscribe(keys.sessions(branch), partial(self._arrived, branch), self._inbox)
-            engine.presence(keys.session_tokens(branch), partial(self._present, branch), self._inbox)
-            engine.answer(keys.calls(branch), partial(self._asked, branch), self._inbox)
+            self._ends += [
+                engine.subscribe(keys.sessions(branch), partial(self._arrived, branch), self._inbox),
+                engine.presence(keys.session_tokens(branch), partial(self._present, branch), self._inbox),
+                engine.answer(keys.calls(branch), partial(self._asked, branch), self._inbox),
+            ]
 
     def deny(self, caller: str) -> None:
         """End the sessions of a client that is not admitted any more; from any thread."""

@@ -99,7 +99,8 @@ class ZenohTransport:
         """What is declared beside links, before others see this kernel; called in a thread."""
         self.anew: list[Callable[[Engine, Keys], None]] = []
         """What is declared once more where this kernel takes another name; called in a thread."""
-        self._frames: list[Callable[[], None]] = []
+        self._ends: list[Callable[[], None]] = []
+        """Of what is declared under the name of this kernel."""
         self.known_as = ""
         """The name of this kernel here, where it is not its own."""
         self.last: list[Callable[[], None]] = []
@@ -160,12 +161,12 @@ class ZenohTransport:
         self._presence.declare()
 
     def _declare_links(self, keys: Keys) -> None:
-        self._frames = [self.engine.subscribe(key, self._arrived) for key in keys.frames]
-        self.engine.answer(keys.questions, self._was_asked)
+        self._ends = [self.engine.subscribe(key, self._arrived) for key in keys.frames]
+        self._ends.append(self.engine.answer(keys.questions, self._was_asked))
 
     def _renamed(self, keys: Keys) -> None:
         """This kernel is another one from now on; nobody has seen that one yet, and nobody sees this one any more."""
-        for end in self._frames:
+        for end in self._ends:
             end()  # what is sent there is for who has the name
         self.keys, self.known_as = keys, keys.own.kernel
         self._declare_links(keys)

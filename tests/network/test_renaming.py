@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -17,7 +18,10 @@ from aiorts.errors import ConfigurationError
 
 pytest.importorskip("zenoh")
 
+import zenoh
+
 from aiorts_zenoh import NetworkSettings
+from aiorts_zenoh.keys import HELLO, INFO, ClientKeys
 from aiorts_zenoh.names import free_name
 from network.network_parts import free_port
 
@@ -104,6 +108,20 @@ def test_it_is_another_kernel_for_all_others_and_links_to_it_and_from_it_work(tm
         assert [word for word in shown if word.endswith("/")] == ["watch/", "robot/", "robot-2/"]
         assert "links:" not in shown
         assert "reads" not in first.read_text()
+        # Once each: nothing is asked there under the name that is another's.
+        assert sorted(_asked(address)) == ["robot", "robot-2", "watch"]
+
+
+def _asked(address: str) -> list[str]:
+    """Which kernels answer a question to all, each as often as it does."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([f"tcp/{address}"]))
+    key = ClientKeys("default", "tester").every(INFO, HELLO)
+    with zenoh.open(config) as session:
+        time.sleep(1.0)  # it hears who is asked by this
+        how = {"target": zenoh.QueryTarget.ALL, "consolidation": zenoh.ConsolidationMode.NONE, "timeout": 5.0}
+        return [str(one.ok.key_expr).split("/")[5] for one in session.get(key, **how)]
 
 
 def _ls(address: str) -> str:
