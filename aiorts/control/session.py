@@ -33,6 +33,7 @@ class Session:
         send: takes a message for the client, from any thread, with a function that is called once it is on its way.
         has_room: whether it takes more than it holds already.
         operators: who operates the kernel's components.
+        carried: whether another carrier has let the client in, such as one of another host.
     """
 
     def __init__(
@@ -43,8 +44,11 @@ class Session:
         send: Callable[[Mapping[str, Any], Callable[[], None]], None],
         has_room: Callable[[], bool] = lambda: True,
         operators: Operators | None = None,
+        *,
+        carried: bool = False,
     ) -> None:
         self.kernel = kernel
+        self.carried = carried
         self.right = right
         self.who = who
         self.ended = False

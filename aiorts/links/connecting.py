@@ -163,10 +163,9 @@ class Links(KernelService):
         """The name by which other kernels reach this one."""
         return self._settings.name or self.kernel.address.rpartition("/")[2] or self.kernel.name
 
-    @property
-    def open_as(self) -> str:
+    def open_as(self, *, elsewhere: bool) -> str:
         """See `FarPorts.open_as`."""
-        return (self.reach.known_as or self.reached_as) if self.reach.is_open else ""
+        return ((elsewhere and self.reach.known_as) or self.reached_as) if self.reach.is_open else ""
 
     @property
     def peers(self) -> tuple[Peer, ...]:

@@ -65,8 +65,8 @@ def _link(writer: str, reader: str) -> str:
 
 
 @contextmanager
-def run(folder: Path, log: Path, links: str, *options: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A run with a folder of sockets of its own, as another user or container of this machine has."""
+def run(folder: Path, log: Path, links: str, *options: str) -> Iterator[str]:
+    """A run with a folder of sockets of its own, as another user or container of this machine has: that folder."""
     system = log.with_suffix(".toml")
     system.write_text(PLAIN + links)
     (folder / "parts.py").write_text(PARTS)
@@ -75,7 +75,7 @@ def run(folder: Path, log: Path, links: str, *options: str) -> Iterator[subproce
         environment = os.environ | {"XDG_RUNTIME_DIR": own}
         with subprocess.Popen(command, stdout=output, stderr=output, env=environment) as process:
             try:
-                yield process
+                yield own
             finally:
                 process.kill()
 
@@ -96,7 +96,7 @@ def test_it_is_another_kernel_for_all_others_and_links_to_it_and_from_it_work(tm
     with ExitStack() as stack:
         stack.enter_context(run(tmp_path, first, "", *same, "--listen", address))
         _wait(lambda: "robot/" in _ls(address), first)
-        stack.enter_context(run(tmp_path, second, of_second, *same, "--connect", address, "--rename"))
+        own = stack.enter_context(run(tmp_path, second, of_second, *same, "--connect", address, "--rename"))
         watch = ("--name", "watch", "--host", "other", "--connect", address)
         stack.enter_context(run(tmp_path, other, of_other, *watch))
         _wait(lambda: "this one is 'robot-2' for other hosts" in second.read_text(), second)
@@ -107,6 +107,8 @@ def test_it_is_another_kernel_for_all_others_and_links_to_it_and_from_it_work(tm
         shown = _ls(address).split()
         assert [word for word in shown if word.endswith("/")] == ["watch/", "robot/", "robot-2/"]
         assert "links:" not in shown
+        near = _aiorts(own, "ls")
+        assert ("robot/" in near.split(), "links:" in near) == (True, False), near  # nor where it has its own name
         assert "reads" not in first.read_text()
         # Once each: nothing is asked there under the name that is another's.
         assert sorted(_asked(address)) == ["robot", "robot-2", "watch"]
@@ -126,9 +128,12 @@ def _asked(address: str) -> list[str]:
 
 def _ls(address: str) -> str:
     with tempfile.TemporaryDirectory(prefix="ai") as own:
-        command = [sys.executable, "-m", "aiorts", "at", "--insecure-network", address, "ls"]
-        environment = os.environ | {"XDG_RUNTIME_DIR": own}
-        done = subprocess.run(command, capture_output=True, text=True, timeout=WAIT, env=environment, check=False)
+        return _aiorts(own, "at", "--insecure-network", address, "ls")
+
+
+def _aiorts(own: str, *words: str) -> str:
+    command, environment = [sys.executable, "-m", "aiorts", *words], os.environ | {"XDG_RUNTIME_DIR": own}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=WAIT, env=environment, check=False)
     return done.stdout
 
 

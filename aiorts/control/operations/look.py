@@ -33,7 +33,7 @@ def _names(session: Session, _: Nothing) -> Names:
         connectors=MappingProxyType({**wires, **calls}),
         in_error=tuple(name for name, one in kernel.components.items() if one.last_error is not None),
         finished=tuple(name for name, one in kernel.components.items() if one.has_finished),
-        links="" if far is None else far.open_as,
+        links="" if far is None else far.open_as(elsewhere=session.carried),
         notices=tuple(one.notice for one in kernel.services if one.notice),
         pid=os.getpid(),
     )

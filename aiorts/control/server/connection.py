@@ -63,8 +63,12 @@ class Call:
 class Connection:
     """One client. Everything here is called in the thread of the socket, `put` and `has_room` excepted."""
 
-    def __init__(self, listener: Listener, connected: socket.socket, right: Right, where: str) -> None:
+    def __init__(
+        self, listener: Listener, connected: socket.socket, right: Right, where: str, *, carried: bool = False
+    ) -> None:
         self.socket = connected
+        self.carried = carried
+        """Whether another carrier has let it in."""
         self.right = right
         self.since = time.monotonic()
         self.session: Session | None = None

@@ -138,7 +138,7 @@ class Listener:
         theirs, ours = socket.socketpair()
         ours.setblocking(False)
         allowed = right if self.right.allows(right) else self.right
-        self._admitted.append(Connection(self, ours, allowed, where))
+        self._admitted.append(Connection(self, ours, allowed, where, carried=True))
         self._wake()
         if self._ended:  # meanwhile, so that nobody may take it in any more
             ours.close()
@@ -230,7 +230,8 @@ class Listener:
 
     def greeted(self, connection: Connection, who: str) -> Session:
         """A client has said hello: its session."""
-        return Session(self._kernel, connection.right, who, connection.put, connection.has_room, self._operators)
+        room, carried = connection.has_room, connection.carried
+        return Session(self._kernel, connection.right, who, connection.put, room, self._operators, carried=carried)
 
     def _serve(self) -> None:
         try:

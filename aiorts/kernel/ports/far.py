@@ -111,9 +111,8 @@ class FarPorts(Protocol):
         """Whether this is the path of a port in another kernel."""
         ...
 
-    @property
-    def open_as(self) -> str:
-        """The name by which other kernels reach this one; "" while they cannot."""
+    def open_as(self, *, elsewhere: bool) -> str:
+        """The name by which other kernels, of this host or elsewhere, reach this one; "" while they cannot."""
         ...
 
     async def ledger(self, connector: Connector) -> object:
