@@ -123,6 +123,8 @@ def _check_joins(composite: CompositeGroup, member: Component) -> None:
             f"{member.name}: is a member of {other.name} already, and cannot join {composite.name}; "
             f"await {other.name}.remove_members({member.name!r}) first"
         )
+    if holder := cell(member).held_for:
+        raise StateError(f"{member.name}: is a member of {holder} already, and cannot join {composite.name}")
     outer: CompositeGroup | None = composite
     while outer is not None:
         if outer.component is member:

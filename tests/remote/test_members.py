@@ -15,7 +15,7 @@ from aiorts import Composite, Kernel, LifecycleState, PeriodicContext
 from aiorts.control import Client
 from aiorts.errors import AiortsError, ComponentError, ConfigurationError, DeniedError, LinkError, StateError
 from aiorts.types import TimedLong
-from control_parts import with_client
+from control_parts import entry_of, with_client
 from elsewhere_parts import Local, left, until
 
 pytestmark = [pytest.mark.anyio, pytest.mark.row(101)]
@@ -327,7 +327,9 @@ async def test_a_change_here_while_one_there_is_taken_over_is_in_force_in_both(t
             with fail_after(10):
                 while True:
                     parameters = (await asked("left", "configuration", component="gripper"))["parameters"]
-                    if [one["value"] for one in parameters if one["name"] == "factor"] == [gripper.configuration.values["factor"]]:
+                    if [one["value"] for one in parameters if one["name"] == "factor"] == [
+                        gripper.configuration.values["factor"]
+                    ]:
                         break
                     await asyncio.sleep(0.02)
 
@@ -348,3 +350,20 @@ async def test_a_reset_that_was_refused_there_can_be_asked_for_again(tmp_path: P
         await arm.reset()
         await arm.activate()
         assert (near_and_gripper(kernel), await state_there()) == ([ACTIVE, ACTIVE], "active")
+
+
+async def test_a_component_that_another_kernel_has_as_a_member_joins_no_composite_of_its_own() -> None:
+    async with Kernel("unit", services={"control": {"name": "unit"}}) as kernel:
+        near = await kernel.create(Local, "near")
+        hand = await kernel.add(Composite("hand", Local("finger")))
+        with await asyncio.to_thread(Client.open, entry_of("unit"), timeout=20.0) as client:
+            await asyncio.to_thread(client.call, "hold", component="near", holder="right/arm")
+            with pytest.raises(StateError, match="near: is a member of right/arm already, and cannot join arm"):
+                await kernel.add(Composite("arm", near))
+            with pytest.raises(StateError, match="near: is a member of right/arm already, and cannot join hand"):
+                await hand.add_members("near")
+        with fail_after(20):
+            while near not in hand.members:
+                with suppress(StateError):
+                    await hand.add_members("near")
+                await asyncio.sleep(0.01)

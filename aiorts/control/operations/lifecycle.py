@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import MappingProxyType
 from typing import Final
 
 from aiorts.control.operation import Operation, Right
@@ -40,13 +39,13 @@ async def _reset(session: Session, given: Member) -> Done:
 def _hold(session: Session, given: Holding) -> Done:
     component = component_named(session, given.component)
     here, group = cell(component), cell(component).group
-    held = group.name if group is not None else here.own.get(Holding)
-    if held is not None:
+    held = group.name if group is not None else here.held_for
+    if held:
         raise StateError(f"{component.name}: is a member of {held} already")
-    here.own = MappingProxyType({**here.own, Holding: given.holder})
+    here.held_for = given.holder
 
     def let_go() -> None:
-        here.own = MappingProxyType({kind: kept for kind, kept in here.own.items() if kind is not Holding})
+        here.held_for = ""
 
     session.keep(let_go)
     return Done()

@@ -150,6 +150,8 @@ class Cell(PortHost):
     """The group that it is a member of."""
     stands_for: Group | None = None
     """Whom it stands for, where it is itself a group."""
+    held_for: str = ""
+    """Whose member it is in another kernel."""
     previous_placements: tuple[Any, ...] = ()
     """Where it ran before it ran with that group, as the group keeps it."""
     own: Mapping[Any, Any] = _NOTHING
