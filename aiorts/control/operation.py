@@ -45,7 +45,8 @@ class Operation:
     demands: Callable[[Any], Right] | None = None
     """The right that these very arguments need, where it is more than `right`."""
     changes: Callable[[Any, Any], Iterable[str]] | None = None
-    """The components of which the client is the operator afterwards, by the arguments and the result."""
+    """The components of which the client is the operator afterwards, by the arguments and the result; that is None as
+    long as it is under way."""
 
     def needed(self, arguments: Any) -> Right:
         """The right that a call with these arguments needs."""

@@ -11,7 +11,8 @@ from collections.abc import Iterable
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from aiorts.errors import ControlError, format_error
+from aiorts.errors import ControlError, StateError, format_error
+from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.model.lifecycle import LifecycleState
@@ -38,31 +39,49 @@ class Operators:
         for name in components:
             self._sessions[name] = session
 
-    def ended(self, session: object, who: str, *, lost: bool) -> None:
-        """A session has ended: nobody operates its components any more."""
+    def ended(self, session: object, who: str, changing: Iterable[str] = (), *, lost: bool) -> None:
+        """A session has ended: nobody operates its components any more.
+
+        Args:
+            changing: those that calls which have not ended change: what has begun goes on.
+        """
+        asked = tuple(changing) if lost else ()
+        self.changed(session, asked)
         for name in [name for name, operator in self._sessions.items() if operator is session]:
             del self._sessions[name]
             component = self._kernel.components.get(name)
-            if lost and component is not None and LifecycleState.ACTIVE in component.states.values():
-                self._lose(component, who)
+            if lost and component is not None and type(component).on_link_lost != "continue":
+                if _is_active(component):
+                    self._lose(component, who)
+                elif name in asked:  # its turn to be activated may be still to come
+                    self._deactivate(component)
 
     def _lose(self, component: Component, who: str) -> None:
-        does = type(component).on_link_lost
-        if does == "continue":
-            return
-        if does == "error":
+        if type(component).on_link_lost == "error":
             _LOG.warning("%s: the link to its operator is lost: %s; it goes to error", component.name, who)
             lost = ControlError(f"the link to its operator is lost: {who}")
             self._kernel.registry.task_failed(component, "the link to its operator", lost)
             return
         _LOG.warning("%s: the link to its operator is lost: %s; it is deactivated", component.name, who)
+        self._deactivate(component)
+
+    def _deactivate(self, component: Component) -> None:
+        """In all its contexts, after what is under way there."""
         for context, state in component.states.items():
-            if state is LifecycleState.ACTIVE:
+            if state is not LifecycleState.ERROR:
                 leaving = self._kernel.deactivate(component, context=context, timeout=None)
                 task = kernel_task(self._kernel.loop, leaving, f"aiorts control {component.name}")
                 task.add_done_callback(partial(_report, component.name))
 
 
+def _is_active(component: Component) -> bool:
+    """Whether it is active in a context, or about to be."""
+    members = cell(component).members
+    return LifecycleState.ACTIVE in component.states.values() or any(
+        member.runs and member.hook == "on_activated" for member in members
+    )
+
+
 def _report(name: str, task: asyncio.Task[None]) -> None:
-    if not task.cancelled() and (error := task.exception()) is not None:
+    if not task.cancelled() and (error := task.exception()) is not None and not isinstance(error, StateError):
         _LOG.error("%s: is not deactivated: %s", name, format_error(error))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from aiorts.control.operation import Right
 from aiorts.control.protocol import WAITING
-from aiorts.errors import AiortsError, ControlError, format_error
+from aiorts.errors import AiortsError, ControlError, TransitionTimeout, format_error
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.model.plain import plain
@@ -57,6 +58,8 @@ class Session:
         self._operators = operators
         self._running: dict[int, Callable[[], object]] = {}
         """By the call's number: what cancels it."""
+        self._changing: dict[int, tuple[str, ...]] = {}
+        """By the call's number: the components that it changes, as far as that is known before it has ended."""
         self._streams: dict[int, Stream] = {}
         self._kept: dict[int, Callable[[], object]] = {}
         self._keys = 0
@@ -91,7 +94,7 @@ class Session:
             return
         self.ended = True
         if self._operators is not None:
-            self._operators.ended(self, self.who, lost=lost)
+            self._operators.ended(self, self.who, chain.from_iterable(self._changing.values()), lost=lost)
         for cancel in (*reversed(self._running.values()), *reversed(self._kept.values())):
             try:
                 cancel()
@@ -117,6 +120,8 @@ class Session:
             return
         task = kernel_task(self.kernel.loop, _result(value), f"aiorts control {operation.name}")
         self._running[number] = task.cancel
+        if operation.changes is not None:
+            self._changing[number] = tuple(operation.changes(arguments, None))
         task.add_done_callback(partial(self._ended, number, operation, arguments, value, stream))
 
     def _ended(
@@ -129,7 +134,9 @@ class Session:
         task: asyncio.Task[Any],
     ) -> None:
         self._running.pop(number, None)
+        changing = self._changing.pop(number, ())
         if task.cancelled():
+            self._operates(changing)  # what has begun goes on
             if inspect.iscoroutine(value):
                 value.close()  # cancelled before it began
             if stream is not None:
@@ -137,6 +144,8 @@ class Session:
             self._audit(operation, arguments, "cancelled")
             self._send(_error(number, ControlError(f"{operation.name}: was cancelled")), _nothing)
         elif (error := task.exception()) is not None:
+            if isinstance(error, TransitionTimeout):
+                self._operates(changing)
             self._fail(number, operation, arguments, error, stream)
         else:
             self._succeed(number, operation, arguments, task.result(), stream)
@@ -150,8 +159,8 @@ class Session:
 
     def _succeed(self, number: int, operation: Operation, arguments: Any, value: Any, stream: Stream | None) -> None:
         self._audit(operation, arguments, "done")
-        if operation.changes is not None and self._operators is not None and not self.ended:
-            self._operators.changed(self, operation.changes(arguments, value))
+        if operation.changes is not None:
+            self._operates(operation.changes(arguments, value))
         self._send({"id": number, "ok": value}, _nothing)
         if stream is not None:
             stream.begun()
@@ -160,6 +169,10 @@ class Session:
             elif not stream.ended:
                 self._running[number] = stream.close
                 self._streams[number] = stream
+
+    def _operates(self, components: Iterable[str]) -> None:
+        if self._operators is not None and not self.ended:
+            self._operators.changed(self, components)
 
     def _fail(
         self, number: int, operation: Operation, arguments: Any, error: BaseException, stream: Stream | None

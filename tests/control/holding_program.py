@@ -1,5 +1,6 @@
 """A client that operates a kernel and holds its session: `python holding_program.py KERNEL OPERATION=COMPONENT...`.
 
+The operation "begin" begins to activate it and does not wait.
 It says "holds" when all is done. A line on its standard input ends it in order.
 """
 
@@ -15,6 +16,9 @@ entry = next(one for one in entries() if one.name == sys.argv[1])
 with Client.open(entry, timeout=20.0, who="the operator") as client:
     for word in sys.argv[2:]:
         operation, _, component = word.partition("=")
+        if operation == "begin":
+            client.begin("activate", component=component)
+            continue
         client.call(operation, 20.0, component=component, **CHANGES.get(operation, {}))
     print("holds", flush=True)
     sys.stdin.readline()

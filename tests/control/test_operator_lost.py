@@ -40,6 +40,28 @@ class Fails(Stays):
     on_link_lost = "error"
 
 
+class Slow(Stays):
+    """Takes its time to become active."""
+
+    begun = False
+
+    async def on_activated(self) -> None:
+        self.begun = True
+        await asyncio.sleep(1.0)
+
+
+class SlowStops(Slow):
+    """Is a drive."""
+
+    on_link_lost = "deactivate"
+
+
+class SlowFails(Slow):
+    """Is one that somebody has to look after."""
+
+    on_link_lost = "error"
+
+
 @asynccontextmanager
 async def three() -> AsyncIterator[Kernel]:
     """The three in a kernel with a socket, inactive."""
@@ -126,6 +148,26 @@ def test_the_operator_is_who_has_changed_it_last(hold: Hold) -> None:
             await until(kernel, ["active", "error", "active"])
             second.kill()
             await until(kernel, ["inactive", "error", "active"])
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(("kind", "after"), [(SlowStops, "inactive"), (SlowFails, "error"), (Slow, "active")])
+def test_an_activation_that_is_under_way_when_the_client_is_killed(hold: Hold, kind: type[Slow], after: str) -> None:
+    async def main() -> None:
+        async with Kernel(services={"control": {"name": "unit"}}) as kernel:
+            drive = await kernel.create(kind, "drive")
+            await kernel.start(PeriodicContext(rate=100.0, name="loop"), drive)
+            client = await hold("begin=drive")
+            async with asyncio.timeout(WAIT):
+                while not drive.begun:
+                    await asyncio.sleep(0.01)
+            client.kill()
+            await asyncio.to_thread(client.wait, WAIT)
+            await asyncio.sleep(1.5)  # longer than the activation takes
+            async with asyncio.timeout(WAIT):
+                while drive.states["loop"].value != after:
+                    await asyncio.sleep(0.01)
 
     asyncio.run(main())
 

@@ -103,8 +103,8 @@ def _needed(given: Creation) -> Right:
     return Right.CODE if is_code(given.type) else Right.OPERATE
 
 
-def _made(_: Creation, done: Done) -> tuple[str]:
-    return (done.text,)
+def _made(given: Creation, done: Done | None) -> tuple[str]:
+    return (given.name if done is None else done.text,)
 
 
 ROWS: Final = (

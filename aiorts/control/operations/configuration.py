@@ -110,7 +110,7 @@ async def _load(session: Session, given: Loading) -> Done:
     return Done()
 
 
-def _one(given: Configuring, _: Done) -> tuple[str]:
+def _one(given: Configuring, _: Done | None) -> tuple[str]:
     return (given.component,)
 
 

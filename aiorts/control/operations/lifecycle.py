@@ -56,7 +56,7 @@ def _stop(session: Session, given: Stop) -> Done:
     return Done()
 
 
-def _one(given: Member, _: Done) -> tuple[str]:
+def _one(given: Member, _: Done | None) -> tuple[str]:
     return (given.component,)
 
 

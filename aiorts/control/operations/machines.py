@@ -85,7 +85,7 @@ async def _set_mode(session: Session, given: Mode) -> Done:
     return Done()
 
 
-def _one(given: Sending | Mode, _: Done) -> tuple[str]:
+def _one(given: Sending | Mode, _: Done | None) -> tuple[str]:
     return (given.component,)
 
 
