@@ -12,7 +12,7 @@ from aiorts.late import late as _late
 if TYPE_CHECKING:
     from aiorts.composites.composite import Composite, CompositeChanged
     from aiorts.composites.composition import ErrorPolicy, exports, groups_of, shown
-    from aiorts.composites.composition_check import group_of, outer_of, parts_of
+    from aiorts.composites.composition_check import group_of, leaves_of, outer_of, parts_of
     from aiorts.composites.group import CompositeGroup
     from aiorts.composites.membership import Wanted, change, transition
     from aiorts.composites.previous_placement import PreviousPlacement
@@ -23,7 +23,7 @@ _late(
     {
         "aiorts.composites.composite": "Composite CompositeChanged",
         "aiorts.composites.composition": "ErrorPolicy exports groups_of shown",
-        "aiorts.composites.composition_check": "group_of outer_of parts_of",
+        "aiorts.composites.composition_check": "group_of leaves_of outer_of parts_of",
         "aiorts.composites.group": "CompositeGroup",
         "aiorts.composites.membership": "Wanted change transition",
         "aiorts.composites.previous_placement": "PreviousPlacement",

@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from aiorts.errors import ControlError, StateError, format_error
-from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.cell import as_group, cell
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.model.lifecycle import LifecycleState
@@ -35,8 +35,8 @@ class Operators:
         """By the component's name."""
 
     def changed(self, session: object, components: Iterable[str]) -> None:
-        """A session has changed these: it is their operator now."""
-        for name in components:
+        """A session has changed these: it is their operator now, and of what composites among them are made of."""
+        for name in self._with_leaves(components):
             self._sessions[name] = session
 
     def ended(self, session: object, who: str, changing: Iterable[str] = (), *, lost: bool) -> None:
@@ -45,7 +45,7 @@ class Operators:
         Args:
             changing: those that calls which have not ended change: what has begun goes on.
         """
-        asked = tuple(changing) if lost else ()
+        asked = self._with_leaves(changing) if lost else ()
         self.changed(session, asked)
         for name in [name for name, operator in self._sessions.items() if operator is session]:
             del self._sessions[name]
@@ -55,6 +55,16 @@ class Operators:
                     self._lose(component, who)
                 elif name in asked:  # its turn to be activated may be still to come
                     self._deactivate(component)
+
+    def _with_leaves(self, names: Iterable[str]) -> tuple[str, ...]:
+        named = tuple(names)
+        found = (self._kernel.components.get(name) for name in named)
+        composites = [one for one in found if one is not None and as_group(one) is not None]
+        if not composites:
+            return named
+        from aiorts.composites import leaves_of  # late: most systems have none
+
+        return (*named, *(leaf.name for leaf in leaves_of(composites)))
 
     def _lose(self, component: Component, who: str) -> None:
         if type(component).on_link_lost == "error":

@@ -1,6 +1,6 @@
 """A client that operates a kernel and holds its session: `python holding_program.py KERNEL OPERATION=COMPONENT...`.
 
-The operation "begin" begins to activate it and does not wait.
+The operation "begin" begins to activate it and does not wait; "start" starts a context with it.
 It says "holds" when all is done. A line on its standard input ends it in order.
 """
 
@@ -18,6 +18,9 @@ with Client.open(entry, timeout=20.0, who="the operator") as client:
         operation, _, component = word.partition("=")
         if operation == "begin":
             client.begin("activate", component=component)
+            continue
+        if operation == "start":
+            client.call("start_context", 20.0, name="loop", members=[component], activate=True, options={"rate": 100.0})
             continue
         client.call(operation, 20.0, component=component, **CHANGES.get(operation, {}))
     print("holds", flush=True)

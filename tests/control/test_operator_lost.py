@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from aiorts import Component, Kernel, Param, PeriodicContext
+from aiorts import Component, Composite, Kernel, Param, PeriodicContext
 from aiorts.errors import DeclarationError
 from aiorts.system import check
 from control_parts import WAIT, commanded
@@ -167,6 +167,58 @@ def test_an_activation_that_is_under_way_when_the_client_is_killed(hold: Hold, k
             await asyncio.sleep(1.5)  # longer than the activation takes
             async with asyncio.timeout(WAIT):
                 while drive.states["loop"].value != after:
+                    await asyncio.sleep(0.01)
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("own_schedule", [False, True])
+def test_who_operates_a_composite_operates_its_members(hold: Hold, own_schedule: bool) -> None:
+    async def main() -> None:
+        async with Kernel(services={"control": {"name": "unit"}}) as kernel:
+            hand = Composite("hand", Stops("stops"), Stays("stays"), own_schedule=own_schedule)
+            arm = await kernel.add(Composite("arm", hand, *([] if own_schedule else [Fails("fails")]), errors="report"))
+            await kernel.start(PeriodicContext(rate=100.0, name="loop"), hand if own_schedule else arm)
+            client = await hold("activate=arm")
+            client.kill()
+            expected = {"stops": "inactive", "stays": "active", **({} if own_schedule else {"fails": "error"})}
+            async with asyncio.timeout(WAIT):
+                while {name: kernel.components[name].states["loop"].value for name in expected} != expected:
+                    await asyncio.sleep(0.01)
+
+    asyncio.run(main())
+
+
+def test_a_second_member_whose_turn_is_still_to_come_when_the_client_is_killed(hold: Hold) -> None:
+    async def main() -> None:
+        async with Kernel(services={"control": {"name": "unit"}}) as kernel:
+            first, second = Slow("first"), SlowStops("second")
+            hand = Composite("hand", first, second, own_schedule=True)  # its members change in one action
+            await kernel.add(Composite("arm", hand))
+            await kernel.start(PeriodicContext(rate=100.0, name="loop"), hand)
+            client = await hold("begin=arm")
+            async with asyncio.timeout(WAIT):
+                while not first.begun:
+                    await asyncio.sleep(0.01)
+            client.kill()
+            await asyncio.to_thread(client.wait, WAIT)
+            await asyncio.sleep(2.5)  # longer than both activations take
+            async with asyncio.timeout(WAIT):
+                while second.states["loop"].value != "inactive":
+                    await asyncio.sleep(0.01)
+
+    asyncio.run(main())
+
+
+def test_who_starts_a_context_with_members_operates_them(hold: Hold) -> None:
+    async def main() -> None:
+        async with Kernel(services={"control": {"name": "unit"}}) as kernel:
+            stops = await kernel.create(Stops, "stops")
+            client = await hold("start=stops")
+            assert stops.states["loop"].value == "active"
+            client.kill()
+            async with asyncio.timeout(WAIT):
+                while stops.states["loop"].value != "inactive":
                     await asyncio.sleep(0.01)
 
     asyncio.run(main())

@@ -134,13 +134,17 @@ async def _leave(session: Session, given: Joining) -> Done:
     return Done()
 
 
+def _members(given: Start | Joining, _: Done | None) -> tuple[str, ...]:
+    return given.members
+
+
 ROWS: Final = (
     Operation(
         "contexts", "Execution contexts.", Nothing, dict[str, ContextReport], Right.VIEW, _contexts, idempotent=True
     ),
-    Operation("join_context", "Have components join a context.", Joining, Done, Right.OPERATE, _join),
+    Operation("join_context", "Have components join a context.", Joining, Done, Right.OPERATE, _join, changes=_members),
     Operation("leave_context", "Have components leave a context.", Joining, Done, Right.OPERATE, _leave),
     Operation("set_rate", "Change the rate of a context.", Rate, Done, Right.OPERATE, _set_rate, idempotent=True),
-    Operation("start_context", "Start a context.", Start, Done, Right.OPERATE, _start),
+    Operation("start_context", "Start a context.", Start, Done, Right.OPERATE, _start, changes=_members),
     Operation("stop_context", "Stop a context.", Which, Done, Right.OPERATE, _stop),
 )
