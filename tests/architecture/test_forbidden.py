@@ -57,6 +57,8 @@ BROAD_EXCEPT = {
     "aiorts/links/reader_link.py:_deliver",
     # Round the answer to another kernel, which must not wait for its time-out because of a fault here.
     "aiorts/links/transport.py:answer_of",
+    # Round what cuts off a name that was revoked: the other links of it, and the other names, are cut off all the same.
+    "plugins/aiorts_zenoh/neighbours.py:_deny",
     # What a plan did is taken back step by step: what one of these fails with is said, and the next follows.
     "aiorts/planning/applying.py:back",
     # What somebody else's exception says of itself may raise in its turn.
