@@ -22,7 +22,7 @@ from network.linked_parts import LEASE, WAIT, Linked, assert_in_order, came, end
 from network.network_parts import free_port
 from network.proxy_parts import Proxy, proxied
 
-FAULTS, SECONDS = (60, 600.0) if CAMPAIGN else (6, 40.0)
+FAULTS, SECONDS = (60, 600.0) if CAMPAIGN else (6, 24.0)
 NAMES = "abc"
 POLICIES: dict[str, dict[str, Any]] = {
     "flush": {"subscription": "flush", "full": "block", "timeout": None},

@@ -22,6 +22,12 @@ pytestmark = [pytest.mark.anyio, pytest.mark.row(101)]
 ACTIVE, ERROR, INACTIVE = LifecycleState.ACTIVE, LifecycleState.ERROR, LifecycleState.INACTIVE
 
 
+@pytest.fixture
+def anyio_backend() -> tuple[str, dict[str, bool]]:
+    """One loop: what the process of the other kernel does is most of each test."""
+    return "asyncio", {"use_uvloop": False}
+
+
 @asynccontextmanager
 async def right(name: str = "right") -> AsyncIterator[Kernel]:
     async with Kernel(name, services={"links": {}}) as kernel:

@@ -37,6 +37,12 @@ members = ["source", "arm", "show"]
 """
 
 
+@pytest.fixture
+def anyio_backend() -> tuple[str, dict[str, bool]]:
+    """One loop: what the process of the other kernel does is most of each test."""
+    return "asyncio", {"use_uvloop": True}
+
+
 def aiorts(*words: str) -> str:
     done = subprocess.run(
         [sys.executable, "-m", "aiorts", *words], capture_output=True, text=True, check=False, timeout=60
