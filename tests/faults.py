@@ -114,6 +114,7 @@ EXPECTED = {
     "E12": "Connections that come to nothing hold up no kernel that has a certificate.",
     "E13": "A msgpack bomb is refused by its structure, in milliseconds and little memory.",
     "E14": "The head of an array that lies is refused before any memory is taken for it.",
+    "E15": "A message or type that is not known is left out, or refused at its connector; what is beside it goes on.",
     "E16": "Releases that share a protocol work together; others are told which each speaks, on both sides.",
     "E17": "Without a certificate nothing of a kernel is seen, and the reason is in the log.",
     "E18": "A certificate that is not to be used is refused, and the cause is named at the refused end.",

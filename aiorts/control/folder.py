@@ -45,7 +45,7 @@ class Entry:
     path: str
     """Of the socket."""
     carried: bool = False
-    """Whether the socket carries sessions with several kernels, and is told with which."""
+    """Whether the socket carries sessions with several kernels; who begins one names which."""
 
     @property
     def name(self) -> str:

@@ -175,7 +175,7 @@ class Neighbours:
         try:
             await in_thread(partial(self._hold, name))
         except Exception as error:  # noqa: BLE001 - the same
-            self._say(f"{name!r} was revoked, and is not told of it: {error!r}")
+            self._say(f"{name!r} was revoked, and cannot be notified: {error!r}")
 
     # -- those that are not ----------------------------------------------------------------------------------------
 
