@@ -104,7 +104,7 @@ def test_a_codec_of_a_plugin_is_used(tmp_path: Path) -> None:
 
 def test_a_codec_that_fails_ends_the_filter_and_nothing_hangs(tmp_path: Path) -> None:
     text = "class Broken:\n    def encode(self, *any): raise OverflowError('no')\n    decode = encode\n"
-    project(tmp_path, "broken", {"broken": text}, {"codecs/broken": "broken:Broken"})
+    project(tmp_path, "broken", {"broken_codec": text}, {"codecs/broken": "broken_codec:Broken"})
     for arguments in (("flexiconst", "-p", "TimedLong", "-c", "1", "--count", "2"), DUMP):
         done = here("--plugins", str(tmp_path), *arguments, "--codec", "broken", "--for", "20", stdin=frames(1))
         assert done.returncode == 1
