@@ -407,6 +407,7 @@ class CompositeGroup:
     def member_removed(self, member: Component) -> None:
         """Drop a member that was removed; its connectors ended with it."""
         cell(member).group = None
+        self.brought.pop(member, None)
         self.have_members([other for other in self.members if other is not member], frozenset())
         self.publish_change((), (member,))
 

@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import AiortsError, LinkError, WiringError, format_error
 from aiorts.kernel.connection import Connection
@@ -29,7 +29,7 @@ from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.links import versions
 from aiorts.links.answering import check_theirs, is_end, name_of, refusal, sent
-from aiorts.links.arrivals import Arrivals, Departures
+from aiorts.links.arrivals import Arrivals, Departures, Link
 from aiorts.links.calls import Calls
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.ledgers import Ledgers, LinkLedger
@@ -52,7 +52,6 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
 
-Link: TypeAlias = "WriterLink | ReaderLink"
 _LOG: Final = KernelLog()
 _report: Final = partial(_LOG.warning, "W-LINK: %s")
 _WINDOW_BYTES: Final = 8 << 20

@@ -156,6 +156,10 @@ async def test_a_member_that_leaves_is_as_it_was_before_it_came(tmp_path: Path, 
             assert ("gripper" in kernel.components, [one.name for one in arm.members]) == (False, ["near"])
             await arm.add_members("left/gripper")
             assert await state_there() == "active"
+            await kernel.remove(kernel.components["gripper"])
+            assert await state_there() == before
+            await arm.add_members("left/gripper")
+            assert await state_there() == "active"
             await kernel.remove(arm)
             assert (await state_there(), "gripper" in kernel.components) == (before, False)
         async with right("again") as kernel:
