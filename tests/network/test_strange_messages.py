@@ -49,9 +49,10 @@ def test_what_is_too_large_or_of_another_kind_harms_nothing_beside_it() -> None:
         async with Kernel("reader", services=far) as reader, Kernel("writer", services=near) as writer:
             await asyncio.gather(reader.service(Network).opened(), writer.service(Network).opened())
             sink, source = await reader.add(Sink("sink")), await writer.add(Source("source"))
+            connector = await writer.connect(source.large, "far/reader/sink.large")
+            await writer.service(Links).up([connector], 20.0)
             with pytest.raises(WiringError, match="types differ"):
                 await writer.connect(source.other, "far/reader/sink.number")
-            connector = await writer.connect(source.large, "far/reader/sink.large")
             source.large.write_nowait(TimedOctetSeq(0, np.zeros(LARGEST + 1, "u1")))
             with await asyncio.to_thread(session, address) as strange:
                 seen: list[str] = []

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from anyio import fail_after
 
 from elsewhere_parts import left
+from remote.test_members import state_there
 
 pytestmark = [pytest.mark.anyio, pytest.mark.row(101)]
 FILE = """
@@ -71,3 +74,24 @@ async def test_a_file_with_a_member_elsewhere_is_checked_runs_and_is_saved_as_it
     assert 'members = ["left/gripper"]' in saved
     assert 'to = "arm.inp"' in saved
     assert "components.gripper" not in saved
+
+
+async def test_a_file_whose_members_are_all_elsewhere_runs(tmp_path: Path) -> None:
+    file = tmp_path / "alone.toml"
+    file.write_text(
+        'schema = 1\n[links]\n[composites.arm]\nmembers = ["left/gripper", "left/finger"]\n'
+        '[contexts.main]\nkind = "periodic"\nrate = 20.0\nmembers = ["arm"]\n'
+    )
+    assert "nothing" not in aiorts("check", str(file))
+    async with left(tmp_path):
+        words = [sys.executable, "-m", "aiorts", "run", "--name", "alone", str(file)]
+        with subprocess.Popen(words) as process:
+            try:
+                with fail_after(20):
+                    while [await state_there(name) for name in ("gripper", "finger")] != ["active", "active"]:
+                        await asyncio.sleep(0.05)
+                process.send_signal(signal.SIGINT)
+                await asyncio.to_thread(process.wait, 20)
+            finally:
+                process.kill()
+        assert [await state_there(name) for name in ("gripper", "finger")] == ["inactive", "inactive"]

@@ -200,7 +200,7 @@ def _prepared(
         raise
     catalogue = catalogue_of((*folders, *system.plugin_paths))
     plan = prepare(system, catalogue, _settings(_activated(system), _program(system), system.services, services))
-    if not system.components:
+    if not (system.components or system.composites):
         raise SystemFileError(
             f"{text}: there are no components, and nothing to run; write [components.NAME] with a type"
         )

@@ -11,10 +11,11 @@ from aiorts.composites import exports, shown
 from aiorts.errors import AiortsError, SystemFileError, WiringError
 from aiorts.kernel.ports import Port
 from aiorts.late import dataclass
+from aiorts.model.names import names_kernel
 from aiorts.model.wanted.entries import CompositeEntry
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
-from aiorts.system.file.families import inner_first, is_far_member
+from aiorts.system.file.families import inner_first
 from aiorts.system.file.values import SystemFile
 from aiorts.system.text.places import Key
 
@@ -33,7 +34,7 @@ def compositions(system: SystemFile, drafts: Mapping[str, Draft], broken: Collec
     found: dict[str, Draft] = {}
     said: list[Said] = []
     for entry in inner_first(system.composites):
-        far = {name: Draft(None, {}, complete=False) for name in entry.members if is_far_member(name)}
+        far = {name: Draft(None, {}, complete=False) for name in entry.members if names_kernel(name)}
         known = {**drafts, **found, **far}
         if entry.name in broken or any(name not in known or known[name].error for name in entry.members):
             found[entry.name] = Draft(None, {}, complete=False, error=SystemFileError("has been said of it"))

@@ -12,6 +12,7 @@ from aiorts.contexts import EventContext
 from aiorts.errors import SLOW_READER, StateError, SystemFileError, WiringError
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.model.buffer import FullPolicy
+from aiorts.model.names import names_kernel
 from aiorts.model.options import connector_profile
 from aiorts.model.policy import Dataflow, Push, Subscription
 from aiorts.model.profile import ConnectorProfile
@@ -31,7 +32,7 @@ _MOST_NAMED = 12
 
 def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -> Iterator[Said]:
     """Findings about several parts at once; `whole` is False when parts were left out, so that nothing is missed."""
-    if whole and not found.system.components:
+    if whole and not (found.system.components or found.system.composites):
         text = "there are no components, and nothing to run; write [components.NAME] with a type"
         yield Said("warning", "W-EMPTY", ("schema",), text, of_key=True)
     if whole:
@@ -52,12 +53,13 @@ def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -
 
 def _unused(found: Survey) -> Iterator[Said]:
     run = {member for context in found.system.contexts.values() for member in context.members}
-    if found.system.components and not run:
+    composites = found.system.composites
+    elsewhere = any(names_kernel(member) for entry in composites.values() for member in entry.members)
+    if found.system.components and not run and not elsewhere:
         names = ", ".join(f'"{name}"' for name in found.system.components)
         mended = f'[contexts.main]\nkind = "periodic"\nrate = 10.0\nmembers = [{names}]'
         yield Said("error", SystemFileError.code, (), NOTHING_RUNS, suggestion=mended)
         return
-    composites = found.system.composites
     outside = [name for name in composites if not run.intersection(parts(composites, name)) and parts(composites, name)]
     for name in outside:
         if root(composites, name) == name:

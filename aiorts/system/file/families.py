@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from aiorts.model.names import names_kernel
 from aiorts.model.wanted.entries import CompositeEntry, ContextEntry
 from aiorts.supervision import ADDED
 from aiorts.system.file.values import SystemFile
 from aiorts.system.text.places import Key
-
-
-def is_far_member(name: str) -> bool:
-    """Whether a member of a composite is a component of another kernel."""
-    return "/" in name
 
 
 def owners(composites: Mapping[str, CompositeEntry]) -> dict[str, str]:
@@ -34,7 +30,7 @@ def parts(composites: Mapping[str, CompositeEntry], name: str, *, everybody: boo
     their own."""
     entry = composites.get(name)
     if entry is None:
-        return () if is_far_member(name) else (name,)
+        return () if names_kernel(name) else (name,)
     return tuple(
         part
         for member in entry.members

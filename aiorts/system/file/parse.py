@@ -30,7 +30,7 @@ from aiorts.supervision import StartRule, Supervision, in_order
 from aiorts.system.expansion.choices import AS_WRITTEN, Choices
 from aiorts.system.expansion.expand import TOP_KEYS, Expanded, expand
 from aiorts.system.expansion.repeating import IF, REPEAT
-from aiorts.system.file.families import is_far_member, misplaced
+from aiorts.system.file.families import misplaced
 from aiorts.system.file.values import Override, SystemFile
 from aiorts.system.text.origins import Source
 from aiorts.system.text.places import Key
@@ -460,7 +460,7 @@ class _Reader(Reading):
             table = {word: value for word, value in table.items() if word not in ("isolation", "limits")}
         self._only(key, table, _COMPOSITE)
         given = self._get(key, table, "members", list, missing=[])
-        far = {one: None for one in given if isinstance(one, str) and is_far_member(one)}
+        far = {one: None for one in given if isinstance(one, str) and names_kernel(one)}
         members = self._members(key, given, {**known, **far})
         named = tuple(one.rpartition("/")[2] for one in members)
         options: dict[str, Any] = {
