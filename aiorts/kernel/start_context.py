@@ -131,6 +131,9 @@ async def request(
         await group.request(what, timeout)
         return
     where = _context(kernel, what, found) if context is None else _named(kernel, context)
+    if group is not None and where in found.contexts:
+        await group.request(what, timeout)  # what it makes of it, such as all or none
+        return
     await getattr(where, what)(found, timeout=timeout)
 
 

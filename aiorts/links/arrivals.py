@@ -51,7 +51,7 @@ class Arrivals:
         try:
             port = kernel.registry.port(str(replace(path, kernel="", host="")))
             # What is written to it would be dropped; what it writes must have a way; calls are answered in any state.
-            if path.component in self._starting and caller.peer is not None and isinstance(port, InPort):
+            if caller.peer is not None and isinstance(port, InPort) and self._is_coming(path.component):
                 self._awaited.setdefault(path.component, set()).add(caller.peer)
                 return Answer(absent=f"{path.component} is being started")
             return port
@@ -60,6 +60,11 @@ class Arrivals:
                 raise
             self._awaited.setdefault(path.component, set()).add(caller.peer)
             return Answer(absent=str(error))
+
+    def _is_coming(self, component: str) -> bool:
+        """Whether it does not run yet. One that is being added is about to be connected by who adds it."""
+        registry = self._links.kernel.registry
+        return component in self._starting or registry.is_arriving(self._links.kernel.components[component])
 
     @contextmanager
     def making(self) -> Iterator[None]:

@@ -531,8 +531,9 @@ class Links(KernelService):
             if expected is not None and self._peer(expected) == caller.peer:
                 self._not_now(expected, Answer(refused=str(error)))
             return refusal("an offer", caller, error)
+        if (asked := link or self._awaited(offer, caller)) is not None:
+            self._answer_first(asked, None)  # also where it has to come again, since the reader does not run yet
         if link is not None:
-            self._answer_first(link, None)
             writer = replace(offer.writer, host="" if caller.peer is None else caller.peer.host)
             agreed = replace(offer, writer=writer, reader_epoch=answer.epoch, number=answer.number)
             self.run(self._join(link, agreed, caller.peer), "aiorts link")

@@ -132,6 +132,28 @@ def test_one_whose_members_all_run_apart_is_what_they_are_together(errors: str) 
 
 
 @pytest.mark.row(100)
+def test_the_kernel_asks_for_all_or_none_of_it_as_it_does_itself() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            a, b = (Part(name, []) for name in "ab")
+            arm = await kernel.add(Composite("arm", a, b))
+            context = await kernel.start(ExternalContext(name="loop"), arm, activate=True)
+            b.fails = True
+            await context.tick()
+            b.fails = False
+            assert [part.state for part in (arm, a, b)] == [E, I, E]
+            for named in (None, "loop"):
+                with pytest.raises(StateError, match="arm in loop: cannot activate from error; reset it first"):
+                    await kernel.activate("arm", context=named)
+                assert [part.state for part in (arm, a, b)] == [E, I, E]
+            await kernel.reset("arm")
+            await kernel.activate("arm")
+            assert [part.state for part in (arm, a, b)] == [A, A, A]
+
+    simulate(main)
+
+
+@pytest.mark.row(100)
 def test_an_error_goes_out_as_far_as_the_policies_say() -> None:
     async def main(clock: SimulatedClock) -> None:
         for errors, whole, neighbour in (("isolate", A, A), ("stop", E, I)):

@@ -95,3 +95,20 @@ async def test_a_file_whose_members_are_all_elsewhere_runs(tmp_path: Path) -> No
             finally:
                 process.kill()
         assert [await state_there(name) for name in ("gripper", "finger")] == ["inactive", "inactive"]
+
+
+@pytest.mark.row(56)
+async def test_a_kernel_that_was_killed_is_started_anew_beside_what_the_other_one_kept(tmp_path: Path) -> None:
+    file = tmp_path / "right.toml"
+    file.write_text(FILE.replace(', "--count", "3"', ""))
+    async with left(tmp_path):
+        for _ in range(3):
+            words = [sys.executable, "-m", "aiorts", "run", "--name", "right", str(file)]
+            with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+                assert process.stdout is not None
+                try:
+                    line = await asyncio.to_thread(process.stdout.readline)
+                finally:
+                    process.kill()
+            assert line.endswith(": 6\n")
+            await asyncio.sleep(1)  # the other one knows by now that its reader is gone
