@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from aiorts.control.folder import FURTHER, Carrier, Claim, Entry, entries, private_folder
     from aiorts.control.many import FEW
     from aiorts.control.operation import Right
-    from aiorts.control.protocol import NEWEST, OLDEST, REQUESTS, answer_in, error_in, framed, frames
+    from aiorts.control.protocol import BYE, NEWEST, OLDEST, REQUESTS, answer_in, error_in, framed, frames
     from aiorts.control.server.service import Control
     from aiorts.control.session import Session
     from aiorts.control.target import (
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from aiorts.control.together import Outcome, change_all
 
 __all__ = (
+    "BYE",
     "END",
     "FEW",
     "FILES",
@@ -81,7 +82,7 @@ _late(
         "aiorts.control.folder": "FURTHER Carrier Claim Entry entries private_folder",
         "aiorts.control.many": "FEW",
         "aiorts.control.operation": "Right",
-        "aiorts.control.protocol": "NEWEST OLDEST REQUESTS answer_in error_in framed frames",
+        "aiorts.control.protocol": "BYE NEWEST OLDEST REQUESTS answer_in error_in framed frames",
         "aiorts.control.server.service": "Control",
         "aiorts.control.session": "Session",
         "aiorts.control.together": "Outcome change_all",

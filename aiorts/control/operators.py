@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from aiorts.errors import ControlError, StateError, format_error
 from aiorts.kernel.execution.cell import as_group, cell
+from aiorts.kernel.loop.bus import ComponentRemoved
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.model.lifecycle import LifecycleState
@@ -33,6 +34,7 @@ class Operators:
         self._kernel = kernel
         self._sessions: dict[str, object] = {}
         """By the component's name."""
+        kernel.bus.subscribe(ComponentRemoved, lambda event: self._sessions.pop(event.component, None))
 
     def changed(self, session: object, components: Iterable[str]) -> None:
         """A session has changed these: it is their operator now, and of what composites among them are made of."""
@@ -46,7 +48,7 @@ class Operators:
             changing: those that calls which have not ended change: what has begun goes on.
         """
         asked = self._with_leaves(changing) if lost else ()
-        self.changed(session, asked)
+        self._sessions.update(dict.fromkeys(asked, session))
         for name in [name for name, operator in self._sessions.items() if operator is session]:
             del self._sessions[name]
             component = self._kernel.components.get(name)

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.errors import AiortsError, ClosedError, ComponentError, LinkError, StateError
+from aiorts.errors import AiortsError, ClosedError, ComponentError, LinkError, NoAnswerError, StateError
 from aiorts.isolation import fail, follow
+from aiorts.kernel.between_cycles import between_cycles
+from aiorts.kernel.commit import commit
 from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import Kind
 from aiorts.kernel.execution.cell import cell
@@ -57,16 +60,12 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
     """The state that its kernel has told last."""
     _was_active = False
     """Whether it was active before it was in a context here."""
-    _copier: asyncio.Task[Any] | None = None
-    """Takes over the configuration of there."""
-    _changes = 0
-    """How often something was asked for there."""
     _own = 0
     """Transitions of this end that are under way."""
     _looks: asyncio.Task[None] | None = None
     _news = False
 
-    def stands_for(self, where: Path, holder: str, session: KernelSession) -> None:
+    def bind(self, where: Path, holder: str, session: KernelSession) -> None:
         """It is the component of this path, held for a composite of this name."""
         self._where, self._holder, self._session = where, holder, session
         self._turn = asyncio.Lock()
@@ -90,7 +89,7 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
 
     async def _begin(self) -> None:
         """Hold it there, and have its ports and configuration."""
-        session, name = self._asked, self._where.component
+        session, name = self._open_session, self._where.component
         links = self.kernel.service(Links)
         holder = f"{links.reached_as}/{self._holder}" if self._holder else f"kernel {links.reached_as}"
         await session.call("hold", component=name, holder=holder)
@@ -111,17 +110,17 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
                 raise
 
     @property
-    def _asked(self) -> KernelSession:
+    def _open_session(self) -> KernelSession:
         if self._session is None or not self._session.is_open:
-            raise self._is_lost()
+            raise self._lost_error()
         return self._session
 
-    def _is_lost(self) -> LinkError:
+    def _lost_error(self) -> LinkError:
         return LinkError(f"{self.path}: its kernel {self._where.kernel} is lost; reset it when that is back")
 
     def _lost(self) -> None:
         self._there = _ERROR
-        self._fails(self._is_lost())
+        self._fails(self._lost_error())
 
     def _fails(self, error: Exception) -> None:
         if self.state is not _ERROR:
@@ -141,22 +140,17 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
             self._news = False
             try:
                 await self._follow_state(*await self._look())
+            except NoAnswerError:
+                self._news = True  # it waited long enough; what has happened is still to be seen
             except (ClosedError, LinkError, StateError):
                 continue  # it is lost, which the session says, or its state here has changed meanwhile
             except AiortsError as error:
                 self.log.warning("%s", error)
 
     async def _look(self) -> tuple[bool, str]:
-        """Have its ports, values and state; returns whether it has finished, and its error.
-
-        What is asked for there meanwhile is newer than what was seen: then it is looked again.
-        """
-        while True:
-            changes = self._changes
-            async with self._turn:
-                names, report, outline = await self._see()
-            if changes == self._changes:
-                break
+        """Have its ports, values and state; returns whether it has finished, and its error."""
+        async with self._turn:
+            names, report, outline = await self._see()
         states = names["components"][self._where.component].values()
         rows = _rows(self._where.component, report, outline["ports"])
         if rows and not names["links"] and self.kernel.service(Links).peer_of(self._where) is None:
@@ -171,7 +165,7 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
 
     async def _see(self) -> tuple[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any]]:
         """Its kernel's names, and its report and outline there. LinkError: it is there no more."""
-        session, name = self._asked, self._where.component
+        session, name = self._open_session, self._where.component
         names = await session.call("names")
         if name not in names["components"]:
             session.close()
@@ -188,11 +182,9 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
         here = {key: plain_value(dict(values)) for key, values in self.configuration.sets.items()}
         if (sets, active) == (here, self.configuration.active):
             return
-        self._copier = asyncio.current_task()
-        try:
-            await self.configuration.replace(sets, active)
-        finally:
-            self._copier = None
+        checked = cell(self).configuration.replaced(sets, active, self.name).sets
+        edit = partial(_replaced, checked, active, self.name)
+        await between_cycles(self.kernel, self, partial(commit, self, edit))  # it need not be asked for there
 
     async def _follow_state(self, finished: bool, error: str) -> None:
         if self._own:
@@ -212,8 +204,7 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
     async def passes_on(self, state: ConfigurationState) -> None:
         """Ask for this configuration there."""
         before = cell(self).configuration
-        is_copy = self._copier is not None and self._copier is asyncio.current_task()
-        if is_copy or self._session is None or self.kernel.registry.is_arriving(self):
+        if self._session is None or self.kernel.registry.is_arriving(self):
             return
         values = {
             key: {one: plain_value(value) for one, value in values.items() if _differs(before, key, one, value)}
@@ -257,18 +248,24 @@ class ElsewhereComponent(Component, kind=ElsewhereKind()):
 
     async def _to(self, state: LifecycleState, operation: str) -> None:
         """Have it in this state there."""
-        if self._there is not state and not (self._there is _ERROR and state is _INACTIVE):
-            self._own += 1
-            try:
-                await self._ask(operation, component=self._where.component, timeout=_TIMEOUT)
-            finally:
-                self._own -= 1
-            self._there = state
+        self._own += 1
+        try:
+            async with self._turn:  # the look that had it may have seen another state
+                if self._there is not state and not (self._there is _ERROR and state is _INACTIVE):
+                    await self._open_session.call(operation, component=self._where.component, timeout=_TIMEOUT)
+                    self._there = state
+        finally:
+            self._own -= 1
 
     async def _ask(self, operation: str, **arguments: Any) -> None:
         async with self._turn:
-            self._changes += 1
-            await self._asked.call(operation, **arguments)
+            await self._open_session.call(operation, **arguments)
+
+
+def _replaced(
+    sets: Mapping[str, Mapping[str, object]], active: str, owner: str, state: ConfigurationState
+) -> ConfigurationState:
+    return state.replaced(sets, active, owner)
 
 
 def _differs(before: ConfigurationState, key: str, name: str, value: Any) -> bool:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from anyio import to_thread
 
 from aiorts.control import Entry, entries
-from aiorts.errors import AbsentError, ClosedError, DeniedError, LinkError, StateError
+from aiorts.errors import AbsentError, ClosedError, DeniedError, LinkError, NoAnswerError, StateError
 from aiorts.kernel.parameters import Param
 from aiorts.kernel.registry import known
 from aiorts.links import Links
@@ -47,7 +47,7 @@ async def stand_in(kernel: Microkernel, path: str, holder: str = "") -> Componen
     try:
         configuration = await session.call("configuration", component=where.component)
         made = _class_of(where.component, configuration)(where.component)
-        made.stands_for(where, holder, session)
+        made.bind(where, holder, session)
         await kernel.add(made)
     except (AbsentError, StateError) as error:
         session.close()
@@ -72,8 +72,9 @@ async def opened(kernel: Microkernel, where: Path, path: str, patience: float = 
     connected, address = await _connected(kernel, where, path, until)
     try:
         session = await KernelSession.open(connected, address, f"kernel {kernel.service(Links).reached_as}")
-    except ClosedError:
-        raise LinkError(f"{path}: its kernel {where.kernel} is lost") from None
+    except (ClosedError, NoAnswerError) as error:
+        why = "is lost" if isinstance(error, ClosedError) else "does not answer"
+        raise LinkError(f"{path}: its kernel {where.kernel} {why}") from None
     if session.hello.get("right") not in ("operate", "code"):
         session.close()
         raise DeniedError(
@@ -104,7 +105,8 @@ async def _connected(kernel: Microkernel, where: Path, path: str, until: float) 
             own = where.kernel, kernel.address.rpartition("/")[2]
             names = [entry.name for entry in there if entry.name not in own]
             names += [peer.kernel for peer in reach.peers if peer.kernel not in names]
-            raise LinkError(f"{path}: no kernel {where.kernel!r} runs; {known(where.kernel, names)}")
+            others = f"; {known(where.kernel, names)}" if names else ", nor does any other one; start it first"
+            raise LinkError(f"{path}: no kernel {where.kernel!r} runs{others}")
         await asyncio.sleep(_LOOK)
 
 

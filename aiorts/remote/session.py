@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from aiorts.control import NEWEST, OLDEST, answer_in, error_in, framed, frames
+from aiorts.control import BYE, NEWEST, OLDEST, answer_in, error_in, framed, frames
 from aiorts.errors import AiortsError, ClosedError, NoAnswerError, WireError
 from aiorts.kernel.loop.tasks import kernel_task
 
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 _CHUNK: Final = 1 << 16
 _LONGEST: Final = 8 << 20
 """Bytes of an answer."""
-_GREETS: Final = 2.0
+_GREETS: Final = 4.0
+"""Seconds that a kernel has to say hello: longer than another host is asked what this kernel may do there."""
 WITHIN: Final = 4.5
 """Seconds that a call waits: less than who asks for a transition waits for it."""
 
@@ -91,7 +92,7 @@ class KernelSession:
         """End it in order; idempotent."""
         self.lost = _nothing
         if not self._closed:
-            self._send({"bye": True})  # it is not lost, which would have the component do what it says for that
+            self._writer.write(BYE)  # it is not lost, which would have the component do what it says for that
         self._end(ClosedError(f"{self.address}: the session was closed"))
 
     def _begin(self, operation: str, arguments: Mapping[str, object]) -> tuple[int, asyncio.Future[Any]]:

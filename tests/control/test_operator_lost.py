@@ -139,6 +139,22 @@ def test_who_ends_in_order_is_not_lost(
     assert said(caplog) == []
 
 
+def test_one_of_the_same_name_that_comes_later_has_no_operator(hold: Hold, caplog: pytest.LogCaptureFixture) -> None:
+    async def main() -> None:
+        async with three() as kernel:
+            client = await hold(*ACTIVATE)
+            await kernel.remove(kernel.components["stops"])
+            await kernel.contexts["loop"].add(await kernel.create(Stops, "stops"))
+            if kernel.components["stops"].states["loop"].value == "inactive":  # it joins as the others are
+                await kernel.activate("stops")
+            client.kill()
+            await until(kernel, ["active", "error", "active"])
+
+    with caplog.at_level(logging.WARNING):
+        asyncio.run(main())
+    assert not any(text.startswith("stops: ") for text in said(caplog))
+
+
 def test_the_operator_is_who_has_changed_it_last(hold: Hold) -> None:
     async def main() -> None:
         async with three() as kernel:
