@@ -15,10 +15,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from aiorts.errors import LinkError, MissingExtra, PluginError
 from aiorts_zenoh.gate import Gate
+
+T = TypeVar("T")
 
 LOWEST, HIGHEST = (1, 9), (1, 11)
 """Versions of the engine from the first to the one before the last."""
@@ -344,12 +346,15 @@ class Engine:
         return self._zenoh.handlers.Callback(callback, indirect=False)
 
 
-async def in_thread(work: Callable[[], None]) -> None:
-    """Do what waits for the network in a thread of its own, which ends with it: those of a pool would stay."""
+async def in_thread(work: Callable[[], T]) -> T:
+    """The result of work that may wait for the network, done in a thread of its own.
+
+    The thread ends with the work; those of a pool would stay.
+    """
     executor = ThreadPoolExecutor(1, "aiorts zenoh")  # no daemon: one inside the engine aborts the interpreter's end
     doing = executor.submit(work)
     try:
-        await asyncio.wrap_future(doing)
+        return await asyncio.wrap_future(doing)
     finally:
         executor.shutdown(wait=doing.done())
 

@@ -52,7 +52,6 @@ class Gateway:
         self._settling = False
         self._inbox: Inbox | None = None
         self._server: asyncio.Server | None = None
-        self._found: list[str] = []
 
     @property
     def peers(self) -> tuple[Peer, ...]:
@@ -67,19 +66,19 @@ class Gateway:
             MissingExtra: the engine is not installed.
         """
         self._inbox = inbox = Inbox(asyncio.get_running_loop())
-        await in_thread(partial(self._declare, inbox))
-        for token in self._found:
+        for token in await in_thread(partial(self._declare, inbox)):
             self._present(token, True)
         self._settle()
         self._server = await asyncio.start_unix_server(self._came, self._carrier.path, backlog=_COMMANDS)
         self._asking = self._run(self._sessions.find_operable())
         self._engine.presence(self._keys.tokens, self._present)
 
-    def _declare(self, inbox: Inbox) -> None:
+    def _declare(self, inbox: Inbox) -> list[str]:
+        """Open the session; the tokens of the kernels that are there."""
         engine, keys = self._engine, self._keys
         engine.open(self._settings, inbox)
         self._sessions.declare()
-        self._found = engine.present(keys.tokens, DEADLINE)
+        return engine.present(keys.tokens, DEADLINE)
 
     def ask_early(self, operation: str) -> None:
         """A command begins that will ask this of all kernels, when it has come so far: once."""

@@ -154,8 +154,7 @@ class Neighbours:
     async def _watch_index(self, revoking: Revoking) -> None:
         assert self._secured is not None  # noqa: S101 - there is no index without certificates
         while True:
-            new: list[str] = []
-            await in_thread(lambda: new.extend(sorted(revoking.look())))  # noqa: B023 - it is awaited here
+            new = sorted(await in_thread(revoking.look))
             self._secured = self._secured._replace(access=self._secured.access.without(new))
             for name in new:
                 await self._deny(name, self._secured.identity.name)
@@ -182,24 +181,22 @@ class Neighbours:
     async def _look(self) -> None:
         await asyncio.sleep(_FIRST)
         while True:
-            found: dict[tuple[str, int], str] = {}
-            for endpoint in self._endpoints:
-                await in_thread(partial(self._probe, *endpoint, found))
-            for (host, port), why in found.items():
-                if why:
+            for host, port in self._endpoints:
+                if why := await in_thread(partial(self._probe, host, port)):
                     self._say(f"{host}:{port} {why}")
             await asyncio.sleep(_AGAIN)
 
-    def _probe(self, host: str, port: int, found: dict[tuple[str, int], str]) -> None:
+    def _probe(self, host: str, port: int) -> str:
+        """Why host:port is not reached; "" where it is, or where nothing speaks against it."""
         reached = {target.partition("/")[2] for _, target in tuple(self._links)}
         try:
             addresses = {found[4][0] for found in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}
         except (OSError, UnicodeError) as error:
             why = error.strerror if isinstance(error, OSError) else "is no name of a host"
-            found[host, port] = f"is not reached: {why}"
-            return
-        if not any(f"[{one}]:{port}" in reached or f"{one}:{port}" in reached for one in addresses):
-            found[host, port] = probe(host, port, self._secured and self._secured.identity)
+            return f"is not reached: {why}"
+        if any(f"[{one}]:{port}" in reached or f"{one}:{port}" in reached for one in addresses):
+            return ""
+        return probe(host, port, self._secured and self._secured.identity)
 
     def _say(self, text: str) -> None:
         if text not in self._said and len(self._said) < _SAID:
