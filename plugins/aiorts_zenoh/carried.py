@@ -32,7 +32,7 @@ class Carried:
         self._came: deque[bytes] = deque()
         self._news = asyncio.Event()
         """Something has come."""
-        self._closed = asyncio.Event()
+        self._peer_gone = asyncio.Event()
         self._writer: asyncio.StreamWriter | None = None
         self._is_over = False
 
@@ -42,11 +42,11 @@ class Carried:
             self._came.append(data)
         self._news.set()
 
-    def close(self) -> None:
+    def peer_gone(self) -> None:
         """The other end is gone: end the local connection."""
-        self._closed.set()
+        self._peer_gone.set()
 
-    def end(self) -> None:
+    def cut_off(self) -> None:
         """Pass on nothing any more, and have the other end know that it is over."""
         self._is_over = True
         if self._writer is not None:
@@ -58,7 +58,7 @@ class Carried:
         self._stream.send(data)
         looking = asyncio.ensure_future(self._look())
         try:
-            await self._end()
+            await self._finish()
         finally:
             looking.cancel()
 
@@ -66,8 +66,8 @@ class Carried:
         """Carry what comes from either side to the other, until one ends; `begun` has come from this side before."""
         self._writer = writer
         if self._is_over:  # before there was a connection
-            self.end()
-        ways = self._out(reader, begun), self._in(writer), self._look(), self._closed.wait()
+            self.cut_off()
+        ways = self._out(reader, begun), self._in(writer), self._look(), self._peer_gone.wait()
         tasks: list[asyncio.Future[Any]] = [asyncio.ensure_future(one) for one in ways]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -90,9 +90,9 @@ class Carried:
                 while not stream.has_room:
                     await self._next_news()
                 stream.send(data)
-        await self._end()
+        await self._finish()
 
-    async def _end(self) -> None:
+    async def _finish(self) -> None:
         self._stream.end()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_REST):

@@ -82,7 +82,7 @@ class Gateway:
 
     def ask_early(self, operation: str) -> None:
         """A command begins that will ask this of all kernels, when it has come so far: once."""
-        self._early = operation, self._run(self._said(operation))
+        self._early = operation, self._run(self._answers(operation))
 
     async def close(self) -> None:
         """Close the socket and all sessions."""
@@ -129,7 +129,7 @@ class Gateway:
             async with asyncio.timeout(_BEGINS):
                 begun, first = await _first_frame(reader)
             if "every" in first:
-                writer.write(framed({"said": await self._told(str(first["every"]))}))
+                writer.write(framed({"said": await self._values(str(first["every"]))}))
                 await writer.drain()
             else:
                 peer = self._meant(first)
@@ -153,17 +153,17 @@ class Gateway:
             raise AbsentError(f"{address}: is gone; `aiorts ls` shows what runs")
         return peer
 
-    async def _told(self, operation: str) -> list[tuple[str, str, Any]]:
+    async def _values(self, operation: str) -> list[tuple[str, str, Any]]:
         """What kernels say to a call: address, epoch and value of each that answers soon."""
         early, self._early = self._early, None
-        answers = await (early[1] if early is not None and early[0] == operation else self._said(operation))
-        told = []
+        answers = await (early[1] if early is not None and early[0] == operation else self._answers(operation))
+        values = []
         for peer, data in answers.items():
             with suppress(AiortsError, LookupError):
-                told.append((_address(peer), _epoch(peer), answer_in(data)["ok"]))
-        return told
+                values.append((_address(peer), _epoch(peer), answer_in(data)["ok"]))
+        return values
 
-    async def _said(self, operation: str) -> dict[Peer, bytes]:
+    async def _answers(self, operation: str) -> dict[Peer, bytes]:
         return await self._sessions.asked(self._keys.every(INFO, operation), _FIRST, _NEXT)
 
     def _run(self, coroutine: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:

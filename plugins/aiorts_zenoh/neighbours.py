@@ -149,7 +149,10 @@ class Neighbours:
 
     def _denied(self, token: str, up: bool) -> None:
         if up:
-            self._say(f"the name {token.rpartition('/')[2]!r} was revoked: others take nothing from this kernel")
+            self._say_revoked(token.rpartition("/")[2])
+
+    def _say_revoked(self, own: str) -> None:
+        self._say(f"the name {own!r} was revoked: others take nothing from this kernel")
 
     async def _watch_index(self, revoking: Revoking) -> None:
         assert self._secured is not None  # noqa: S101 - there is no index without certificates
@@ -163,7 +166,7 @@ class Neighbours:
     async def _deny(self, name: str, own: str) -> None:
         """Cut off a name that was revoked. What fails is said, and keeps nothing else from being cut off."""
         if name == own:
-            self._denied(name, True)
+            self._say_revoked(own)
         else:
             self._say(f"{name!r} was revoked: its links are cut, and nothing of it is taken any more")
         for deny in self.denies:

@@ -103,7 +103,7 @@ class Serving:
     def _end_of(self, caller: str) -> None:
         for name, carried in tuple(self._sessions.items()):
             if name[1] == caller:
-                carried.end()
+                carried.cut_off()
 
     def finish(self) -> None:
         """Wait until the kernel has ended all sessions and their clients have what was sent last, for a moment."""
@@ -195,7 +195,7 @@ class Serving:
         elif not up:
             self._there.discard(name)
             if (carried := self._sessions.get(name)) is not None:
-                carried.close()
+                carried.peer_gone()
 
     def _run(self, coroutine: Coroutine[Any, Any, None]) -> None:
         task = self._loop.create_task(coroutine)

@@ -145,7 +145,7 @@ class Sessions:
         self._begins = {session: whose for session, whose in self._begins.items() if whose != peer}
         for whose, carried in tuple(self._there.values()):
             if whose == peer:
-                carried.close()
+                carried.peer_gone()
 
     def keep(self, there: Collection[Peer]) -> None:
         """These kernels are there: end the sessions with all others."""

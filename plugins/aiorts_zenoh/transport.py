@@ -112,7 +112,6 @@ class ZenohTransport:
         self.kernel: KernelFace
         self.loop: asyncio.AbstractEventLoop
         self.keys: Keys
-        self._client: ClientKeys
         self._sessions: Sessions
         self._presence: Presence | None = None
 
@@ -125,8 +124,7 @@ class ZenohTransport:
         self.kernel, self.loop = kernel, asyncio.get_running_loop()
         own = Peer(self.host, kernel.name, kernel.epoch)
         self.keys = Keys(self.domain, own, time.time_ns(), self._machine)
-        self._client = ClientKeys(self.domain, kernel.name)
-        self._sessions = Sessions(self.engine, self._client)
+        self._sessions = Sessions(self.engine, ClientKeys(self.domain, kernel.name))
         self._inbox = Inbox(self.loop)
         self.engine.gate = self._gate = Gate(lambda name: name in self._named, self._say)
         connects, listens = (bool(self._settings.get(f"{what}/endpoints")) for what in ("connect", "listen"))

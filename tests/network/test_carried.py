@@ -20,7 +20,7 @@ def test_a_session_that_is_ended_while_it_is_let_in_is_over() -> None:
     async def main() -> list[int]:
         sent: list[bytes] = []
         carried = Carried(sent.append, 1)
-        carried.end()
+        carried.cut_off()
         kernel, ours = socket.socketpair()
         with kernel:
             async with asyncio.timeout(WAIT):
