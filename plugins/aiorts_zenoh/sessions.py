@@ -119,25 +119,34 @@ class Sessions:
             begun: what has come from the local connection before.
         """
         session = secrets.token_hex(8)
+        try:
+            branch = await self._begin(session, peer)
+            if branch is None:
+                return
+            key = self._keys.session(branch, peer, session)
+            token = self._engine.hold(f"{key}/live")
+            carried = Carried(partial(self._engine.put, f"{key}/c", urgent=branch == CTL), int(session[:8], 16))
+            self._there[session] = peer, carried
+            try:
+                await carried.run(reader, writer, begun)
+            finally:
+                del self._there[session]
+                self._engine.release(token)
+        finally:
+            writer.close()
+
+    async def _begin(self, session: str, peer: Peer) -> str | None:
+        """Below which branch a session is to be; None: its kernel has gone meanwhile."""
         self._begins[session] = peer
         try:
             branch = await self._branch(peer)
         finally:
             is_there = self._begins.pop(session, None) is not None
         if not is_there:
-            writer.close()
-            return
+            return None
         if branch == CTL:
             self._operable.add(peer)
-        key = self._keys.session(branch, peer, session)
-        token = self._engine.hold(f"{key}/live")
-        carried = Carried(partial(self._engine.put, f"{key}/c", urgent=branch == CTL), int(session[:8], 16))
-        self._there[session] = peer, carried
-        try:
-            await carried.run(reader, writer, begun)
-        finally:
-            del self._there[session]
-            self._engine.release(token)
+        return branch
 
     def end(self, peer: Peer) -> None:
         """The kernel is gone: end the sessions with it."""
