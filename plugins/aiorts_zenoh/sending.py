@@ -40,7 +40,7 @@ class Budget:
         self.senders: list[Sender] = []
         self.waiting: dict[Sender, None] = {}
         """Those that have something to send, in turn: of thousands of channels few have."""
-        self.refusing: set[Sender] = set()
+        self.refusing: dict[Sender, None] = {}
         """Those that have refused a frame since it was said last that there is room."""
 
     @property
@@ -67,6 +67,12 @@ class Budget:
         while any(sent):
             sent = [sender.send_next() for sender in tuple(self.waiting) if self.has_room]
 
+    def tell_room(self) -> None:
+        """Tell those that have refused a frame, and would take it now, that there is room."""
+        for sender in tuple(self.refusing):
+            if sender.room_made():
+                sender.on_room()
+
 
 class Sender:
     """What one end of a channel sends.
@@ -75,11 +81,21 @@ class Sender:
         put: gives a message to the engine.
         epoch: of the link; goes with each message.
         now: ns since 1970.
+        on_room: called when there is room after a frame was refused.
     """
 
-    def __init__(self, budget: Budget, put: Callable[[bytes], None], epoch: int, now: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        budget: Budget,
+        put: Callable[[bytes], None],
+        epoch: int,
+        now: Callable[[], int],
+        on_room: Callable[[], None],
+    ) -> None:
         self._budget, self._put, self._epoch, self._now = budget, put, epoch, now
-        self._queue: deque[tuple[int, Sequence[Block]]] = deque()
+        self.on_room = on_room
+        self._queue: deque[tuple[int, Sequence[Block], int]] = deque()
+        """What waits: kind, blocks and their size."""
         self._waits = 0
         self._sent = self._taken = 0
         self._looked = -1
@@ -98,9 +114,9 @@ class Sender:
             self._give(FRAME, blocks)
             return True
         if self._waits >= _FULL:
-            budget.refusing.add(self)
+            budget.refusing[self] = None
             return False
-        self._queue.append((FRAME, blocks))
+        self._queue.append((FRAME, blocks, size))
         budget.waiting[self] = None
         self._waits += size
         while budget.has_room and self.send_next():
@@ -114,14 +130,12 @@ class Sender:
         queue = self._queue
         if not queue:
             return False
-        kind, blocks = queue[0]
-        if kind == FRAME and not self._budget.takes(size_of(blocks)):
+        kind, _, size = queue[0]
+        if kind == FRAME and not self._budget.takes(size):
             self._cut()
-        kind, blocks = queue.popleft()
-        if queue:
-            self._waits -= size_of(blocks)
-        else:
-            self._waits = 0
+        kind, blocks, size = queue.popleft()
+        self._waits -= size
+        if not queue:
             self._budget.waiting.pop(self, None)
         self._give(kind, blocks)
         return True
@@ -135,10 +149,10 @@ class Sender:
         for sender in self._budget.senders:
             if sender is not self:
                 sender.look()
-        _, blocks = self._queue.popleft()
-        found = [*pieces(blocks)]
-        self._queue.extendleft((PIECE, piece) for piece in reversed(found))
-        self._waits += sum(map(size_of, found)) - size_of(blocks)
+        _, blocks, whole = self._queue.popleft()
+        found = [(PIECE, piece, size_of(piece)) for piece in pieces(blocks)]
+        self._queue.extendleft(reversed(found))
+        self._waits += sum(size for _, _, size in found) - whole
 
     def _give(self, kind: int, blocks: Sequence[Block]) -> None:
         data = message(kind, self._epoch, self._sent, self._now(), blocks)
@@ -169,7 +183,7 @@ class Sender:
         refusing = self._budget.refusing
         if self not in refusing or self._waits >= _FULL // 2:
             return False
-        refusing.discard(self)
+        del refusing[self]
         return True
 
     def close(self) -> None:
@@ -178,7 +192,7 @@ class Sender:
             self._budget.senders.remove(self)
             self._budget.used -= self._sent - self._taken
         self._budget.waiting.pop(self, None)
-        self._budget.refusing.discard(self)
+        self._budget.refusing.pop(self, None)
         self._queue.clear()
 
 

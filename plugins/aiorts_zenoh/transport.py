@@ -347,18 +347,15 @@ class ZenohTransport:
         budget.pump()
         if not budget.has_room:
             budget.look()
-        for channel in tuple(self._channels.values()) if budget.refusing else ():
-            if channel.peer == peer and channel.sender.room_made():
-                channel.events.on_room()
+        budget.tell_room()
 
     def _look_again(self) -> None:
         """What waits for room must not wait for an answer that was lost."""
         self._looking = self.loop.call_later(_LOOK_AGAIN, self._look_again) if self._channels else None
-        for peer, budget in self._peers.items():
+        for budget in self._peers.values():
             if not budget.has_room:
-                for channel in self._channels.values():
-                    if channel.peer == peer:
-                        channel.sender.look_again()
+                for sender in budget.senders:
+                    sender.look_again()
 
     # -- clocks ----------------------------------------------------------------------------------------------------
 
@@ -530,7 +527,7 @@ class _ZenohChannel:
         self._epoch, self._closed, self._ignore = epoch, closed, ignore
         self._publisher = engine.publisher(key, priority)
         self._urgent = engine.publisher(key, "INTERACTIVE_HIGH")
-        self.sender = Sender(budget, self._publisher.put, epoch, time.time_ns)
+        self.sender = Sender(budget, self._publisher.put, epoch, time.time_ns, events.on_room)
         self._receiver, self._whole = Receiver(), Whole()
         self.is_open = True
         self.came = 0

@@ -20,13 +20,17 @@ class Way:
     def __init__(self, budget: Budget, put: list[bytes] | None = None) -> None:
         self.under_way: deque[bytes] = deque()
         self.put = [] if put is None else put
-        self.sender = Sender(budget, self._put, 1, lambda: 0)
+        self.rooms = 0
+        self.sender = Sender(budget, self._put, 1, lambda: 0, self._on_room)
         self.receiver, self.whole = Receiver(), Whole()
         self.came: list[bytes] = []
 
     def _put(self, data: bytes) -> None:
         self.under_way.append(data)
         self.put.append(data)
+
+    def _on_room(self) -> None:
+        self.rooms += 1
 
     def step(self, *, lost: bool = False) -> None:
         """Let the oldest message arrive, or lose it."""
@@ -148,3 +152,22 @@ def test_too_much_that_waits_is_refused_until_half_of_it_is_gone() -> None:
         if not budget.has_room:
             budget.look()
     assert (way.sender.room_made(), way.sender.room_made(), len(way.came)) == (True, False, sent)
+
+
+def test_of_many_channels_those_that_have_refused_are_told_of_room_once() -> None:
+    budget = Budget()
+    ways = [Way(budget) for _ in range(20)]
+    full = ways[3], ways[7]
+    for way in full:
+        while way.sender.send([bytes(PIECES // 2)]):
+            pass
+    budget.tell_room()
+    assert [way.rooms for way in full] == [0, 0]
+    ways[7].sender.close()
+    for _ in range(200):
+        ways[3].step()
+        budget.pump()
+        if not budget.has_room:
+            budget.look()
+        budget.tell_room()
+    assert [way.rooms for way in ways] == [int(way is ways[3]) for way in ways]
