@@ -33,7 +33,7 @@
 #define ANY 16
 #define WINDOW 256
 #define UNDER_WAY 65536
-#define TOLD 90112
+#define TOLD 65536
 
 static int64_t now_ns(clockid_t clock) {
     struct timespec now;

@@ -33,7 +33,7 @@ SAMPLE = struct.Struct("<Qi")
 
 HEAD = struct.Struct("<BBHIQq")
 FRAME, PIECE, TAKEN, LOOK, END, HAVE = range(1, 7)
-TOLD = 90_112
+TOLD = 65_536
 UNDER_WAY = 65_536
 
 

@@ -110,7 +110,7 @@ def envelopes() -> dict[str, Any]:
         ("a head and two parts", "FRAME", 1, 2**40, [b"head", b"", pattern(9)]),
         ("an empty block", "FRAME", 1, 0, [b""]),
         ("all is as large as it goes", "FRAME", 2**32 - 1, 2**63 - 1, [b"\xff"]),
-        ("how far the receiver is", "TAKEN", 7, 90_112, []),
+        ("how far the receiver is", "TAKEN", 7, 65_536, []),
         ("asks how far it is", "LOOK", 7, 720_896, []),
         ("nothing comes any more", "END", 7, 12, []),
         ("asks for all from 12 on", "HAVE", 7, 12, []),
