@@ -16,7 +16,7 @@ from aiorts_zenoh.stream import CHUNK, Stream
 _LOOK_AGAIN: Final = 0.3
 """Seconds until it is asked once more how far the other end has come."""
 _REST: Final = 2.0
-"""Seconds that the other end has to take what was sent last."""
+"""Seconds that the other end has, once this one sends nothing more, to take what is under way."""
 
 
 class Carried:
@@ -43,18 +43,18 @@ class Carried:
         self._news.set()
 
     def peer_gone(self) -> None:
-        """The other end is gone: end the local connection."""
+        """The other end is gone: what has come from it goes to the local connection, which then ends."""
         self._peer_gone.set()
 
     def cut_off(self) -> None:
-        """Pass on nothing any more, and have the other end know that it is over."""
+        """End the local connection at once, and tell the other end that the session is over."""
         self._is_over = True
         if self._writer is not None:
             with contextlib.suppress(OSError):  # it has ended
                 self._writer.get_extra_info("socket").shutdown(socket.SHUT_RDWR)
 
     async def refuse(self, data: bytes) -> None:
-        """Have the other end know with these bytes why there is no session."""
+        """Send these bytes, which say why there is no session, and end it."""
         self._stream.send(data)
         looking = asyncio.ensure_future(self._look())
         try:
@@ -63,7 +63,11 @@ class Carried:
             looking.cancel()
 
     async def run(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, begun: bytes = b"") -> None:
-        """Carry what comes from either side to the other, until one ends; `begun` has come from this side before."""
+        """Carry what comes from either side to the other, until one of them ends.
+
+        Args:
+            begun: what was read from the local connection before.
+        """
         self._writer = writer
         if self._is_over:  # before there was a connection
             self.cut_off()

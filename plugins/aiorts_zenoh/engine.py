@@ -1,7 +1,7 @@
 """The engine: one Zenoh session, its callbacks handed over to the loop. Nothing else here imports `zenoh`.
 
-A callback comes in a thread of the engine. It copies what came, puts it into a bounded queue and wakes the loop once;
-it calls nothing of the engine, which can block for ever there (zenoh #1092, #2744).
+The engine calls callbacks in threads of its own. A callback copies what came, puts it into a bounded queue and wakes
+the loop, unless it was woken already. It never calls the engine, which can block for ever there (zenoh #1092, #2744).
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from aiorts_zenoh.gate import Gate
 T = TypeVar("T")
 
 LOWEST, HIGHEST = (1, 9), (1, 11)
-"""Versions of the engine from the first to the one before the last."""
+"""Versions of the engine: from the first of these on, and before the second."""
 _ITEMS: Final = 100_000
 _BYTES: Final = 64 << 20
 _PLACE: Final = re.compile(r" at /\S+\.rs:\d+\.?")
 """Where an error of the engine was made in its own sources."""
 _ATTEMPT: Final = 1_000
-"""Milliseconds of one attempt to connect of a client, which cannot be ended before."""
+"""Milliseconds of one attempt of a client to connect; nothing can end it sooner."""
 _UNREACHED: Final = "Unable to connect"
 _EMPTY: Final = 0.3
 """Seconds until it is believed that nothing is there."""
@@ -40,12 +40,14 @@ _MANY: Final = 16
 """After so many at once the loop is not woken for the next: it looks again after a pause."""
 _PAUSE: Final = 0.001
 _LONG_PAUSE: Final = 0.004
-"""Seconds: the first pause, and the longest, to which they double as long as so many come again. A loop that is woken
-at each message of a flood fights for the interpreter with the thread that brings them."""
+"""Seconds: the first pause and the longest; each is twice the one before, as long as as many have come again.
+
+A loop that is woken at each message of a flood fights for the interpreter with the thread that brings them.
+"""
 
 
 class Inbox:
-    """What callbacks have brought and the loop has not handled yet; what is beyond its bounds is left out, counted."""
+    """What callbacks have brought and the loop has not handled yet; what is too much for it is dropped and counted."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
@@ -109,7 +111,7 @@ class Inbox:
 
 
 class Engine:
-    """A session. What opens, declares and closes may wait for the network, and is called in a thread."""
+    """A session. What opens, declares and closes may wait for the network: call it in a thread, not on the loop."""
 
     def __init__(self) -> None:
         try:
@@ -261,8 +263,9 @@ class Engine:
     def present(self, key: str, within: float) -> list[str]:
         """The tokens that are there.
 
-        It is asked again until there is one and all have answered, and until nothing is new where others may not have
-        said yet what is behind them; for `within` seconds at the most, and for `_EMPTY` where all say that none is.
+        The question is repeated until all have answered and there is a token; a peer, whose neighbours may not know
+        yet what is behind them, also waits until two answers are the same. It ends after `within` seconds at the
+        most, and after `_EMPTY` where all have answered and there is none.
         """
         began, found = time.monotonic(), set[str]()
         while (left := began + within - time.monotonic()) > 0:
@@ -294,9 +297,9 @@ class Engine:
         )
 
     def expect(self, key: str) -> Callable[[], None]:
-        """Have the engine know a key that messages come at, until the returned function is called.
+        """Have the engine know a key at which messages come, until the returned function is called.
 
-        Of a key that it does not know it looks up for each message who wants it.
+        For each message with a key that it does not know, it has to look up who subscribes to it.
         """
         known = self._session.declare_keyexpr(key)
         return lambda: self._session.undeclare(known)

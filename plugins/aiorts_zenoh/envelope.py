@@ -2,8 +2,9 @@
 
     version u8, kind u8, count u16, link epoch u32, first number u64, sent ns i64, then `count` times: length u32, bytes
 
-The numbers count what messages cost (`cost`): the first number of a message is what its sender has sent before it on
-this channel has cost. So its receiver can say how far it has come, and what a lost message took up is free again.
+The numbers count what messages cost (`cost`): the first number of a message is the cost of all that its sender has
+sent before it on this channel. So its receiver can say how far it has come, and what a lost message took up is free
+again.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ FRAME: Final = 1
 PIECE: Final = 2
 """A part of a frame that is longer than PIECES: where it begins, and its bytes; first the length of the whole."""
 TAKEN: Final = 3
-"""How far the receiver has come; the first number is what it has taken has cost."""
+"""How far the receiver has come; the first number is the cost of what it has taken."""
 LOOK: Final = 4
-"""Asks for TAKEN; the first number is what was sent until now has cost."""
+"""Asks for TAKEN; the first number is the cost of what was sent until now."""
 END: Final = 5
 """Of a session with a kernel: nothing comes any more."""
 HAVE: Final = 6

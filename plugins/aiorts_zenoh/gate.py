@@ -1,4 +1,4 @@
-"""Whether what comes is of a peer that is cut off: the engine's threads look first. It may be called from any."""
+"""Keeps out what comes from peers that are cut off. Called in the engine's threads, before the loop has any work."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""A client's end: kernels of other hosts are reached by a socket in a folder of this host, as kernels of this host are.
+"""A client's end: makes kernels of other hosts reachable by a socket in a folder, as kernels of this host are.
 
 So every command that reaches kernels of this host reaches those of others, and knows nothing of it. The folder lists
-the kernels whose tokens are there. A session begins when a command wants one; of many one question is asked instead.
+the kernels whose tokens are there. A session with one begins when a command wants it; what a command asks of very many
+kernels goes to all of them as one question, without sessions.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ class Gateway:
         return engine.present(keys.tokens, DEADLINE)
 
     def ask_early(self, operation: str) -> None:
-        """A command begins that will ask this of all kernels, when it has come so far: once."""
+        """Ask all kernels this now, for a command that is being started: the first that wants the answers has them."""
         self._early = operation, self._run(self._answers(operation))
 
     async def close(self) -> None:

@@ -1,7 +1,7 @@
-"""How much one peer may ask of a kernel: who is beyond it is cut off for a while. It asks no clock and knows no engine.
+"""Bounds what one peer may ask of a kernel; who asks more is cut off for a while. It asks no clock, knows no engine.
 
-Amounts leak away in time: up to a limit all may come at once, and after that as much in each second as leaks. So what
-begins with many questions, such as a kernel with a thousand connectors, is no flood.
+It counts with leaky buckets: a peer may ask up to the limit at once, and after that as much in each second as leaks. So
+a peer that begins with many questions, such as a kernel with a thousand connectors, is no flood.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ NAMES: Final = 10_000
 """Names of one host that are known at the same time."""
 _ALL_NAMES: Final = 100_000
 _PEERS: Final = 10_000
-"""Peers of which it is known how much they have asked."""
+"""Peers whose amounts are kept; beyond it the one that was heard longest ago is forgotten."""
 _SAID: Final = 60.0
-"""Seconds in which a peer that is cut off again has no further line."""
+"""Seconds in which a peer that is cut off again gets no further line in the log."""
 
 
 class Limit(NamedTuple):
@@ -27,18 +27,18 @@ class Limit(NamedTuple):
     seconds: float
     text: str
     at_first: int = 0
-    """So many more, once."""
+    """How many more a peer that is new may ask, once."""
 
 
 LIMITS: Final[Mapping[str, Limit]] = {
-    # A kernel that begins offers all its connectors.
+    # A kernel that starts asks once for each of its connectors.
     "question": Limit(2_000, 10.0, "200 questions a second", at_first=10_000),
     "bad": Limit(100, 60.0, "100 messages a minute that are none"),
     "slow": Limit(3, 60.0, "3 messages a minute that take longer to read than they may"),
 }
 """By what is counted."""
 SLOW_NS: Final = 10_000_000
-"""Nanoseconds that the processor may take for a message; the collector of garbage may begin in one that is good."""
+"""Nanoseconds that the processor may take to read a message; so many, since garbage may be collected meanwhile."""
 SLOW_NS_PER_BYTE: Final = 10
 """And for each byte of a long frame."""
 
@@ -118,7 +118,7 @@ class Names:
         return up or is_known
 
     def is_first(self, host: str) -> bool:
-        """Whether it is to be said now that this host has too many names; once as long as it has any."""
+        """Whether to say now that this host has too many names: once, until it has none any more."""
         if host in self._full or len(self._full) > _PEERS:
             return False
         self._full.add(host)

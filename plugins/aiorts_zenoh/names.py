@@ -5,8 +5,8 @@ same tokens sees the same owner, in whatever order they came: an owner goes befo
 (start_ns, epoch) goes before the higher. So no later token evicts an owner, whatever its clock says. While tokens need
 less than half of `CLAIMS` there are never two owners; two that were parted and meet again are one, by the same rule.
 
-A host name belongs to one machine in the same way, but of two machines that claim it neither has it: which is meant
-by a path nobody could say.
+A host name belongs to one machine in the same way. But where two machines claim it and neither owns it yet, neither
+gets it: nobody could say which one is meant by it.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Name:
         self.own = own
         self.standing = Standing.CLAIMS
         self.given_to: Claim | None = None
-        """What it has given way to last."""
+        """The claim that it gave way to last."""
         self._since = now
 
     @property

@@ -1,9 +1,9 @@
-"""Who is connected by which certificate, and why one is not: said once in the log, at the end that is refused.
+"""Watches the connections of a kernel or router, and says in the log, once, why one is refused or does not come about.
 
-Names that are revoked while this runs are denied from then on: the folder of certificates is looked into all the time.
+The engine refuses without a word. So a place that is not reached gets a handshake from here (`security.probe`), which
+finds out why. Of those that are connected the engine tells the name in their certificate.
 
-The engine refuses without a word. What is not reached is looked into by a handshake (`security.probe`); of those that
-are connected, the engine tells the name in their certificate.
+Names that are revoked while this runs are denied from then on: the folder of certificates is looked into once a second.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from aiorts_zenoh.security.revoking import EVERY, Revoking
 from aiorts_zenoh.security.tls import Secured
 
 _FIRST: Final = 1.5
-"""Seconds that a connection has to come about before it is looked into."""
+"""Seconds that connections have to come about, before it is found out why one has not."""
 _AGAIN: Final = 10.0
 _SHOWS: Final = 5.0
 """Seconds within which a kernel that is connected shows its token."""
 _SAID: Final = 1_000
-"""Different lines at the most."""
+"""Different lines in the log, at the most."""
 
 
 class Neighbours:
@@ -44,14 +44,14 @@ class Neighbours:
     ) -> None:
         self._endpoints, self._secured, self._report = endpoints, secured, report
         self._links: dict[tuple[str, str], str] = {}
-        """The name of each that is connected, by the addresses of both ends."""
+        """The name in the certificate of each that is connected, by the addresses of both ends."""
         self._shown: set[str] = set()
         """Names of kernels whose token was seen."""
         self._said: set[str] = set()
         self._hold: Callable[[str], None] = lambda name: None
-        """Tells a name that it is denied; may wait for the network."""
+        """Has a name know that it was revoked; may wait for the network."""
         self._held: list[object] = []
-        """Tokens for those that are denied: they end with what is returned."""
+        """The tokens that tell them; one ends when nothing refers to it."""
         self.denies: list[Callable[[str], None]] = []
         """Called with each name that is revoked while this runs."""
         self._timers: list[asyncio.TimerHandle] = []
@@ -82,7 +82,7 @@ class Neighbours:
         self.watch(engine, keys.domain)
 
     def watch_all(self, engine: Engine, domain: str) -> None:
-        """Watch from now on, where no kernel here looks at the tokens of others."""
+        """Watch from now on, where there is no kernel whose `Presence` looks at the tokens of others: in a router."""
         self.watch(engine, domain)
         engine.presence(ClientKeys(domain, "").tokens, self._token)
 
@@ -98,7 +98,7 @@ class Neighbours:
             self._hold(name)
 
     def start(self) -> None:
-        """Look into what is not reached; on the loop."""
+        """Look from now on why a place is not reached, and which names are revoked; called on the loop."""
         self._loop = asyncio.get_running_loop()
         if self._endpoints:
             self._tasks.append(self._loop.create_task(self._look(), name="aiorts zenoh neighbours"))

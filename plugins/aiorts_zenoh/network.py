@@ -47,7 +47,7 @@ _HARDENED: Final[Mapping[str, Any]] = {
     # Questions of aiorts say themselves how long they wait; this is for those of others that pass through here.
     "queries_default_timeout": 2_000,
 }
-"""What nobody who reaches the engine is to find open, or to hold up for long."""
+"""So that who reaches the engine finds nothing open that is not needed, and holds nothing up for long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ class Network(KernelService):
     name = "zenoh"
     settings = NetworkSettings
     last = True
-    """The name of the kernel, which picks its certificate, is given to others: links, control."""
+    """Configured after other services: they are given the name of the kernel, which picks its certificate."""
 
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)

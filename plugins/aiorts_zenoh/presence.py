@@ -1,4 +1,4 @@
-"""Which kernels are there: what their tokens say goes to `names`, which decides, and this does as it says."""
+"""Which kernels are there: their tokens come here, `names` decides who is seen, and this shows those."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from aiorts_zenoh.keys import Keys, claim_of
 from aiorts_zenoh.names import Claim, Name, Standing, free_name, seen
 
 _HEARD: Final = 100
-"""Kernels that hear of the end of one whose name they have, at the most."""
+"""Kernels that are told of one that claims the same name, at the most."""
 _REST: Final = 50e-6
-"""Seconds for each claim of a host name of several machines until all of them are looked at again."""
+"""Where several machines claim a host name: seconds, for each claim, until all of them are looked at again."""
 _TICK: Final = 0.1
 """Seconds between two looks whether a name is owned by now, or free again."""
 
@@ -62,15 +62,15 @@ class Presence:
         """The same by host and kernel, and how many of each machine."""
         self._shown: dict[str, dict[str, Peer]] = {}
         self._gave_way: dict[Claim, set[Claim]] = {}
-        """Of each that is there: who heard of it here."""
+        """Of each claim that is there: those that this kernel has told of it."""
         self._heard_of: set[Claim] = set()
-        """What others have told of, and may not be seen here."""
+        """Claims that others have told of, whose tokens this kernel may not see itself."""
         self._due: set[tuple[str, str]] = set()
         self._due_hosts: set[str] = set()
         """Names to look at anew, and host names."""
         self._renamed, self._declared = renamed, keys
         self._end_told: Callable[[], None]
-        """Of what others tell this kernel under its name."""
+        """Ends the subscription to what others tell this kernel under its name."""
         self._told: tuple[Standing, Keys] | None = None
         self._telling = False
         self._timer: asyncio.TimerHandle | None = None
@@ -82,13 +82,13 @@ class Presence:
         return self._name.standing
 
     def declare(self) -> None:
-        """Look who is there, and claim the name; in a thread."""
+        """Watch who is there, and declare the token that claims the name; in a thread."""
         self._end_told = self._engine.subscribe(self._keys.told(_peer(self._name.own)), self._was_told)
         self._engine.presence(self._keys.tokens, self._came)
         self._engine.announce(self._keys.token)
 
     def claim(self) -> None:
-        """The name is claimed from now on."""
+        """The name is claimed from now on: begin to count the time until it is owned."""
         self._told = Standing.CLAIMS, self._keys
         self._name.unseen(self._loop.time())
         self._changed()
@@ -145,7 +145,7 @@ class Presence:
         self._look_at(claim.host, claim.kernel)
 
     def _pass_on(self, claim: Claim, token: str, *, up: bool) -> None:
-        """Tell those that this claim meets of it, and it of them; and who gave way to it, when it has gone."""
+        """Tell rivals of each other: of this claim when it comes, and when it goes those that were told of it."""
         to = self._gave_way.setdefault(claim, set())
         if not up:
             self._tell_of(token, up, *to)
@@ -161,7 +161,7 @@ class Presence:
                     heard.add(two)
 
     def _rivals(self, claim: Claim) -> list[Claim]:
-        """Those that cannot be seen beside it, not more than are told of each other."""
+        """The claims that cannot be seen beside this one; as many as may be told at the most."""
         of_host = self._said[claim.host]
         several = len(self._machines[claim.host]) > 1
         among: Iterable[Claim] = of_host if several else self._named[claim.host, claim.kernel]
@@ -172,7 +172,7 @@ class Presence:
             self._engine.put(self._keys.told(_peer(claim)), f"{'+' if up else '-'}{token}".encode())
 
     def _was_told(self, _: str, data: bytes) -> None:
-        """Another kernel has seen a token that is not seen here. Who owns its name believes only what it sees."""
+        """Another kernel tells of a token. A kernel that owns its name believes only what it sees itself."""
         token, up = data[1:].decode(errors="replace"), data[:1] == b"+"
         found = claim_of(token)
         if found is None or self.standing is Standing.OWNS or not found[0].meets(self._name.own):
@@ -198,7 +198,7 @@ class Presence:
             )
 
     def _hide(self, claim: Claim) -> None:
-        """At once: what comes next may be the same kernel, linked anew."""
+        """Show a claim no more, at once: what comes next may be the same kernel with a new connection."""
         if self._shown.get(claim.host, {}).get(claim.kernel) == _peer(claim):
             self._set(claim.host, {claim.kernel: None})
 
@@ -275,7 +275,7 @@ class Presence:
         )
 
     def _changed(self) -> None:
-        """This kernel stands otherwise with its name."""
+        """This kernel stands otherwise with its name: show and tell what follows from it."""
         for host in {*self._said, *self._shown}:
             self._look_at_host(host)
         if not self._telling:
@@ -285,7 +285,7 @@ class Presence:
             self._timer = self._loop.call_later(_TICK, self._tick)
 
     async def _tell(self) -> None:
-        """Have the tokens be there that belong to how it stands, one change after the other."""
+        """Declare the tokens that belong to how it stands, one change after the other."""
         try:
             while self._told != (self.standing, self._keys) and not self._closed:
                 standing, keys = self._told = self.standing, self._keys
@@ -297,7 +297,7 @@ class Presence:
             self._telling = False
 
     def _declare_as(self, keys: Keys) -> None:
-        """Have all that others ask be where they ask it under another name, before they see that; in a thread."""
+        """Declare under another name all that others may ask, before its token is there; in a thread."""
         self._engine.announce()
         self._end_told()
         self._end_told = self._engine.subscribe(keys.told(keys.own), self._was_told)
@@ -345,8 +345,10 @@ def _peer(claim: Claim) -> Peer:
 
 
 def this_machine() -> int:
-    """A number of this machine that no other has: of its network and of when it was booted, for images of one machine
-    are copied to others with all that is in files."""
+    """A number that no other machine has, made of what identifies its network namespace and its last boot.
+
+    What is in files would not do: an image of a machine is copied with them.
+    """
     try:
         booted = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
         network = os.stat("/proc/self/ns/net").st_ino

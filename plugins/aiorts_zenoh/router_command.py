@@ -59,7 +59,7 @@ async def _route(settings: NetworkSettings, name: str) -> int:
 
 
 async def _route_until(ended: asyncio.Event, settings: NetworkSettings, name: str, *, say: bool) -> None:
-    """Carry until it is ended, or a name is revoked: the engine takes its table of names at its start alone."""
+    """Carry until a signal comes, or a name is revoked: the engine takes a new table of names only when it starts."""
     secured = secured_by(settings.certificates, name, (ROUTER,)) if settings.certificates else None
     neighbours = Neighbours(endpoints_of(settings.connect), secured, logging.getLogger("aiorts.zenoh").warning)
     engine, loop, due = Engine(), asyncio.get_running_loop(), asyncio.Event()

@@ -1,14 +1,16 @@
-"""How much may be under way to another kernel. It knows no engine and no loop.
+"""Bounds how much is under way to another kernel. It knows no engine and no loop.
 
-The engine has a queue of 16 batches of 64 KiB for each neighbour and priority. What is put beyond it blocks or is lost,
-and neither is to decide about a sample: so no more than a queue is under way to a neighbour, over all channels, and the
-rest waits here, where it is bounded and the link hears of it.
+For each neighbour and priority the engine keeps a queue of 16 batches of 64 KiB. A message that finds the queue full
+blocks its sender, or is lost. So that neither happens to a sample, no more than one queue is under way to a neighbour,
+over all channels together; the rest waits here, within a bound, and a link is told when it has to wait.
 
-The figures: what is under way costs at most ROOM, the 16 batches. `cost` says what a message takes up when nothing is
-written meanwhile, as for a neighbour that is stopped. A frame of up to 1 MiB, which is 17 batches, goes in one message
-where next to nothing is under way: the connection is idle then, and takes more than a batch though nobody reads: 4 MB
-on the loopback of Linux. Nothing is express: an express message has a batch of its own, so that 17 small ones would be
-one too many, and where nothing waits the two are sent in the same time.
+What is under way costs at most ROOM, the 16 batches. `cost` is what a message takes up at the worst: when nothing of
+the queue is written to the network, as for a neighbour that stands still. One case goes beyond it: a frame of up to
+1 MiB, which is 17 batches, goes in one message where next to nothing is under way. The connection is idle then, and its
+own buffers take more than the one batch too many, though nobody reads: 4 MB on the loopback of Linux.
+
+No message is express. An express message has a batch of its own, so 17 small ones would not fit any more; and where
+nothing waits, it is not sent sooner than another.
 """
 
 from __future__ import annotations
@@ -22,12 +24,15 @@ from aiorts_zenoh.envelope import BATCH, FRAME, LONG, LOOK, PIECE, PIECES, Block
 ROOM: Final = 16 * BATCH
 """What may be on its way to one kernel, by its cost."""
 _ROOM_FOR_ANY: Final = ROOM - cost(LONG + 100)
-"""What may be for any message to follow."""
+"""What may be under way for a further message of up to LONG bytes to be sent."""
 _IDLE: Final = BATCH
-"""What may be for a frame of up to ALONE bytes to follow in one message: as much as one channel is silent about."""
+"""What may be under way for a frame of up to ALONE bytes to be sent in one message.
+
+As much as the other end of one channel may have taken without saying so.
+"""
 ALONE: Final = 1_050_000
 _TOLD: Final = BATCH
-"""After what cost the other end says how far it is, without being asked."""
+"""The cost after which a receiver says how far it has come, without being asked."""
 _FULL: Final = 1 << 20
 """Bytes that wait at one channel beyond which it takes no more."""
 
@@ -39,9 +44,9 @@ class Budget:
         self.used = 0
         self.senders: list[Sender] = []
         self.waiting: dict[Sender, None] = {}
-        """Those that have something to send, in turn: of thousands of channels few have."""
+        """Those that have something to send, in turn; few of thousands of channels have."""
         self.refusing: dict[Sender, None] = {}
-        """Those that have refused a frame since it was said last that there is room."""
+        """Those that have refused a frame, and have not been told since that there is room."""
 
     @property
     def has_room(self) -> bool:
@@ -56,7 +61,7 @@ class Budget:
         return self.used + cost(size + 100) <= ROOM or (size <= ALONE and self.used <= _IDLE)
 
     def look(self) -> None:
-        """Ask at all channels how far the other kernel has come, unless it is about to say so by itself."""
+        """Ask at all channels how far the other kernel has come, unless it will soon say so by itself at one."""
         if all(sender.under_way < _TOLD for sender in self.senders):
             for sender in self.senders:
                 sender.look()
@@ -99,12 +104,12 @@ class Sender:
         self._waits = 0
         self._sent = self._taken = 0
         self._looked = -1
-        """How much was sent when it was asked last how far the other end has come."""
+        """What was sent when the other end was asked last how far it has come."""
         budget.senders.append(self)
 
     @property
     def under_way(self) -> int:
-        """The cost of what the other end has not said that it has taken."""
+        """The cost of what was sent and the other end has not yet said to have taken."""
         return self._sent - self._taken
 
     def send(self, blocks: Sequence[bytes | memoryview]) -> bool:
@@ -143,8 +148,8 @@ class Sender:
     def _cut(self) -> None:
         """Have the first frame that waits sent in pieces.
 
-        Others may have sent a little that nobody has said anything of, since it is little: they ask, for the next frame
-        to go in one message.
+        Other channels may have a little under way that has come long ago: of so little a receiver says nothing by
+        itself. They ask now, so that the next frame can go in one message.
         """
         for sender in self._budget.senders:
             if sender is not self:
@@ -173,13 +178,13 @@ class Sender:
         self.look()
 
     def came(self, taken: int) -> None:
-        """The other end has taken what cost so much, or it was lost."""
+        """The other end says that of all that was sent, what cost so much was taken or is lost."""
         if self._taken < taken <= self._sent:
             self._budget.used -= taken - self._taken
             self._taken = taken
 
     def room_made(self) -> bool:
-        """Whether a frame was refused, and would be taken now; once."""
+        """Whether a frame was refused, and one would be taken now; then False until the next is refused."""
         refusing = self._budget.refusing
         if self not in refusing or self._waits >= _FULL // 2:
             return False

@@ -1,4 +1,7 @@
-"""A kernel's end of sessions with clients of other hosts, in a thread of its own: a loop that is busy holds up none."""
+"""A kernel's end of sessions with clients of other hosts, in a thread and loop of its own.
+
+So a kernel whose loop is busy holds up no session.
+"""
 
 from __future__ import annotations
 
@@ -53,9 +56,9 @@ class Serving:
         self._sessions: dict[tuple[str, str, str], Carried] = {}
         """By branch, caller and session."""
         self._there: set[tuple[str, str, str]] = set()
-        """Those whose clients are there."""
+        """Sessions whose clients are there, as their tokens say."""
         self._ended: dict[tuple[str, str, str], None] = {}
-        """Those that ended last."""
+        """Sessions that have ended; the last of them."""
         self._bad: set[str] = set()
         """Who has sent what is no message, which is said once."""
         self._refused: set[str] = set()
@@ -63,7 +66,7 @@ class Serving:
         self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False
         self._ends: list[Callable[[], None]] = []
-        """Of what is declared under the name of the kernel."""
+        """Each ends what is declared under the name of the kernel."""
         self._engine: Engine
         self._keys: Keys
         self._loop: asyncio.AbstractEventLoop

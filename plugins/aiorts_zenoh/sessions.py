@@ -20,9 +20,9 @@ from aiorts_zenoh.keys import CTL, HELLO, INFO, ClientKeys, peer_of, session_in
 DEADLINE: Final = 3.0
 """Seconds in which kernels are found, and in which they say what this client may do."""
 _ROUND: Final = 0.5
-"""Seconds for the answers of all; who has not answered is asked again when a session is to begin."""
+"""Seconds for the answers of all; a kernel that has not answered is asked again when a session with it begins."""
 _LATER: Final = 1.0
-"""Seconds by which the answer of who may operate may come later than that of who may look."""
+"""Seconds that the answer below `ctl` may come after that below `info`."""
 _AGAIN: Final = 0.05
 
 
@@ -38,9 +38,9 @@ class Sessions:
         self._engine, self._keys = engine, keys
         self._there: dict[str, tuple[Peer, Carried]] = {}
         self._begins: dict[str, Peer] = {}
-        """Sessions of which it is not known yet below which branch they are to be."""
+        """Sessions that begin: whether they are below `info` or `ctl` is being asked."""
         self._operable: set[Peer] = set()
-        """Kernels that have said that this client may operate them; another may be late, and is asked again."""
+        """Kernels that have said that this client may operate them; the others are asked again."""
 
     def declare(self) -> None:
         """Take what kernels send from now on; in a thread."""
@@ -50,12 +50,12 @@ class Sessions:
     # -- questions -------------------------------------------------------------------------------------------------
 
     async def find_operable(self) -> None:
-        """Ask all at once which let this client operate them."""
+        """Ask all kernels with one question which of them let this client operate them."""
         answers = await self.asked(self._keys.every(CTL, HELLO), _ROUND)
         self._operable |= {peer for peer, data in answers.items() if _operates(data)}
 
     async def _branch(self, peer: Peer) -> str:
-        """Below which a session with a kernel is to be; it is asked until a deadline."""
+        """Below what a session with a kernel is to be: `ctl` if the kernel says so within the deadline, else `info`."""
         if peer in self._operable:
             return CTL
         with suppress(TimeoutError):
@@ -64,7 +64,7 @@ class Sessions:
         return INFO
 
     async def _ask_branch(self, peer: Peer) -> str:
-        """Ask until a kernel has said it. That it says nothing below CTL counts only beside an answer below INFO."""
+        """Ask below both until there is an answer. No answer below `ctl` counts only after one below `info`."""
         while True:
             operates, looks = (
                 asyncio.ensure_future(self.asked(self._keys.session(branch, peer, HELLO), DEADLINE))
@@ -136,7 +136,7 @@ class Sessions:
             writer.close()
 
     async def _begin(self, session: str, peer: Peer) -> str | None:
-        """Below which branch a session is to be; None: its kernel has gone meanwhile."""
+        """Below what a session is to be, `ctl` or `info`; None: its kernel has gone meanwhile."""
         self._begins[session] = peer
         try:
             branch = await self._branch(peer)

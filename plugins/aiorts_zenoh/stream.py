@@ -1,7 +1,7 @@
 """Both directions of a session with a kernel, over messages that may be lost. It knows no engine and no loop.
 
-Each end numbers the bytes that it sends, keeps them until the other end has used them, and says what it sent again
-from the first that is missing. So what is under way is bounded, and what comes is whole and in order.
+Each end numbers the bytes that it sends, keeps them until the other end has used them, and sends them again from the
+first that is missing there. So what is under way is bounded, and what comes is whole and in order.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Stream:
             self._tell()
             return b""
         if came.kind != FRAME or len(came.blocks) != 1 or self._came - self._took > WINDOW:
-            return b""  # of an end that keeps to what it was told, nothing more comes
+            return b""  # an end that keeps to the window sends no more
         data = bytes(came.blocks[0][:CHUNK])
         self._came += len(data)
         return data

@@ -100,11 +100,11 @@ class ZenohTransport:
         self.anew: list[Callable[[Engine, Keys], None]] = []
         """What is declared once more where this kernel takes another name; called in a thread."""
         self._ends: list[Callable[[], None]] = []
-        """Of what is declared under the name of this kernel."""
+        """Each ends what is declared under the name of this kernel."""
         self.known_as = ""
         """The name of this kernel here, where it is not its own."""
         self.last: list[Callable[[], None]] = []
-        """What waits, for a moment, before the session ends; called in a thread."""
+        """Called before the session ends, in a thread; each may wait a moment."""
         self.sessions_denied = ""
         """Why this kernel may not ask others for operations; "" where it may."""
         self.admits: Callable[[str], bool] = lambda name: True
