@@ -7,6 +7,7 @@ where one kernel only has it. A file ends in .toml, .xml, .yaml or .mcap, or beg
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
@@ -128,7 +129,7 @@ class Kernels:
             NoAnswerError: the kernel that is meant does not answer.
         """
         found = self.all(word, bare=bare)
-        return the_one(word, found, [one.full for one in found])
+        return the_one(word, found, _told_apart(found))
 
     def all(self, word: str, *, bare: bool = False) -> tuple[Found, ...]:
         """Everything that a word means: one thing, or as many as fit where * ? [] in it stand for any characters.
@@ -153,7 +154,7 @@ class Kernels:
             found = [Found(one, "") for one in self.running if one.fits(word)]
         if found:
             if not is_glob(word):
-                the_one(word, found, [one.full for one in found])
+                the_one(word, found, _told_apart(found))
             self.check_sure(word, kernel, [one.running for one in found])
             return tuple(found)
         self._nothing(word, kernel, component)
@@ -232,7 +233,7 @@ class Kernels:
             return fitting[0]
         if not fitting:
             self._nothing(word, word, "")
-        shown = ", ".join(one.name for one in fitting[:_SHOWN])
+        shown = ", ".join(_told_apart([Found(one, "") for one in fitting])[:_SHOWN])
         raise AmbiguousError(f"{word or 'no kernel is named, and'} {len(fitting)} kernels run: {shown}; say which one")
 
     def _nothing(self, word: str, kernel: str, component: str) -> Never:
@@ -344,6 +345,13 @@ def _anew(shared: Kernels, select: Callable[[Entry], bool] | None, *, changing: 
         yield Kernels(running, shared.silent, changing=changing)
     except ClosedError as error:
         raise AbsentError(str(error)) from None
+
+
+def _told_apart(found: Sequence[Found]) -> list[str]:
+    """Their names, with the host where others have the same."""
+    count = Counter(one.full for one in found)
+    hosts = [f"{one.client.entry.address.rpartition('/')[0]}/" if count[one.full] > 1 else "" for one in found]
+    return [f"{host}{one.full}" for host, one in zip(hosts, found, strict=True)]
 
 
 def _matches(entry: Entry, kernel: str) -> bool:

@@ -20,13 +20,14 @@ from aiorts.control import FEW, FURTHER
 from aiorts.errors import LinkError
 from aiorts_zenoh.gateway import Gateway
 from aiorts_zenoh.keys import ClientKeys
-from aiorts_zenoh.network import NetworkSettings, endpoints_of, engine_settings
+from aiorts_zenoh.network import NetworkSettings, endpoints_of, engine_settings, listed
 from aiorts_zenoh.security.access import OPERATOR, VIEWER
 from aiorts_zenoh.security.probe import probe
 from aiorts_zenoh.security.tls import Secured, secured_by
 
 _CONNECTS: Final = 3_000
 """Milliseconds within which the other host answers."""
+_ENDPOINT: Final = re.compile(r".+:[0-9]{1,5}")
 _UNNAMED: Final = re.compile(r"[^A-Za-z0-9_.-]+")
 
 
@@ -54,9 +55,9 @@ def at(
     reach them, until it ends. What they let you do is theirs to say: look, or operate where they run with
     --allow-control.
     """
+    if not listed(endpoints) or not all(map(_ENDPOINT.fullmatch, listed(endpoints))):
+        raise click.UsageError(f"expected HOST:PORT, the place where the other host listens, got {endpoints!r:.80}")
     settings = NetworkSettings(connect=endpoints, domain=domain, certificates=certificates, insecure=insecure)
-    if not settings.connect.strip(", "):
-        raise click.UsageError("expected HOST:PORT, the place where the other host listens")
     name = _UNNAMED.sub("-", caller or f"{_user()}-{platform.node()}").strip("-.") or "client"
     return asyncio.run(_at(settings, name, command))
 

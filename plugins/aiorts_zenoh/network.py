@@ -88,7 +88,7 @@ class NetworkSettings:
 
     def __post_init__(self) -> None:
         for key in ("listen", "connect"):
-            for endpoint in _listed(getattr(self, key)):
+            for endpoint in listed(getattr(self, key)):
                 host, colon, port = endpoint.rpartition(":")
                 if not (host and colon and port.isdecimal() and int(port) < 65_536):
                     raise ConfigurationError(f"{key}: expected host:port, got {endpoint!r:.80}")
@@ -131,8 +131,8 @@ class Network(KernelService):
 
         host = settings.host or platform.node()
         _check_name("host", host)
-        for endpoint in _listed(settings.listen):
-            _check_free(endpoint)
+        for endpoint in listed(settings.listen):
+            check_free(endpoint)
         secured = _secured(settings, self.kernel.service(Links).reached_as)
         self._security = "certificates" if secured else "insecure: plain TCP" if settings.insecure else ""
         own, clock = engine_settings(settings, secured), self.kernel.clock
@@ -211,15 +211,15 @@ def _secured(settings: NetworkSettings, kernel: str) -> Secured | None:
 def engine_settings(settings: NetworkSettings, secured: Secured | None = None) -> Mapping[str, Any]:
     """What the engine is told: nothing but what was asked for listens, connects or looks around."""
     # A client hears all that is behind what it connects to, such as a router; a peer hears its neighbours alone.
-    is_client = len(_listed(settings.connect)) == 1 and not settings.listen
+    is_client = len(listed(settings.connect)) == 1 and not settings.listen
     protocol = "tls" if secured else "tcp"
     security = tls_settings(secured, base_of(settings.domain)) if secured else {"transport/link/protocols": ["tcp"]}
     return {
         **_HARDENED,
         **security,
         "mode": "client" if is_client else "peer",
-        "listen/endpoints": [f"{protocol}/{endpoint}" for endpoint in _listed(settings.listen)],
-        "connect/endpoints": [f"{protocol}/{endpoint}" for endpoint in _listed(settings.connect)],
+        "listen/endpoints": [f"{protocol}/{endpoint}" for endpoint in listed(settings.listen)],
+        "connect/endpoints": [f"{protocol}/{endpoint}" for endpoint in listed(settings.connect)],
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
         "connect/retry": {"period_init_ms": 200, "period_max_ms": 1_000, "period_increase_factor": 2},
@@ -235,11 +235,11 @@ def _check_name(key: str, name: str) -> None:
 
 def endpoints_of(text: str) -> list[tuple[str, int]]:
     """Host and port of each that is listed."""
-    parts = [endpoint.rpartition(":") for endpoint in _listed(text)]
+    parts = [endpoint.rpartition(":") for endpoint in listed(text)]
     return [(host.strip("[]"), int(port)) for host, _, port in parts]
 
 
-def _check_free(endpoint: str) -> None:
+def check_free(endpoint: str) -> None:
     """ConfigurationError: nothing can listen there, which is to be known before anything runs."""
     host, _, port = endpoint.rpartition(":")
     try:
@@ -253,7 +253,7 @@ def _check_free(endpoint: str) -> None:
         raise ConfigurationError(f"listen: {endpoint}: {why}; choose another port or address") from None
 
 
-def _listed(text: str) -> list[str]:
+def listed(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 

@@ -13,7 +13,7 @@ import click
 from aiorts import exits
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.neighbours import Neighbours
-from aiorts_zenoh.network import NetworkSettings, endpoints_of, engine_settings
+from aiorts_zenoh.network import NetworkSettings, check_free, endpoints_of, engine_settings, listed
 from aiorts_zenoh.security.access import ROUTER
 from aiorts_zenoh.security.tls import secured_by
 
@@ -38,8 +38,8 @@ def router(listen: str, connect: str, certificates: Path | None, name: str, doma
     """Carry what kernels say to each other, until a signal ends it.
 
     Kernels connect to it (`aiorts run --connect`), and need no port of their own. It has no kernel itself, and keeps
-    nothing: when it is started anew, kernels find it and each other again. With certificates it lets each name through
-    with what its role allows alone.
+    nothing: when it is started anew, kernels find it and each other again. With certificates it passes on only what the
+    role of each name allows.
     """
     settings = NetworkSettings(
         listen=listen, connect=connect, domain=domain, certificates=certificates, insecure=insecure
@@ -48,6 +48,8 @@ def router(listen: str, connect: str, certificates: Path | None, name: str, doma
 
 
 async def _route(settings: NetworkSettings, name: str) -> int:
+    for endpoint in listed(settings.listen):
+        check_free(endpoint)
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, ended.set)

@@ -106,8 +106,8 @@ CODES: Final[dict[str, Code]] = {
     ),
     "E-DENIED": Code(
         "The kernel does not allow this operation over this connection.",
-        "It was started with --control=view.",
-        "Start it with --control=on, or leave the option out.",
+        "It was started with --control=view; or, over a network, without --allow-control, or the client may only look.",
+        "Start it without --control=view; for other hosts with --allow-control, and certify who operates as operator.",
     ),
     "E-EXTRA": Code(
         "A package that is needed for this is not installed.",

@@ -231,7 +231,9 @@ class Connection:
             raise ControlError(f"{name}: no argument {', '.join(unknown)[:200]}; this kernel is of another release")
         needed, right = operation.needed(arguments), self.right
         if not right.allows(needed):
-            raise DeniedError(f"{name}: needs the right {needed.value!r}, and this kernel allows {right.value!r}")
+            text = f"{name}: needs the right {needed.value!r}, and this kernel allows {right.value!r}"
+            why = " to this client: over a network it takes --allow-control, and a name that may operate"
+            raise DeniedError(f"{text}{why}" if self.carried else text)
         if number in self._open:
             raise BusyError(f"{name}: a call with the number {number} runs already")
         if len(self._open) >= WAITING:

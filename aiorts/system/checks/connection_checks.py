@@ -131,6 +131,10 @@ def _port(
         return None, None
     unsure.add(component)
     kind = found.types[component].__name__ if component in found.types else f"a member of {component}"
+    composite = found.system.composites.get(component)
+    if composite is not None and any(map(names_kernel, composite.members)):
+        what = f"whether {component} has {name!r} is known when the kernels of its members elsewhere run"
+        return None, Said("note", "N-PORTS", key, what)
     what = f"{kind} may make {name!r} in on_initialize, which is not run here; a method make_ports would tell"
     return None, Said("note", "N-PORTS", key, what)
 

@@ -123,7 +123,8 @@ class Access:
         """Why a name may do nothing; "" when it may."""
         if name in self.denied:
             return f"{name!r} was revoked"
-        return "" if name in self.roles else f"{name!r} has no role here"
+        new = "new names in index.json are known after the next start"
+        return "" if name in self.roles else f"{name!r} has no role here; {new}"
 
 
 def check_word(name: object, what: str) -> str:

@@ -58,7 +58,8 @@ def init(folder: Folder) -> int:
 def issue(name: str, role: str | None, addresses: tuple[str, ...], days: float, folder: Folder) -> int:
     """Certify NAME, a kernel's or a person's, or renew its certificate.
 
-    A viewer looks, an operator controls too, a component is a kernel, and a router carries what others send.
+    A viewer looks, an operator controls too, a component is a kernel, a coordinator a kernel that also operates others,
+    and a router carries what others send.
     """
     made = folder.issue(name, role or "", addresses, days)
     click.echo(f"{made.certificate}: {made.name}, {made.role}, for {days:g} days")

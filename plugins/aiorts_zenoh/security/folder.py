@@ -80,7 +80,8 @@ class Folder:
             raise ConfigurationError(f"name: {name!r} was revoked, and stays so; choose another name")
         role = role or roles.get(name, "")
         if role not in ROLES:
-            raise ConfigurationError(f"role: expected {', '.join(ROLES)}, got {role!r:.80}")
+            missing = "" if role else "; the first certificate of a name needs it (--role)"
+            raise ConfigurationError(f"role: expected {', '.join(ROLES)}, got {role!r:.80}{missing}")
         from aiorts_zenoh.security.certificates import made_certificate
 
         authority = self._read(AUTHORITY, "pem"), self._read(AUTHORITY, "key")
@@ -130,9 +131,8 @@ class Folder:
         with _reported():
             is_there = found.certificate.exists()
         if not is_there:
-            raise ConfigurationError(
-                f"{found.certificate}: {name!r} has no certificate; aiorts certs issue {name}; or take another name"
-            )
+            advice = f"aiorts certs issue {name} --role ROLE; or say another name"
+            raise ConfigurationError(f"{found.certificate}: {name!r} has no certificate; {advice}")
         if name in denied:
             raise ConfigurationError(f"{name!r} was revoked; give the kernel another name, and a certificate for that")
         if what := self.facts(name).fault(name, role):

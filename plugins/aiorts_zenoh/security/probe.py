@@ -7,14 +7,18 @@ from __future__ import annotations
 
 import socket
 import ssl
+import time
 from typing import Final
 
 from aiorts.errors import ConfigurationError
 from aiorts_zenoh.security.folder import Folder, Identity
 
 _WITHIN: Final = 3.0
-_ALERT_WITHIN: Final = 1.0
+_ALERT_WITHIN: Final = 0.5
 """Seconds that the other end has, after the handshake, to refuse what this one has shown."""
+_SILENT: Final = 0.9
+"""Seconds after which an end of aiorts closes a connection on which nothing is said: that is no refusal."""
+_ENDS: Final = "it ends the connection"
 _THEIRS: Final = {
     7: "the certificate there is of another authority",
     9: "the certificate there is not yet valid, by the clock of this machine",
@@ -64,10 +68,13 @@ def _handshake(connected: socket.socket, host: str, identity: Identity | None) -
             context.load_cert_chain(identity.certificate, identity.key)
         except OSError as error:  # of TLS as well: one is gone, or worth nothing
             return f"is not reached: the certificate of this end: {_own_fault(identity) or error.strerror}"
+    began = time.monotonic()
     try:
         with context.wrap_socket(connected, server_hostname=host) as secured:
             secured.settimeout(_ALERT_WITHIN)
             said = _alert(secured)
+            if said == _ENDS and time.monotonic() - began > _SILENT:
+                said = ""  # it ends those that say nothing
     except ssl.SSLCertVerificationError as error:
         return _THEIRS.get(error.verify_code, f"the certificate there is not taken: {error.verify_message}")
     except ssl.SSLError as error:
@@ -80,11 +87,11 @@ def _handshake(connected: socket.socket, host: str, identity: Identity | None) -
 def _alert(secured: ssl.SSLSocket) -> str:
     """What the other end says against the certificate of this one; "" for nothing."""
     try:
-        return "" if secured.recv(1) else "it ends the connection"
+        return "" if secured.recv(1) else _ENDS
     except TimeoutError:
         return ""
     except ssl.SSLError as error:
-        return error.reason or "it ends the connection"
+        return error.reason or _ENDS
 
 
 def _meaning(said: str, identity: Identity | None) -> str:
