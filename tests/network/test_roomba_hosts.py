@@ -40,8 +40,8 @@ class Drive:
 
     def until(self, name: str, text: str, within: float = 40.0) -> None:
         ends = time.monotonic() + within
-        while text not in self.said(name):
-            assert time.monotonic() < ends, f"{name} has not said {text!r}: {self.said(name)[-2000:]}"
+        while not re.search(text, self.said(name)):
+            assert time.monotonic() < ends, (name, text, [(one, self.said(one)[-2000:]) for one in self.processes])
             time.sleep(0.02)
 
     def still(self, name: str) -> None:
@@ -66,7 +66,7 @@ def test_the_middle_one_is_killed_in_mid_replay_and_what_was_lost_is_said(
         for name in ("odometry", "monitor"):
             drive.start(name)
         drive.start("robot", "--set", "imu.speed=6")
-        drive.until("monitor", "pose TimedPose2D 4.")
+        drive.until("monitor", r"pose TimedPose2D ([4-9]|1\d)\.")  # as it comes to the terminal: not each second
         drive.processes["odometry"].kill()
         drive.processes["odometry"].wait(20)
         drive.start("odometry")
