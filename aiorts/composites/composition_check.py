@@ -43,29 +43,6 @@ def leaves_of(components: Iterable[Component]) -> tuple[Component, ...]:
     return tuple(found)
 
 
-async def brought_in(
-    kernel: Microkernel, composite: CompositeGroup, given: Sequence[Component | str]
-) -> Sequence[Component | str]:
-    """The same with what stands here for components of other kernels, all or none."""
-    found: list[Component | str] = []
-    new: list[Component | str] = []
-    try:
-        for one in given:
-            if isinstance(one, str) and kernel.registry.is_elsewhere(one):
-                there = next((member for member, path in composite.brought.items() if path == one), None)
-                if there is None:
-                    there = await kernel.stand_in(one, composite.name)
-                    composite.brought[there] = one
-                    new.append(there)
-                found.append(there)
-            else:
-                found.append(one)
-    except BaseException:
-        await composite.let_go(new)
-        raise
-    return found
-
-
 def resolved(kernel: Microkernel, composite: CompositeGroup, given: Sequence[Component | str]) -> tuple[Component, ...]:
     """The components for these names. StateError when names are unknown (all are named), or one is given twice."""
     there = kernel.components

@@ -361,19 +361,19 @@ class CompositeGroup:
     async def added(self) -> None:
         """Add the members together with the composite, all or none."""
         kernel = self.kernel
-        brought: list[Component] = []
+        added: list[Component] = []
         try:
             for member in self.given:
                 if isinstance(member, Component) and cell(member).kernel is None:
                     await kernel.add(member)
-                    brought.append(member)
-            given = await composition_check.brought_in(kernel, self, self.given)
+                    added.append(member)
+            given = await self.bring_in(self.given)
             members = composition_check.resolved(kernel, self, given)
             composition_check.check(self, members, self.exports)
             self.groups = composition_check.grouped(self, members, self.groups_given)
         except BaseException:
             await self.let_go(tuple(self.brought))
-            for member in reversed(brought):
+            for member in reversed(added):
                 await kernel.remove(member)
             raise
         for member in members:
@@ -382,6 +382,20 @@ class CompositeGroup:
         self.lay_out()
         cell(self.component).ports.update(self.ports_of(members))
         self.known = {port: frozenset(port.connectors) for port in cell(self.component).ports.values()}
+
+    async def bring_in(self, given: Iterable[Component | str]) -> list[Component | str]:
+        """The same with what stands here for components of other kernels; of these, those that are new are added."""
+        known = {path: member for member, path in self.brought.items()}
+        found: list[Component | str] = []
+        for one in given:
+            if isinstance(one, str) and self.kernel.registry.is_elsewhere(one):
+                if one not in known:
+                    known[one] = await self.kernel.stand_in(one, self.name)
+                    self.brought[known[one]] = one
+                found.append(known[one])
+            else:
+                found.append(one)
+        return found
 
     async def let_go(self, members: Sequence[Component | str]) -> None:
         """Remove those of these that were brought in from other kernels."""

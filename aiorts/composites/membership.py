@@ -156,13 +156,13 @@ async def _change(composite: CompositeGroup, wanted: Wanted, timeout: float | No
     async with kernel.registry.composing:
         kernel.check_mine(composite.component, "change")
         given = wanted.given(composite)
-        there = await composition_check.brought_in(kernel, composite, given)
         try:
+            there = await composite.bring_in(given)
             after = composition_check.resolved(kernel, composite, there)
             composition_check.check(composite, after, wanted.rules)
             groups = composition_check.grouped(composite, after, wanted.groups)
         except BaseException:
-            await composite.let_go([one for one in there if one not in composite.members])
+            await composite.let_go([one for one in composite.brought if one not in composite.members])
             raise
         order = wanted.order or composite.order
         before = composite.members

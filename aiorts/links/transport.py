@@ -161,7 +161,11 @@ class KernelFace(Protocol):
 
 
 class Transport(Protocol):
-    """Carries links between kernels. One for which this kernel had to take another name says it as `known_as`."""
+    """Carries links between kernels.
+
+    It may have two things more: `known_as`, the name by which others know this kernel where its own is taken there, and
+    `async def session(peer)`, a connected socket for a control session with another kernel.
+    """
 
     async def open(self, kernel: KernelFace) -> None: ...
 
