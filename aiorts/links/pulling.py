@@ -22,7 +22,7 @@ class PulledWriterLink(WriterLink):
     def busy(self) -> bool:
         return self.end.ledger.in_flight > 0
 
-    def _take(self) -> None:
+    def _take(self, now: int) -> None:
         end = self.end
         if not end.query or end.room <= 0:
             return
@@ -30,7 +30,7 @@ class PulledWriterLink(WriterLink):
         transport.settle()
         if transport.queue:
             end.query = 0
-            super()._take()
+            super()._take(now)
         elif self._channel is not None:
             end.answer_none(self._channel.send)
 
@@ -53,7 +53,7 @@ class PullingReaderLink(ReaderLink):
         Where a task or a thread waits, for the next one if there is none.
         """
         if not self.quiet and not self._ended and self.end.want(self._now(), wait=self._is_awaited):
-            self._poll()
+            self._wake()
 
     @property
     def _is_awaited(self) -> bool:
@@ -66,14 +66,14 @@ class PullingReaderLink(ReaderLink):
         if self._is_awaited:
             self.look()  # it has waited since before there was this link
 
-    def _deliver(self) -> None:
+    def _deliver(self, now: int) -> None:
         self.quiet = True
         try:
-            super()._deliver()
+            super()._deliver(now)
         finally:
             self.quiet = False
 
-    def _poll(self) -> None:
-        super()._poll()
+    def _poll(self, now: int) -> None:
+        super()._poll(now)
         if self._channel is not None:
-            self._wakening.at(self.end.poll_query(self._now(), self._channel.send))
+            self._wakening.at(self.end.poll_query(now, self._channel.send))

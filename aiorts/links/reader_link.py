@@ -56,7 +56,7 @@ class ReaderLink:
         self._kernel, self._decode, self._lost, self._report, self._gone = kernel, decode, lost, report, ended
         self._now: Callable[[], int] = kernel.clock.monotonic_ns
         self._channel: Channel | None = None
-        self._wakening = Wakening(kernel, self._poll)
+        self._wakening = Wakening(kernel, self._wake)
         self._waits = 0
         """The number of the sample that waits for room in the reader's buffer; 0: none does."""
         self.undecodable = 0
@@ -91,21 +91,23 @@ class ReaderLink:
         """Receive over this channel from now on the frames that carry `number`."""
         self._channel, self.why = channel, ""
         self.end.renumber(number)
-        self.end.channel_up(self._now(), peer_epoch)
-        self._poll()
+        now = self._now()
+        self.end.channel_up(now, peer_epoch)
+        self._poll(now)
 
     def on_frames(self, frames: Sequence[tuple[Buffer, tuple[Buffer, ...]]]) -> None:
         now, end = self._now(), self.end
         for head, parts in frames:
             end.receive(now, head, parts)
-        self._deliver()
-        self._poll()
+        self._deliver(now)
+        self._poll(now)
         if end.peer_ended and not self._ended:
             self._gone(self)
 
     def on_room(self) -> None:
-        self.end.on_room(self._now())
-        self._poll()
+        now = self._now()
+        self.end.on_room(now)
+        self._poll(now)
 
     def on_state(self, up: bool, why: str) -> None:
         if up or self._channel is None:
@@ -131,14 +133,17 @@ class ReaderLink:
                 self.end.end(self._now(), channel.send)
             channel.close()
 
-    def _poll(self) -> None:
+    def _wake(self) -> None:
+        self._poll(self._now())
+
+    def _poll(self, now: int) -> None:
         channel = self._channel
         if channel is not None:
-            self._wakening.at(self.end.poll(self._now(), channel.send))
+            self._wakening.at(self.end.poll(now, channel.send))
 
-    def _deliver(self) -> None:
+    def _deliver(self, now: int) -> None:
         """Write what came, as long as the reader has room; what has none is not acknowledged."""
-        end, decode, now = self.end, self._decode, self._now()
+        end, decode = self.end, self._decode
         write = _always_waits if self._confirms else self.connector.out.write_nowait
         ages = self._ages
         taken = last = 0
@@ -196,12 +201,13 @@ class ReaderLink:
             self._date(None)
         if self._ended:
             return
+        now = self._now()
         if entry is not None and entry.refused:
-            self.end.failed(self._now(), number, "rejected")
+            self.end.failed(now, number, "rejected")
         else:
-            self.end.done(self._now(), number, 1)
-        self._deliver()
-        self._poll()
+            self.end.done(now, number, 1)
+        self._deliver(now)
+        self._poll(now)
 
 
 def _always_waits(_sample: Any) -> bool:

@@ -28,6 +28,8 @@ WINDOW: Final = 256
 """Samples that may be unacknowledged."""
 _NEWEST: Final = 2
 """The same where only the newest sample counts: one on its way and one behind it."""
+_CLOSE_NS: Final = 50_000
+"""A sample that is written so soon after another was sent goes with those that are written after it."""
 _ACKNOWLEDGED: Final = "acknowledged"
 _UNKNOWN: Final = "unknown_fate"
 _OWN_FATES: Final = (_UNKNOWN, "disconnected")
@@ -63,8 +65,10 @@ class WriterLink:
         self._kernel, self._encode, self._lost, self._report, self._gone = kernel, encode, lost, report, ended
         self._now: Callable[[], int] = kernel.clock.monotonic_ns
         self._channel: Channel | None = None
-        self._wakening = Wakening(kernel, self._poll)
+        self._wakening = Wakening(kernel, self._wake)
         self._turn_due = self._taking = False
+        self._sent_ns = 0
+        """When a write has sent its sample last."""
         self._ages = profile.lifespan is not None
         self._drains_full = profile.push is not Push.NEW
         self._acknowledged = 0
@@ -86,46 +90,50 @@ class WriterLink:
 
     def pump(self) -> None:
         """Take from the connector what the window has room for, and send."""
-        if self._drain():
-            self._poll()
+        now = self._now()
+        if self._drain(now):
+            self._poll(now)
 
-    def _drain(self) -> bool:
+    def _drain(self, now: int) -> bool:
         """Take what the window has room for; False where nothing can be taken now."""
         if self._ended or self._taking or self._channel is None:
             return False
         # What is read makes room for a writer that waits, whose sample notifies: it is taken in its turn.
         self._taking = True
         try:
-            self._take()
+            self._take(now)
         finally:
             self._taking = False
         return True
 
     def _written(self, _port: InPort[Any]) -> bool:
-        # The first sample leaves in the write itself; what follows in the same turn of the loop travels together.
-        if self._turn_due:
-            if self._drains_full:
-                transport = transport_of(self.connector)
-                if len(transport.queue) >= transport.length:
-                    self._drain()  # else the next sample of this turn would find it full, with room in the window
-        else:
+        # A sample leaves in the write itself; those that follow closely travel together, in the next turn of the loop.
+        if not self._turn_due:
+            now = self._now()
+            if now - self._sent_ns > _CLOSE_NS:
+                if self._drain(now):
+                    self._poll(now)
+                self._sent_ns = self._now()
+                return True
             self._turn_due = True
             self._kernel.loop.call_soon(self._turn)
-            self.pump()
+        if self._drains_full:
+            transport = transport_of(self.connector)
+            if len(transport.queue) >= transport.length:
+                self._drain(self._now())  # else the next sample would find it full, with room in the window
         return True
 
     def _turn(self) -> None:
         self._turn_due = False
         self.pump()
 
-    def _take(self) -> None:
+    def _take(self, now: int) -> None:
         far, end, encode = self.connector.in_, self.end, self._encode
         transport = transport_of(self.connector)
         transport.settle()
-        now = self._now()
         queue, read = transport.queue, self._read_aged if self._ages else far.read_nowait
         confirm = not self._drains_full  # its window is too small for an acknowledgement that is kept back
-        while end.room > 0:
+        while (queue or isinstance(transport, Confirmed)) and end.room > 0:
             if queue:
                 try:
                     head, parts = encode(read())
@@ -235,10 +243,13 @@ class WriterLink:
         if channel is not None:
             channel.close()
 
-    def _poll(self) -> None:
+    def _wake(self) -> None:
+        self._poll(self._now())
+
+    def _poll(self, now: int) -> None:
         channel = self._channel
         if channel is not None:
-            self._wakening.at(self.end.poll(self._now(), channel.send))
+            self._wakening.at(self.end.poll(now, channel.send))
 
     def _settle(self) -> None:
         """Count what became of samples, and let those go on who wait for it."""

@@ -199,7 +199,7 @@ class InPort(Port[T]):
                     sample = self._last = cast("T", self._receiver.read())
                     return sample
                 except WouldBlock:
-                    self._raise_if_over()  # else as in `read`
+                    self._open_host()  # else as in `read`
             self._receiver.gave_up()
             raise ReadTimeout(f"{self.path}: no sample within {timeout} s")
 
@@ -238,10 +238,12 @@ class InPort(Port[T]):
     def _is_over(self) -> bool:
         return self._bound().stopping or self._removed()
 
-    def _raise_if_over(self) -> None:
+    def _open_host(self) -> PortHost:
         self._raise_if_removed()
-        if self._bound().stopping:
+        host = self._bound()
+        if host.stopping:
             raise ClosedError(f"{self.path}: its context stops")
+        return host
 
     def _wake_waiter(self) -> None:
         self._receiver.wake_waiter()

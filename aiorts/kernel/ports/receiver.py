@@ -324,8 +324,7 @@ class Receiver:
             ClosedError: the port was removed.
             WouldBlock: its thread never waits.
         """
-        self.port._raise_if_over()
-        waiter = self.port._bound().loop.create_future()
+        waiter = self.port._open_host().loop.create_future()
         try:
             if not self.stand_by(waiter):
                 await waiter

@@ -70,7 +70,7 @@ async def wait_until(
     try:
         while (found := look()) is None:
             for port in ports:
-                port._raise_if_over()
+                port._open_host()
             if over:
                 _gave_up(ports)
                 names = ", ".join(port.path for port in ports)
