@@ -415,7 +415,6 @@ class _Move:
                 _end_when_read(kernel, connector)  # the other is a link, which counts what comes over it alone
                 continue
             kernel.connections.end(connector)
-        self._links.end_closed()
         for profile in calls:
             kernel.connections.renew(profile, reports_losses=False)
 
@@ -444,7 +443,6 @@ class _Move:
                     await asyncio.sleep(_LOOK)
         for connector in fed:
             self._kernel.connections.end(connector)
-        self._links.end_closed()
 
     async def _is_all_sent(self) -> bool:
         """Whether the process has all that was written to the old one."""

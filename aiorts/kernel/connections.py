@@ -362,18 +362,18 @@ class Connections:
         """Take it out of force; idempotent."""
         if connector.closed:
             return
-        if isinstance(connector, Connector):
-            wiring.unwire(connector)
-            if connector.in_.is_tap or connector.out.is_tap or connector.parked:
-                if self.far is not None and connector.profile.far_end:
-                    self.far.connector_ended()
-                return
+        if not isinstance(connector, Connector):
+            connector.ports[0].connecting.end(connector)
+            self._forget(connector)
+            return
+        wiring.unwire(connector)
+        if not (connector.in_.is_tap or connector.out.is_tap or connector.parked):
             self.losses.end(connector)
             self.gaps.end(connector)
             self.unconverted.end(connector)
-        else:
-            connector.ports[0].connecting.end(connector)
-        self._forget(connector)
+            self._forget(connector)
+        if self.far is not None and connector.profile.far_end:
+            self.far.connector_ended(connector)
 
     def _forget(self, connector: Any) -> None:
         self._those(connector).pop(connector.name, None)

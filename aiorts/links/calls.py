@@ -44,9 +44,11 @@ from aiorts.links.call_values import (
 )
 from aiorts.links.messages import Answer
 from aiorts.model.names import Path
+from aiorts.model.profile import ConnectorProfile
 from aiorts.services import Goal, Provided, Relayed, Required, ServiceEnd, ServicePort, goal_types, seconds_left
 
 if TYPE_CHECKING:
+    from aiorts.kernel.loop.bus import Disconnected
     from aiorts.links.kernels import Kernels
     from aiorts.links.transport import Caller, Peer
     from aiorts.model.interface import Method
@@ -164,8 +166,10 @@ class Calls:
             if far.path.component == component and self._links.peer_of(far.path) == peer:
                 self.look(far)
 
-    def end_closed(self) -> None:
-        """Connectors have ended."""
+    def disconnected(self, event: Disconnected) -> None:
+        """A connector has ended."""
+        if isinstance(event.connector, ConnectorProfile):
+            return  # of data ports
         for far in [one for one in self._far if not one.in_use]:
             del self._far[far]
             far.close()

@@ -28,7 +28,7 @@ from aiorts.kernel.ports.port_types import port_type
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.links import versions
-from aiorts.links.answering import check_theirs, is_end, name_of, refusal, sent
+from aiorts.links.answering import EndsByComponent, NamedEnds, check_theirs, is_end, name_of, refusal, sent
 from aiorts.links.arrivals import Arrivals, Departures, Link
 from aiorts.links.calls import Calls
 from aiorts.links.layout import difference, layout_of
@@ -100,10 +100,11 @@ class Links(KernelService):
         """How often a link was offered in vain since it was up last."""
         self._first: dict[Link, asyncio.Future[None]] = {}
         """Done with the first answer, or with what refused it."""
-        self._expected: dict[tuple[str, str], ReaderLink] = {}
+        self._expected = NamedEnds()
         """Reader's ends whose writer was asked to offer, by writer and reader."""
-        self._offers: dict[tuple[str, str], ReaderLink] = {}
+        self._offers = NamedEnds()
         """Reader's ends by the writer's kernel and its name of the link."""
+        self._ends = EndsByComponent()
         self._number = int.from_bytes(os.urandom(3), "big")
         self._accepting = False
         self.calls, self._serving = Calls(self), Serving(self)
@@ -112,7 +113,7 @@ class Links(KernelService):
         self.reach = Reach(self, self._handlers, self._present, self._waits_again)
         """The other kernels, and the transports that reach them."""
         kernel.connections.far = self
-        kernel.bus.subscribe(Disconnected, lambda _event: self.end_closed())
+        kernel.bus.subscribe(Disconnected, self.calls.disconnected)
 
     def owns(self, connector: Connector) -> bool:
         """Whether another kernel has connected it: not saved, and nothing that a plan looks at."""
@@ -226,11 +227,12 @@ class Links(KernelService):
         if isinstance(out, FarOutPort) and (not self._accepting or out.far.kernel in self.reach.carried):
             reader = self._read_end(connector)
             self._own.add(reader)
-            self._expected[str(out.far), self._as_reader(connector.in_)] = reader
+            self._expected.put((str(out.far), self._as_reader(connector.in_)), reader)
             self._start(reader)
 
-    def connector_ended(self) -> None:
-        self.end_closed()
+    def connector_ended(self, connector: Connector) -> None:
+        for link in self._links_of(connector):
+            self._end(link)
 
     async def connect(
         self, connect: Callable[..., Awaitable[Any]], ports: Sequence[Any], options: Mapping[str, Any]
@@ -279,6 +281,7 @@ class Links(KernelService):
         link = self._writers[connector] = kind(
             self.kernel, connector, new_epoch(), encode, lost=self._lost, ended=self._ended, report=_report
         )
+        self._ends.add(self.far_of(link), link)
         return link
 
     def _read_end(self, connector: Connector) -> ReaderLink:
@@ -290,6 +293,7 @@ class Links(KernelService):
         link = self._readers[connector] = (PullingReaderLink if pulls else ReaderLink)(
             self.kernel, connector, new_epoch(), decode, lost=self._lost, ended=self._ended, report=_report
         )
+        self._ends.add(self.far_of(link), link)
         return link
 
     def _start(self, link: Link) -> None:
@@ -353,23 +357,22 @@ class Links(KernelService):
         else:
             self.kernel.connections.end(connector)
 
-    def end_closed(self) -> None:
-        """Connectors have ended."""
-        self.calls.end_closed()
-        for link in [one for one in self._all() if one.connector.closed]:
-            (self._writers if isinstance(link, WriterLink) else self._readers).pop(link.connector)
-            self._departures.add(link, self.far_of(link))
-            # The end of a kernel ends what it has connected; whoever connected from elsewhere waits for its return.
-            link.close(for_good=link in self._own or not self.kernel.closed)
-            if link in self._own:
-                self._own.remove(link)
-            else:
-                self._made -= Counter((self.far_of(link).kernel,))
-            self._answer_first(link, None)
-            self._tried.pop(link, None)
-            for table in (self._expected, self._offers):
-                for key in [key for key, one in table.items() if one is link]:
-                    del table[key]
+    def _end(self, link: Link) -> None:
+        """Its connector has ended."""
+        (self._writers if isinstance(link, WriterLink) else self._readers).pop(link.connector)
+        far = self.far_of(link)
+        self._ends.remove(far, link)
+        self._departures.add(link, far)
+        # The end of a kernel ends what it has connected; whoever connected from elsewhere waits for its return.
+        link.close(for_good=link in self._own or not self.kernel.closed)
+        if link in self._own:
+            self._own.remove(link)
+        else:
+            self._made -= Counter((far.kernel,))
+        self._answer_first(link, None)
+        self._tried.pop(link, None)
+        self._expected.forget(link)
+        self._offers.forget(link)
 
     def _answer_first(self, link: Link, error: AiortsError | None) -> None:
         first = self._first.pop(link, None)
@@ -557,10 +560,7 @@ class Links(KernelService):
             self._check_made(offer.writer)
             link = self._new_reader(replace(offer, writer=writer), found)
             self._made[offer.writer.kernel] += 1
-        if key not in self._offers:
-            for other in [other for other, one in self._offers.items() if one is link]:
-                del self._offers[other]  # the link has another name there now
-        self._offers[key] = link
+        self._offers.put(key, link)  # which may have had another name there
         self._number = self._number % 0xFFFFFFFF + 1
         return Answer(number=self._number, epoch=link.end.epoch), link
 
@@ -569,7 +569,7 @@ class Links(KernelService):
         hosts = ("",) if caller.peer is None else ("", caller.peer.host)
         reader = str(replace(offer.reader, host="", kernel=self.reached_as))
         ends = [(str(replace(offer.writer, host=host)), reader) for host in hosts]
-        return next((self._expected[one] for one in ends if one in self._expected), None)
+        return next(filter(None, map(self._expected.get, ends)), None)
 
     def _awaits(self, link: ReaderLink, caller: Caller) -> InPort[Any] | None:
         """The reader of a link that this kernel has asked this caller for, where no component has it."""
@@ -616,8 +616,9 @@ class Links(KernelService):
         if not isinstance(found, OutPort):
             raise WiringError(f"{request.writer}: is no out-port")
         full = replace(reader, host=self.reach.host_of(caller.peer))
-        for connector, link in self._writers.items():
-            if is_end(connector.out, found) and self.far_of(link) in (reader, full):
+        for link in self._ends.at(reader.component):
+            is_writer = isinstance(link, WriterLink) and is_end(link.connector.out, found)
+            if is_writer and self.far_of(link) in (reader, full):
                 self._try(link)
                 return Answer()
         self._accepting = True
@@ -647,8 +648,8 @@ class Links(KernelService):
     async def _come(self, body: bytes, caller: Caller) -> bytes:
         """A component has come that links of this kernel waited for."""
         component = body.decode(errors="replace")
-        for link in self._all():
-            if self.far_of(link).component == component and self._peer(link) == caller.peer:
+        for link in self._ends.at(component):
+            if self._peer(link) == caller.peer:
                 if link in self._asking:
                     self._retry(link)  # the answer that it was not there has come, and was not looked at yet
                 self._try(link)

@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from typing import Any, Final
+from weakref import WeakKeyDictionary
 
 from aiorts.wire import layout_text
 
@@ -16,12 +17,16 @@ _SHOWN: Final = 80
 _LONGEST: Final = 65_536
 """Letters of the text of the other end up to which it is looked for what differs, or twice as many as ours has."""
 _NOTHING: Final[Mapping[str, Any]] = {}
+_LAYOUTS: Final[WeakKeyDictionary[type, tuple[bytes, str]]] = WeakKeyDictionary()
+"""Of the types of ports: thousands of links may be of one."""
 
 
 def layout_of(cls: type) -> tuple[bytes, str]:
     """The hash (SHA-256, its first 16 bytes) and the text of a type's layout; equal for equal types."""
-    text = layout_text(cls)
-    return hashlib.sha256(text.encode()).digest()[:16], text
+    if (found := _LAYOUTS.get(cls)) is None:
+        text = layout_text(cls)
+        found = _LAYOUTS[cls] = hashlib.sha256(text.encode()).digest()[:16], text
+    return found
 
 
 def difference(theirs: str, ours: str) -> str:

@@ -19,6 +19,7 @@ from aiorts.links.writer_link import WriterLink
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.links.answering import NamedEnds
     from aiorts.links.kernels import Kernels
     from aiorts.links.reader_link import ReaderLink
     from aiorts.links.transport import Caller
@@ -98,7 +99,7 @@ class Ledgers:
         self,
         links: Kernels,
         writers: Mapping[Connector, WriterLink],
-        readers: Mapping[tuple[str, str], ReaderLink],
+        readers: NamedEnds,
     ) -> None:
         self._links, self._writers, self._readers = links, writers, readers
 
@@ -120,11 +121,11 @@ class Ledgers:
         if isinstance(link, WriterLink):
             body = await self._links.ask(peer, "ledger", packed([connector.name]), within)
             return _join(link, _Report.from_bytes(body))
-        name = next((name for (_, name), one in self._readers.items() if one is link), None)
+        name = self._readers.name_of(link)
         if name is None:
             raise LinkError(f"{connector.name}: ledger: {link.why}")
         # The writer's kernel asks this one in turn.
-        return _read(await self._links.ask(peer, "joined", packed([name]), 2 * within))
+        return _read(await self._links.ask(peer, "joined", packed([name[1]]), 2 * within))
 
     async def through(self, reader: ReaderLink, writer: WriterLink, within: float) -> LinkLedger:
         """The ledger of a connector whose both ends are in other kernels; errors as those of `of`.

@@ -132,8 +132,8 @@ class FarPorts(Protocol):
         """Make the link of a connector with a far port."""
         ...
 
-    def connector_ended(self) -> None:
-        """End the links of connectors that are closed."""
+    def connector_ended(self, connector: Connector) -> None:
+        """End the link of a connector that has ended."""
         ...
 
 
