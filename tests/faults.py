@@ -153,6 +153,7 @@ EXPECTED = {
     "G05": "A public coroutine that is cancelled at any of its turns leaves no task and no lock behind.",
     "G06": "A thousand components, and hundreds of contexts, are on time.",
     "G07": "Ten thousand of anything take ten thousand times as long as one, and not more.",
+    "G08": "Ten thousand connectors between two kernels, over one session of the network.",
     "G10": "A used-up pool of threads is told once, and the loop lives.",
     "G11": "The interpreter ends while threads of aiorts live.",
     "G12": "systemd is told: ready after activation, pings only while all contexts get on, stopping at the end.",

@@ -15,7 +15,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final, TypeVar
+from functools import partial
+from typing import Any, Final, NamedTuple, TypeVar
 
 from aiorts.errors import LinkError, MissingExtra, PluginError
 from aiorts_zenoh.gate import Gate
@@ -108,6 +109,15 @@ class Inbox:
         with self._lock:
             self._due = bool(self._items)
             return not self._due
+
+
+class _Unknown(NamedTuple):
+    """What puts bytes at a key that the engine does not know."""
+
+    put: Callable[[bytes], None]
+
+    def undeclare(self) -> None:
+        """As a publisher has it."""
 
 
 class Engine:
@@ -286,15 +296,16 @@ class Engine:
         info = self._session.info
         return bool(info.peers_zid() or info.routers_zid())
 
-    def publisher(self, key: str, priority: str) -> Any:
-        """What puts bytes at a key, with a priority of the engine by its name.
+    def publisher(self, key: str, priority: str, *, known: bool) -> Any:
+        """What puts bytes at a key, with a priority of the engine by its name; `known`: see `expect`.
 
         What is under way is bounded by credits (`sending`), so that the engine's queue never is full.
         """
         zenoh = self._zenoh
-        return self._session.declare_publisher(
-            key, congestion_control=zenoh.CongestionControl.DROP, priority=getattr(zenoh.Priority, priority)
-        )
+        how = {"congestion_control": zenoh.CongestionControl.DROP, "priority": getattr(zenoh.Priority, priority)}
+        if known:
+            return self._session.declare_publisher(key, **how)
+        return _Unknown(partial(self._session.put, zenoh.KeyExpr(key), **how))
 
     def expect(self, key: str) -> Callable[[], None]:
         """Have the engine know a key at which messages come, until the returned function is called.

@@ -15,7 +15,7 @@ nothing waits, it is not sent sooner than another.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -33,6 +33,12 @@ As much as the other end of one channel may have taken without saying so.
 ALONE: Final = 1_050_000
 _TOLD: Final = BATCH
 """The cost after which a receiver says how far it has come, without being asked."""
+_SOME: Final = 4 * BATCH
+"""The cost, over all channels to one kernel, after which it is said how far this one has come."""
+_ASKED: Final = 64
+"""Channels at which another kernel is asked at the same time how far it has come."""
+_LAST: Final = 64
+"""Bytes of a frame that may be the last one of a link."""
 _FULL: Final = 1 << 20
 """Bytes that wait at one channel beyond which it takes no more."""
 
@@ -42,11 +48,20 @@ class Budget:
 
     def __init__(self) -> None:
         self.used = 0
-        self.senders: list[Sender] = []
-        self.waiting: dict[Sender, None] = {}
+        self.senders: dict[Sender, None] = {}
+        self.unasked: OrderedDict[Sender, None] = OrderedDict()
+        """Those that have sent something since the other kernel was asked last how far it has come."""
+        self.asked: dict[Sender, None] = {}
+        """Those at which it was asked, and has not answered."""
+        self.telling: dict[Sender, None] = {}
+        """Those of which it will soon say so by itself: few, since they have much under way."""
+        self.waiting: OrderedDict[Sender, None] = OrderedDict()
         """Those that have something to send, in turn; few of thousands of channels have."""
         self.refusing: dict[Sender, None] = {}
         """Those that have refused a frame, and have not been told since that there is room."""
+        self.untold: OrderedDict[Receiver, None] = OrderedDict()
+        """Those to which something has come that the other kernel was not told of."""
+        self.untold_cost = 0
 
     @property
     def has_room(self) -> bool:
@@ -61,16 +76,41 @@ class Budget:
         return self.used + cost(size + 100) <= ROOM or (size <= ALONE and self.used <= _IDLE)
 
     def look(self) -> None:
-        """Ask at all channels how far the other kernel has come, unless it will soon say so by itself at one."""
-        if all(sender.under_way < _TOLD for sender in self.senders):
-            for sender in self.senders:
-                sender.look()
+        """Ask how far the other kernel has come, unless it will soon say so by itself.
+
+        It is not asked at thousands of channels at once: at some, and when it has answered there, at the next.
+        """
+        if not self.telling:
+            self._look()
+
+    def look_again(self) -> None:
+        """Ask once more: what it was asked, or has said, may be lost. Channels where it was not asked come first."""
+        for sender in tuple(self.asked):
+            sender.forget_look()
+        for sender in tuple(self.telling):
+            sender.look()
+        self._look()
+
+    def _look(self) -> None:
+        while self.unasked and len(self.asked) < _ASKED:
+            next(iter(self.unasked)).look()
 
     def pump(self) -> None:
         """Send at all channels what there is room for, one message at each in turn."""
-        sent = [True]
-        while any(sent):
-            sent = [sender.send_next() for sender in tuple(self.waiting) if self.has_room]
+        waiting = self.waiting
+        while waiting and self.has_room:
+            sender = next(iter(waiting))
+            sender.send_next()
+            if sender in waiting:
+                waiting.move_to_end(sender)
+
+    def tell(self) -> None:
+        """Say how far this kernel has come where that was not said for longest, while much was not said anywhere.
+
+        Each of thousands of channels has so little under way that nothing would ever be said of it.
+        """
+        while self.untold_cost > _SOME:
+            next(iter(self.untold)).say()
 
     def tell_room(self) -> None:
         """Tell those that have refused a frame, and would take it now, that there is room."""
@@ -103,9 +143,9 @@ class Sender:
         """What waits: kind, blocks and their size."""
         self._waits = 0
         self._sent = self._taken = 0
-        self._looked = -1
+        self._looked = 0
         """What was sent when the other end was asked last how far it has come."""
-        budget.senders.append(self)
+        budget.senders[self] = None
 
     @property
     def under_way(self) -> int:
@@ -151,7 +191,7 @@ class Sender:
         Other channels may have a little under way that has come long ago: of so little a receiver says nothing by
         itself. They ask now, so that the next frame can go in one message.
         """
-        for sender in self._budget.senders:
+        for sender in tuple(self._budget.unasked):
             if sender is not self:
                 sender.look()
         _, blocks, whole = self._queue.popleft()
@@ -164,24 +204,36 @@ class Sender:
         self._put(data)
         costs = cost(len(data))
         self._sent += costs
-        self._budget.used += costs
+        budget = self._budget
+        budget.used += costs
+        budget.unasked[self] = None
+        if self._sent - self._taken >= _TOLD:
+            budget.telling[self] = None
 
     def look(self) -> None:
         """Ask how far the other end has come, unless nothing was sent since it was asked last."""
+        self._budget.unasked.pop(self, None)
         if self._sent > max(self._taken, self._looked):
+            self._budget.asked[self] = None
             self._looked = self._sent
             self._put(message(LOOK, self._epoch, self._sent, self._now()))
 
-    def look_again(self) -> None:
-        """Ask once more, if there was no answer: it may have been lost."""
-        self._looked = -1
-        self.look()
+    def forget_look(self) -> None:
+        """Ask anew, if there was no answer."""
+        self._looked = 0
+        del self._budget.asked[self]
+        self._budget.unasked[self] = None
 
     def came(self, taken: int) -> None:
         """The other end says that of all that was sent, what cost so much was taken or is lost."""
         if self._taken < taken <= self._sent:
-            self._budget.used -= taken - self._taken
+            budget = self._budget
+            budget.used -= taken - self._taken
             self._taken = taken
+            if taken >= self._looked:
+                budget.asked.pop(self, None)
+            if self._sent - taken < _TOLD:
+                budget.telling.pop(self, None)
 
     def room_made(self) -> bool:
         """Whether a frame was refused, and one would be taken now; then False until the next is refused."""
@@ -192,29 +244,62 @@ class Sender:
         return True
 
     def close(self) -> None:
-        """Send nothing any more."""
-        if self in self._budget.senders:
-            self._budget.senders.remove(self)
-            self._budget.used -= self._sent - self._taken
-        self._budget.waiting.pop(self, None)
-        self._budget.refusing.pop(self, None)
+        """Send nothing any more.
+
+        A short frame that waits as the last one goes out at once, whatever is under way: it says that the link has
+        ended, which is said once.
+        """
+        budget = self._budget
+        if self._queue and (last := self._queue[-1])[0] == FRAME and last[2] <= _LAST:
+            self._put(message(FRAME, self._epoch, self._sent, self._now(), last[1]))
+        if self in budget.senders:
+            del budget.senders[self]
+            budget.used -= self._sent - self._taken
+        for some in (budget.waiting, budget.refusing, budget.unasked, budget.asked, budget.telling):
+            some.pop(self, None)
         self._queue.clear()
 
 
 class Receiver:
-    """How far one end of a channel has come with what the other sends."""
+    """How far one end of a channel has come with what the other sends.
 
-    def __init__(self) -> None:
+    Args:
+        tell: tells the other end this number.
+    """
+
+    def __init__(self, budget: Budget, tell: Callable[[int], None]) -> None:
+        self._budget, self._tell = budget, tell
         self._taken = self._told = 0
 
-    def took(self, first: int, size: int) -> bool:
-        """A message of `size` bytes has come; whether its sender is to hear how far this end is."""
+    def took(self, first: int, size: int) -> None:
+        """A message of `size` bytes has come; the sender hears how far this end is, if that is much."""
         taken = first + cost(size)
-        if taken > self._taken:
-            self._taken = taken
-        return self._taken - self._told >= _TOLD
+        if taken <= self._taken:
+            return
+        budget = self._budget
+        budget.untold_cost += taken - self._taken
+        self._taken = taken
+        if taken - self._told >= _TOLD:
+            self.say()
+        else:
+            budget.untold[self] = None
+            if budget.untold_cost > _SOME:
+                budget.tell()
 
-    def tell(self) -> int:
-        """The number to tell the sender."""
+    def asked(self, first: int) -> None:
+        """The other end asks, which has sent so much."""
+        if first > self._taken:
+            self._budget.untold_cost += first - self._taken
+            self._taken = first
+        self.say()
+
+    def say(self) -> None:
+        """Tell the other end now."""
+        self.close()
+        self._tell(self._taken)
+
+    def close(self) -> None:
+        """Tell nothing of what has come until now."""
+        self._budget.untold.pop(self, None)
+        self._budget.untold_cost -= self._taken - self._told
         self._told = self._taken
-        return self._taken

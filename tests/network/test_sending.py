@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("zenoh")
 
-from aiorts_zenoh.envelope import BATCH, FRAME, LONG, LOOK, PIECE, PIECES, Whole, read
+from aiorts_zenoh.envelope import BATCH, FRAME, LONG, LOOK, PIECE, PIECES, Whole, cost, read
 from aiorts_zenoh.sending import Budget, Receiver, Sender
 
 
@@ -22,7 +22,7 @@ class Way:
         self.put = [] if put is None else put
         self.rooms = 0
         self.sender = Sender(budget, self._put, 1, lambda: 0, self._on_room)
-        self.receiver, self.whole = Receiver(), Whole()
+        self.receiver, self.whole = Receiver(budget, self.sender.came), Whole()
         self.came: list[bytes] = []
 
     def _put(self, data: bytes) -> None:
@@ -41,11 +41,9 @@ class Way:
             return
         kind, _, first, _, blocks = read(data)
         if kind == LOOK:
-            self.receiver.took(first, 0)
-            self.sender.came(self.receiver.tell())
+            self.receiver.asked(first)
             return
-        if self.receiver.took(first, len(data)):
-            self.sender.came(self.receiver.tell())
+        self.receiver.took(first, len(data))
         frame = blocks if kind == FRAME else self.whole.add(blocks)
         assert kind in (FRAME, PIECE)
         if frame:
@@ -100,7 +98,7 @@ def test_what_a_lost_message_took_up_is_free_again() -> None:
     way.sender.send([b"last"])
     while way.under_way:
         way.step(lost=True)
-    way.sender.look_again()
+    budget.look_again()
     way.step()
     budget.pump()
     way.step()
@@ -171,3 +169,49 @@ def test_of_many_channels_those_that_have_refused_are_told_of_room_once() -> Non
             budget.look()
         budget.tell_room()
     assert [way.rooms for way in ways] == [int(way is ways[3]) for way in ways]
+
+
+def test_of_thousands_of_channels_with_little_each_none_has_to_ask() -> None:
+    budget, put = Budget(), []  # type: Budget, list[bytes]
+    ways = [Way(budget, put) for _ in range(5_000)]
+    for _ in range(3):
+        for way in ways:
+            assert way.sender.send([bytes(100)])
+            way.step()
+    assert [len(way.came) for way in ways] == [3] * 5_000
+    assert {read(data).kind for data in put} == {FRAME}
+
+
+def test_it_is_asked_at_some_of_thousands_of_channels_at_a_time_and_all_that_was_lost_is_free() -> None:
+    budget, put = Budget(), []  # type: Budget, list[bytes]
+    ways = [Way(budget, put) for _ in range(5_000)]
+    for way in ways:
+        way.sender.send([bytes(100)])
+    looks = sum(read(data).kind == LOOK for data in put)
+    assert 0 < looks < 100
+    sent = sum(cost(len(data)) for data in put if read(data).kind == FRAME)
+    assert budget.used == sent
+    for way in ways:
+        while way.under_way:
+            way.step(lost=True)
+    for _ in range(1_000):
+        if not budget.waiting:
+            break
+        budget.look_again()
+        for way in ways:
+            while way.under_way:
+                way.step(lost=not way.came and read(way.under_way[0]).kind == FRAME)
+        budget.pump()
+    assert not budget.waiting
+
+
+def test_what_says_that_a_link_has_ended_goes_out_though_there_is_no_room() -> None:
+    way = Way(budget := Budget())
+    while budget.has_room:
+        way.sender.send([bytes(PIECES // 2)])
+    for frame in (bytes(PIECES // 2), b"ends"):
+        assert way.sender.send([frame])
+    way.sender.close()
+    while way.under_way:
+        way.step()
+    assert way.came[-1] == b"ends"
