@@ -41,6 +41,8 @@ _SHORT: Final = 4_096
 _MARGIN: Final = 1.0
 """Seconds that the engine keeps a question longer than who asks waits."""
 _LONGEST: Final = 2_000
+_AT_ONCE: Final = 4_096
+"""Bytes of a question or answer that is given to the engine on the loop."""
 
 _KNOWN: Final = 32
 """Links with one other kernel whose keys the engine knows: the first. It finds the way of a message by such a key at
@@ -97,6 +99,8 @@ class ZenohTransport:
         self._last = 0
         self._answers: dict[tuple[str, bytes, int], asyncio.Future[tuple[bool, bytes]]] = {}
         """What was asked last, by who asks and its number: a question that comes twice is answered once."""
+        self._turns: dict[Peer, asyncio.Lock] = {}
+        """Held while a long question or answer waits until the engine has room for it."""
         self._looking: asyncio.TimerHandle | None = None
         self._closed = False
         self._inbox: Inbox | None = None
@@ -260,6 +264,7 @@ class ZenohTransport:
                 del self._named[name]
             self._bad.discard(peer)
             self._clocks.pop(peer, None)
+            self._turns.pop(peer, None)
         for tell in tuple(self._tells):
             tell(peer, up)
         if not up:
@@ -432,7 +437,11 @@ class ZenohTransport:
 
         def again(left: float) -> None:
             if not future.done() and not self._closed:
-                self.engine.ask(key, body, beside, left + _MARGIN, answered)
+                work = partial(self.engine.ask, key, body, beside, left + _MARGIN, answered)
+                if not self._waits(peer, len(body)):
+                    work()
+                else:
+                    self.kernel.run_in_background(self._in_turn(peer, work), "aiorts question")
 
         try:
             again(within)
@@ -477,7 +486,11 @@ class ZenohTransport:
             if len(self._answers) > _ASKED:
                 self._forget_answers()
         good, data = await asyncio.shield(found)
-        self.engine.reply(query, data, good=good)
+        work = partial(self.engine.reply, query, data, good=good)
+        if (peer := self._who(name, who)) is None or not self._waits(peer, len(data)):
+            work()
+        else:
+            await self._in_turn(peer, work)
         if len(data) > _KEPT and self._answers.get(asking) is found:
             self._answers[asking] = late = self.loop.create_future()
             late.set_result((False, b"it was answered, and the answer was too long to be kept"))
@@ -495,6 +508,17 @@ class ZenohTransport:
             return True, await answer_of(self._handlers.get(what), what, body, caller, self.kernel)
         except LinkError as error:
             return False, str(error).encode()[:_LONGEST]
+
+    def _waits(self, peer: Peer, size: int) -> bool:
+        """Whether the engine may have to wait until it has room for so much more to this kernel."""
+        return size > _AT_ONCE or (peer in self._turns and self._turns[peer].locked())
+
+    async def _in_turn(self, peer: Peer, work: Callable[[], None]) -> None:
+        """Give one question or answer after the other to the engine in a thread: where a kernel takes nothing, it waits
+        there, and all others are served."""
+        async with self._turns.setdefault(peer, asyncio.Lock()):
+            if not self._closed:
+                await in_thread(work)
 
     def _forget_answers(self) -> None:
         """Forget the oldest that were given."""

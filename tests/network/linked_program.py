@@ -13,6 +13,7 @@ import struct
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Protocol
 
 from aiorts import Component, InPort, Kernel, OutPort, Provided, Required
@@ -26,6 +27,8 @@ WRITER = time.time_ns()
 
 class Echo(Protocol):
     async def echo(self, number: int) -> int: ...
+
+    async def much(self, asked: bytes, answered: int, after: float) -> bytes: ...
 
 
 class Source(Component):
@@ -41,6 +44,10 @@ class Answers(Component):
 
     async def echo(self, number: int) -> int:
         return number
+
+    async def much(self, asked: bytes, answered: int, after: float) -> bytes:
+        await asyncio.sleep(after)
+        return bytes(answered)
 
 
 class Asks(Component):
@@ -80,7 +87,7 @@ class Program:
 
     async def begin(self) -> None:
         await self.kernel.add(Answers("answers"))
-        self.asking = await self.kernel.add(Asks("asks"))
+        self.asking = {name: await self.kernel.add(Asks(name)) for name in ("asks", "more")}
         for name in self.settings.get("sources", ()):
             self.sources[name] = await self.kernel.add(Source(name))
         for name, file in self.settings.get("sinks", {}).items():
@@ -118,7 +125,7 @@ class Program:
             await asyncio.sleep(0.005)
 
     async def connect(self, source: str, to: str, **options: Any) -> str:
-        out = self.asking.service if source == "asks" else self.sources[source].out
+        out = self.asking[source].service if source in self.asking else self.sources[source].out
         return str((await self.kernel.connect(out, to, **options)).name)
 
     async def disconnect(self, name: str) -> None:
@@ -164,13 +171,23 @@ class Program:
             while self.asks:
                 number, began, fault = number + 1, time.monotonic(), ""
                 try:
-                    assert await self.asking.service.proxy.echo(number) == number
+                    assert await self.asking["asks"].service.proxy.echo(number) == number
                 except AiortsError as error:
                     fault = f"{type(error).__name__}: {error}"
                 self.calls.append((began, time.monotonic() - began, fault))
                 await asyncio.sleep(every)
 
         self.others.append(asyncio.ensure_future(asking()))
+
+    async def ask_much(self, count: int, asked: int, answered: int, after: float) -> None:
+        """Call the service that `more` is connected with so often at once, with so many bytes there and back; the first
+        call takes so long, and the others wait for it."""
+
+        async def asking(after: float) -> None:
+            with suppress(AiortsError):
+                await self.asking["more"].service.proxy.much(bytes(asked), answered, after)
+
+        self.others += [asyncio.ensure_future(asking(0.0 if number else after)) for number in range(count)]
 
     async def asked(self) -> list[tuple[float, float, str]]:
         """The calls since the last look: when, how long each took, what went wrong."""

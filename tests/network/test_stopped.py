@@ -75,6 +75,52 @@ def test_a_stopped_kernel_delays_no_call_between_others(router: bool, tmp_path: 
 
 
 @pytest.mark.fault("E06")
+@pytest.mark.parametrize("router", [False, True], ids=["linked with each other", "linked with a router"])
+@pytest.mark.parametrize("way", ["asked", "answered"])
+def test_a_stopped_kernel_that_was_asked_or_is_answered_much_delays_no_call_between_others(
+    router: bool, way: str, tmp_path: Path
+) -> None:
+    """15 MB in 30 questions or answers: more than the queues of the engine and of the system take.
+
+    A router waits half a second for room in such a queue, and meanwhile carries nothing.
+    """
+    address = f"127.0.0.1:{free_port()}"
+    a = Linked(settings("a", **({"connect": address} if router else {"listen": address})), tmp_path / "a.log")
+    b, c = (Linked(settings(name, connect=address), tmp_path / f"{name}.log") for name in "bc")
+    command = [sys.executable, "-m", "aiorts", "router", "--listen", address, "--insecure-network"]
+    hub = subprocess.Popen(command, stderr=subprocess.DEVNULL) if router else None
+    try:
+        with ended(a, b, c):
+            a.until(lambda seen: len(seen["peers"]) == 2)
+            b.until(lambda seen: "ha/a" in seen["peers"])
+            b.do("connect", source="asks", to="ha/a/answers.service")
+            a.do("connect", source="asks", to="hb/b/answers.service")
+            near, far = (a, "hc/c") if way == "asked" else (c, "ha/a")
+            near.do("connect", source="more", to=f"{far}/answers.service")
+            for one in (a, b):
+                one.do("ask", every=0.01)
+            near.do("ask_much", count=1, asked=1, answered=1, after=0.0)  # now they know each other
+            time.sleep(2.0)
+            before = [worst(one.do("asked")) for one in (a, b)]
+            if way == "asked":
+                c.signal(signal.SIGSTOP)
+                a.do("ask_much", count=30, asked=500_000, answered=1, after=0.0)
+            else:
+                c.do("ask_much", count=30, asked=1, answered=500_000, after=1.0)
+                time.sleep(0.5)
+                c.signal(signal.SIGSTOP)
+            time.sleep(PAUSE)
+            during = [worst(one.do("asked")) for one in (a, b)]
+            print(f"worst call: {before} s before, {during} s while one kernel stands still")
+            for early, late in zip(before, during, strict=True):
+                assert late < early + (4 if router else 2) * LONGEST
+    finally:
+        if hub is not None:
+            hub.terminate()
+            hub.wait(WAIT)
+
+
+@pytest.mark.fault("E06")
 def test_all_that_is_written_to_a_kernel_that_stands_still_arrives_or_is_counted(tmp_path: Path) -> None:
     address = f"127.0.0.1:{free_port()}"
     policies: dict[str, dict[str, Any]] = {
