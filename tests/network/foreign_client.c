@@ -24,8 +24,8 @@
 
 #include "foreign_frames.h"
 
-#if Z_FRAG_MAX_SIZE < 300000
-#error "messages of 260 kB have to fit: build zenoh-pico with -DFRAG_MAX_SIZE=300000"
+#if Z_FRAG_MAX_SIZE < 1100000
+#error "messages of 1,050,000 bytes have to fit: build zenoh-pico with -DFRAG_MAX_SIZE=1100000"
 #endif
 
 #define DOMAIN "aiorts/1/default"

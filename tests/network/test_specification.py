@@ -24,7 +24,7 @@ from aiorts.wire import LINK, MsgpackCodec
 from aiorts_zenoh import envelope
 from aiorts_zenoh.keys import claim_of, peer_of
 from aiorts_zenoh.names import Claim, seen
-from aiorts_zenoh.sending import Budget, Receiver
+from aiorts_zenoh.sending import Budget, Receiver, Sender
 from aiorts_zenoh.stream import Stream
 from network.vector_parts import FOLDER, KINDS, MADE, OWN, SENT_NS, TYPES, pattern, text_of
 
@@ -197,6 +197,33 @@ def test_a_receiver_says_how_far_it_is_as_often_as_is_written() -> None:
     Receiver(Budget(), said.append).took(told - 1, 0)
     Receiver(Budget(), said.append).took(told, 0)
     assert said == [told]
+
+
+def test_a_sender_has_as_much_under_way_as_is_written() -> None:
+    text = " ".join(FOLDER.with_name("SPEC.md").read_text(encoding="utf-8").split())
+    (found,) = re.findall(
+        r"of up to ([\d,]+) bytes of blocks .* while at most ([\d,]+) is under way\. A longer FRAME .* at most ([\d,]+)"
+        r"; or while at most ([\d,]+) is under way, if it has at most ([\d,]+) bytes",
+        text,
+    )
+    short, room, whole, idle, longest = (int(one.replace(",", "")) for one in found)
+
+    def takes(used: int, size: int) -> bool:
+        budget = Budget()
+        budget.used = used
+        return budget.takes(size)
+
+    assert [takes(room, size) for size in (short, short + 1, 800_000)] == [True, True, False]
+    assert [takes(room + 1, size) for size in (1, short)] == [False, False]
+    assert (takes(whole - envelope.cost(500_100), 500_000), takes(whole - envelope.cost(500_100) + 1, 500_000)) == (
+        True,
+        False,
+    )
+    assert [takes(idle, size) for size in (longest, longest + 1)] == [True, False]
+    assert not takes(idle + 1, longest)
+    sent: list[bytes] = []
+    Sender(Budget(), sent.append, 0, lambda: 0, lambda: None).send([bytes(longest - 4)])
+    assert [envelope.read(one).kind for one in sent] == [envelope.FRAME]
 
 
 def test_they_are_in_what_is_installed(tmp_path: Path) -> None:
