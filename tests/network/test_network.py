@@ -8,20 +8,21 @@ import socket
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from aiorts import Component, InPort, Kernel, OutPort
-from aiorts.errors import ConfigurationError, MissingExtra
+from aiorts.errors import ConfigurationError, MissingExtra, PluginError
 from aiorts.links import Links
 from aiorts.types import TimedLong, TimedOctetSeq
 
 pytest.importorskip("zenoh")
 
 from aiorts_zenoh import Network, NetworkSettings
-from aiorts_zenoh.engine import Engine, Inbox
+from aiorts_zenoh.engine import HIGHEST, LOWEST, Engine, Inbox
 from network.network_parts import free_port
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "roomba"
@@ -301,6 +302,27 @@ def test_a_run_without_the_engine_says_what_to_install(monkeypatch: pytest.Monke
 
     with pytest.raises(MissingExtra, match=r'pip install "aiorts\[zenoh\]"'):
         asyncio.run(main())
+
+
+@pytest.mark.parametrize("version", ["1.8.0", "1.11.0", "2.0.0", "0.11.0"])
+def test_an_engine_of_another_version_is_refused_at_the_start(version: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.metadata.version", lambda name: version)
+
+    async def main() -> None:
+        async with Kernel("alone", services={"zenoh": {}}):
+            pass
+
+    with pytest.raises(PluginError, match=f"eclipse-zenoh {version}: aiorts takes versions from 1.9 to before 1.11"):
+        asyncio.run(main())
+
+
+def test_the_versions_that_are_taken_are_those_that_the_extra_installs_and_the_specification_names() -> None:
+    root = Path(__file__).parents[2]
+    low, high = (".".join(map(str, one)) for one in (LOWEST, HIGHEST))
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert f"eclipse-zenoh>={low},<{high}" in project["optional-dependencies"]["zenoh"]
+    specification = (root / "plugins" / "aiorts_zenoh" / "SPEC.md").read_text(encoding="utf-8")
+    assert f"\nZenoh {low} or later, before {high}. " in specification
 
 
 @pytest.mark.fault("E26")
