@@ -30,6 +30,7 @@ FEATURES = {
     12: "A cycle runs in passes: transitions, execute, state update",
     13: "A hook that raises moves its component to error, with diagnostics",
     14: "The cause of an error can be asked for",
+    15: "A failure of a participant in another kernel is detected, as an error",
     18: "Modes and participants of state machines: their hooks are run",
     16: "A hook that does not return is detected; a watchdog names what blocks the loop",
     17: "Supervision: reset or restart with back-off and a budget",

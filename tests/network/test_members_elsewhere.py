@@ -43,6 +43,7 @@ async def two(
                 yield kernel, process
 
 
+@pytest.mark.row(15)
 @pytest.mark.parametrize("certified", [False, True])
 async def test_a_member_of_another_host_is_one_like_any_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, certified: bool

@@ -214,6 +214,7 @@ AFTER = {"stop": (ERROR, INACTIVE), "report": (ERROR, ACTIVE), "isolate": (ACTIV
 """The states of the composite and of the member here, by the policy, when the one elsewhere has failed."""
 
 
+@pytest.mark.row(15)
 @pytest.mark.parametrize("errors", AFTER)
 async def test_an_error_elsewhere_is_one_here_and_a_reset_is_one_there(tmp_path: Path, errors: str) -> None:
     async with left(tmp_path), right() as kernel:
@@ -230,6 +231,7 @@ async def test_an_error_elsewhere_is_one_here_and_a_reset_is_one_there(tmp_path:
         assert (near_and_gripper(kernel), await state_there()) == ([ACTIVE, ACTIVE], "active")
 
 
+@pytest.mark.row(15)
 @pytest.mark.parametrize("errors", AFTER)
 async def test_a_member_whose_kernel_is_killed_is_in_error_until_that_is_back_and_it_is_reset(
     tmp_path: Path, errors: str
