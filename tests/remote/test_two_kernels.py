@@ -8,7 +8,7 @@ from aiorts import Component, Composite, Kernel, LifecycleState, PeriodicContext
 from elsewhere_gripper import Gripper
 from elsewhere_parts import Local, until
 
-pytestmark = [pytest.mark.anyio, pytest.mark.row(101)]
+pytestmark = [pytest.mark.anyio, pytest.mark.row(15, 101)]
 ACTIVE, ERROR, INACTIVE = LifecycleState.ACTIVE, LifecycleState.ERROR, LifecycleState.INACTIVE
 
 
