@@ -41,8 +41,8 @@ _SHORT: Final = 4_096
 _MARGIN: Final = 1.0
 """Seconds that the engine keeps a question longer than who asks waits."""
 _LONGEST: Final = 2_000
-_AT_ONCE: Final = 4_096
-"""Bytes of a question or answer that is given to the engine on the loop."""
+_GIVEN: Final = 10 << 16
+"""Bytes of questions and answers that the engine surely has room for: its queue is of 16 times 64 KiB."""
 
 _KNOWN: Final = 32
 """Links with one other kernel whose keys the engine knows: the first. It finds the way of a message by such a key at
@@ -99,8 +99,7 @@ class ZenohTransport:
         self._last = 0
         self._answers: dict[tuple[str, bytes, int], asyncio.Future[tuple[bool, bytes]]] = {}
         """What was asked last, by who asks and its number: a question that comes twice is answered once."""
-        self._turns: dict[Peer, asyncio.Lock] = {}
-        """Held while a long question or answer waits until the engine has room for it."""
+        self._ways: dict[Peer, _Way] = {}
         self._looking: asyncio.TimerHandle | None = None
         self._closed = False
         self._inbox: Inbox | None = None
@@ -254,7 +253,7 @@ class ZenohTransport:
 
     def _present(self, peer: Peer, up: bool) -> None:
         if up:
-            self._peers[peer] = Budget()
+            self._peers[peer], self._ways[peer] = Budget(), _Way()
             self._named[f"{peer.host}/{peer.kernel}"] += 1
         else:
             del self._peers[peer]
@@ -264,7 +263,7 @@ class ZenohTransport:
                 del self._named[name]
             self._bad.discard(peer)
             self._clocks.pop(peer, None)
-            self._turns.pop(peer, None)
+            del self._ways[peer]
         for tell in tuple(self._tells):
             tell(peer, up)
         if not up:
@@ -425,6 +424,8 @@ class ZenohTransport:
         beside = own.epoch.to_bytes(8, "little") + number.to_bytes(8, "little") + f"{own.host}/{own.kernel}".encode()
 
         def answered(good: bool | None, data: bytes) -> None:
+            if good is not None and peer in self._ways:
+                self._ways[peer].given = 0
             if future.done():
                 return
             if good is None:  # nobody has answered: who will may not be known here yet
@@ -437,11 +438,7 @@ class ZenohTransport:
 
         def again(left: float) -> None:
             if not future.done() and not self._closed:
-                work = partial(self.engine.ask, key, body, beside, left + _MARGIN, answered)
-                if not self._waits(peer, len(body)):
-                    work()
-                else:
-                    self.kernel.run_in_background(self._in_turn(peer, work), "aiorts question")
+                self._give(peer, len(body), partial(self.engine.ask, key, body, beside, left + _MARGIN, answered))
 
         try:
             again(within)
@@ -480,17 +477,15 @@ class ZenohTransport:
         name, what = asked(key)
         who, number = beside[:8] + beside[16:], int.from_bytes(beside[8:16], "little")
         asking = name, who, number  # the name is in the key, where it cannot be another's
+        if (peer := self._who(name, who)) is not None:
+            self._ways[peer].given = 0
         found = self._answers.get(asking)
         if found is None:
             found = self._answers[asking] = asyncio.ensure_future(self._answer_of(name, what, body, who))
             if len(self._answers) > _ASKED:
                 self._forget_answers()
         good, data = await asyncio.shield(found)
-        work = partial(self.engine.reply, query, data, good=good)
-        if (peer := self._who(name, who)) is None or not self._waits(peer, len(data)):
-            work()
-        else:
-            await self._in_turn(peer, work)
+        self._give(self._who(name, who), len(data), partial(self.engine.reply, query, data, good=good))
         if len(data) > _KEPT and self._answers.get(asking) is found:
             self._answers[asking] = late = self.loop.create_future()
             late.set_result((False, b"it was answered, and the answer was too long to be kept"))
@@ -509,14 +504,16 @@ class ZenohTransport:
         except LinkError as error:
             return False, str(error).encode()[:_LONGEST]
 
-    def _waits(self, peer: Peer, size: int) -> bool:
-        """Whether the engine may have to wait until it has room for so much more to this kernel."""
-        return size > _AT_ONCE or (peer in self._turns and self._turns[peer].locked())
+    def _give(self, peer: Peer | None, size: int, work: Callable[[], None]) -> None:
+        """Give a question or answer to the engine, at once where that has room for it."""
+        way = None if peer is None else self._ways.get(peer)
+        if way is None or way.takes(size):
+            work()
+        else:
+            self.kernel.run_in_background(self._give_in_turn(way, work), "aiorts question")
 
-    async def _in_turn(self, peer: Peer, work: Callable[[], None]) -> None:
-        """Give one question or answer after the other to the engine in a thread: where a kernel takes nothing, it waits
-        there, and all others are served."""
-        async with self._turns.setdefault(peer, asyncio.Lock()):
+    async def _give_in_turn(self, way: _Way, work: Callable[[], None]) -> None:
+        async with way.turn:
             if not self._closed:
                 await in_thread(work)
 
@@ -530,6 +527,21 @@ class ZenohTransport:
         host, _, kernel = who[8:].decode(errors="replace").partition("/")
         peer = Peer(host, kernel, int.from_bytes(who[:8], "little"))
         return peer if kernel == name and peer in self._peers else None
+
+
+class _Way:
+    """Where the engine has no room for a question or answer to one kernel, it waits: in a thread, not on the loop."""
+
+    def __init__(self) -> None:
+        self.turn = asyncio.Lock()
+        """Held while one waits; all others to this kernel wait for it."""
+        self.given = 0
+        """Bytes that the engine was given since anything was heard of the kernel."""
+
+    def takes(self, size: int) -> bool:
+        """Whether so many bytes may be given to the engine at once."""
+        self.given += size
+        return not self.turn.locked() and (size <= _SHORT or self.given <= _GIVEN)
 
 
 def _priority(offer: LinkOffer) -> str:

@@ -86,7 +86,8 @@ class Program:
         self.writes = self.asks = False
 
     async def begin(self) -> None:
-        await self.kernel.add(Answers("answers"))
+        for name in ("answers", "gives"):
+            await self.kernel.add(Answers(name))
         self.asking = {name: await self.kernel.add(Asks(name)) for name in ("asks", "more")}
         for name in self.settings.get("sources", ()):
             self.sources[name] = await self.kernel.add(Source(name))
