@@ -86,6 +86,22 @@ def campaign(session: nox.Session) -> None:
     session.run("python", "-m", "pytest", "-q", "--tier", "all", *session.posargs, env={"AIORTS_CAMPAIGN": "1"})
 
 
+def engines_allowed() -> list[str]:
+    """The versions of the engine of links to other hosts, as pyproject.toml allows them."""
+    found = re.search(r"eclipse-zenoh>=1\.(\d+),<1\.(\d+)", (ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert found, "pyproject.toml: no range of eclipse-zenoh"
+    return [f"1.{minor}" for minor in range(int(found[1]), int(found[2]))]
+
+
+@nox.session
+@nox.parametrize("version", engines_allowed())
+def engine(session: nox.Session, version: str) -> None:
+    """The faults of networks, made on purpose with each version of the engine that is allowed: ten minutes each."""
+    session.install("-q", "-e", ".[test]")
+    session.install("-q", f"eclipse-zenoh=={version}.*")
+    run_tests(session, "python", "-m", "pytest", "-q", "-n", "2", "--tier", "all", "-m", "fault", "tests/network")
+
+
 @nox.session
 def mutations(session: nox.Session) -> None:
     """Break the sources in sixty places, one after the other: the quick tests find each."""
