@@ -147,6 +147,16 @@ def test_all_is_seen_and_operated_as_on_this_host(far: Far) -> None:
     assert "[tester, another host]: configure(" in far.log.read_text()
 
 
+def test_who_may_operate_creates_what_is_offered_there_and_brings_no_code(far: Far, tmp_path: Path) -> None:
+    (tmp_path / "brought.py").write_text(f"{PARTS}\nopen({str(tmp_path / 'ran')!r}, 'w').close()\n")
+    for words in (["comp", "create", f"{tmp_path}/brought.py:Counter", "robot/x"], ["reload", "robot/counter"]):
+        status, _, errors = far.do(*words)
+        assert (status, "code is never taken over a network" in errors) == (exits.DENIED, True), (words, errors)
+    assert not (tmp_path / "ran").exists()
+    assert far.do("comp", "create", "FlexiDump", "robot/dump", "inputs=TimedLong")[0] == exits.DONE
+    assert far.do("ls")[1].split()[-2:] == ["counter", "dump"]
+
+
 @pytest.mark.parametrize("far", [("-v",)], indirect=True)
 def test_who_may_only_look_changes_nothing(far: Far) -> None:
     assert far.step() == 1

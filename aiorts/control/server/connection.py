@@ -233,6 +233,8 @@ class Connection:
         if not right.allows(needed):
             text = f"{name}: needs the right {needed.value!r}, and this kernel allows {right.value!r}"
             why = " to this client: over a network it takes --allow-control, and a name that may operate"
+            if needed is Right.CODE:
+                why = " to this client: code is never taken over a network"
             raise DeniedError(f"{text}{why}" if self.carried else text)
         if number in self._open:
             raise BusyError(f"{name}: a call with the number {number} runs already")
