@@ -248,6 +248,17 @@ def test_a_program_without_aiorts_calls_by_one_question(far: Far) -> None:
         assert call("info", "nothing")["error"]["code"] == "E-CONTROL"
 
 
+@pytest.mark.parametrize("far", [("-v",)], indirect=True)
+def test_without_allow_control_there_is_nothing_below_ctl(far: Far) -> None:
+    config = zenoh.Config()
+    config.insert_json5("connect/endpoints", json.dumps([f"tcp/{far.address}"]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config) as session:
+        key = "aiorts/1/default/{}/far/robot/*/stranger/hello"
+        assert len([one for one in session.get(key.format("info"), timeout=WAIT) if one.ok]) == 1
+        assert list(session.get(key.format("ctl"), timeout=WAIT)) == []
+
+
 def test_a_place_where_nothing_listens_is_said() -> None:
     at = [sys.executable, "-m", "aiorts", "at", "--insecure-network", f"127.0.0.1:{(port := free_port())}", "ls"]
     done = subprocess.run(at, capture_output=True, text=True, check=False, timeout=WAIT)
