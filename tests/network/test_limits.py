@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import subprocess
 import sys
 import time
@@ -16,11 +17,12 @@ from hypothesis import strategies as st
 pytest.importorskip("zenoh")
 
 from aiorts import Component, InPort, Kernel, OutPort
+from aiorts.guide.contents import page
 from aiorts.links import Links
 from aiorts.types import TimedLong
 from aiorts_zenoh import Network
 from aiorts_zenoh.gate import Gate
-from aiorts_zenoh.limits import CUT_OFF, LIMITS, NAMES, SLOW_NS, Limits, Names
+from aiorts_zenoh.limits import CUT_OFF, LIMITS, NAMES, SLOW_NS, SLOW_NS_PER_BYTE, Limits, Names
 from network.network_parts import free_port
 
 HOSTILE = Path(__file__).with_name("hostile_program.py")
@@ -47,6 +49,24 @@ def test_who_is_within_its_limit_is_never_cut_off_and_who_is_beyond_it_is(
             done[who].clear()  # it begins anew
         # Twice as many in that time cannot have leaked away.
         assert cut or len(since) <= 2 * limit.most
+
+
+def test_the_guide_names_these_limits() -> None:
+    found = page("connect-hosts")
+    assert found is not None
+    text = " ".join(found.text.split())
+    (said,) = re.findall(
+        r"is not heard for (\d+) seconds.* are (\d+) questions a second, over ten seconds, and ([\d,]+) more once; "
+        r"(\d+) messages a minute that are none; and (\d+) messages a minute that take the processor longer than "
+        r"(\d+) ms, and (\d+) ms more for each megabyte\. Of a host ([\d,]+) names are seen\.",
+        text,
+    )
+    question, bad, slow = (LIMITS[what] for what in ("question", "bad", "slow"))
+    assert (question.seconds, bad.seconds, slow.seconds) == (10.0, 60.0, 60.0)
+    assert [int(one.replace(",", "")) for one in said] == [
+        *(CUT_OFF, question.most / 10, question.at_first, bad.most, slow.most),
+        *(SLOW_NS / 1e6, SLOW_NS_PER_BYTE, NAMES),
+    ]
 
 
 def test_it_is_said_once_and_over_after_a_while() -> None:

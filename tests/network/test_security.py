@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import time
 from pathlib import Path
 from typing import Any
@@ -115,5 +116,26 @@ def test_a_viewer_looks_and_an_operator_controls(tmp_path: Path) -> None:
         status, _, errors = far.do_as("arm", "ls")
         assert (status, "'arm' has the role 'component'" in errors) == (exits.REFUSED, True)
         assert "[otto, another host]: configure(" in far.log.read_text()
+    finally:
+        far.close()
+
+
+def test_no_key_is_in_what_a_kernel_says_of_itself(tmp_path: Path) -> None:
+    certs = folder(tmp_path / "certs", robot="component", otto="operator").path
+    secrets = [line for file in certs.glob("*.key") for line in file.read_text().splitlines() if "-----" not in line]
+    assert len(secrets) >= 6
+    far = SecuredFar(tmp_path, certs, "--allow-control", "-v")
+    try:
+        until = time.monotonic() + WAIT
+        while far.do_as("otto", "ls")[1].split() != ["robot/", "counter"]:
+            assert time.monotonic() < until, far.log.read_text()
+        said = [*far.do_as("otto", "cat", "robot", "--json"), *far.do_as("otto", "save", "robot")]
+        assert "certificates" in said[1], "it is the profile"
+        far.process.send_signal(signal.SIGUSR1)
+        while "security" not in far.log.read_text():  # of the report of the service
+            assert time.monotonic() < until, far.log.read_text()
+            time.sleep(0.05)
+        said += [far.log.read_text(), Path(f"/proc/{far.process.pid}/cmdline").read_text()]
+        assert [line for line in secrets if any(line in str(text) for text in said)] == []
     finally:
         far.close()
