@@ -184,6 +184,31 @@ def test_kernels_of_one_name_on_two_hosts_are_told_apart() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.row(82)
+def test_kernels_of_different_domains_do_not_see_each_other() -> None:
+    async def main() -> None:
+        address = f"127.0.0.1:{free_port()}"
+        listens = {"zenoh": {"listen": address, "host": "hub", "domain": "one", "insecure": True}}
+        one, two = (
+            {"zenoh": {"connect": address, "host": "pc", "domain": domain, "insecure": True}}
+            for domain in ("one", "two")
+        )
+        async with (
+            Kernel("station", services=listens) as station,
+            Kernel("robot", services=two) as apart,  # of one name with the other, and first
+            Kernel("robot", services=one) as robot,
+        ):
+            async with asyncio.timeout(20.0):
+                while [one.service(Network).report()["name"] for one in (station, apart, robot)] != ["owns"] * 3:
+                    await asyncio.sleep(0.01)
+            await _wait_for(station.service(Links), 1)
+            await _wait_for(robot.service(Links), 1)
+            seen = [[peer.kernel for peer in one.service(Links).peers] for one in (station, apart, robot)]
+            assert seen == [["robot"], [], ["station"]]
+
+    asyncio.run(main())
+
+
 @pytest.mark.row(83)
 @pytest.mark.fault("E01")
 def test_a_reader_that_is_killed_is_missed_at_once_and_linked_again(tmp_path: Path) -> None:
