@@ -142,6 +142,31 @@ def test_what_a_link_carries_decides_about_its_priority(monkeypatch: pytest.Monk
     assert {name for end, name in made if end == "r"} == {urgent}
 
 
+def test_all_that_may_be_asked_is_declared_before_the_token(monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+    answer, announce = Engine.answer, Engine.announce
+
+    def answered(self: Engine, key: str, *arguments: Any) -> Any:
+        found = answer(self, key, *arguments)
+        done.append(key.split("/")[3])
+        return found
+
+    def announced(self: Engine, *tokens: str) -> None:
+        done.extend("token" for _ in tokens)
+        announce(self, *tokens)
+
+    monkeypatch.setattr(Engine, "answer", answered)
+    monkeypatch.setattr(Engine, "announce", announced)
+
+    async def main() -> None:
+        services = {"zenoh": {"host": "one", "allow_control": True}, "control": {"name": "robot"}}
+        async with Kernel("robot", services=services) as kernel:
+            await kernel.service(Network).opened()
+
+    asyncio.run(main())
+    assert done[:4] == ["svc", "info", "ctl", "token"]
+
+
 async def _wait_for(links: Links, count: int) -> None:
     async with asyncio.timeout(20.0):
         while len(links.peers) < count:
