@@ -21,7 +21,7 @@ from aiorts.errors import LinkError
 from aiorts_zenoh.gateway import Gateway
 from aiorts_zenoh.keys import ClientKeys
 from aiorts_zenoh.network import NetworkSettings, endpoints_of, engine_settings, listed
-from aiorts_zenoh.security.access import OPERATOR, VIEWER
+from aiorts_zenoh.security.access import OPERATORS, VIEWER
 from aiorts_zenoh.security.probe import probe
 from aiorts_zenoh.security.tls import Secured, secured_by
 
@@ -70,7 +70,7 @@ def _user() -> str:
 
 
 async def _at(settings: NetworkSettings, caller: str, command: tuple[str, ...]) -> int:
-    secured = secured_by(settings.certificates, caller, (VIEWER, OPERATOR)) if settings.certificates else None
+    secured = secured_by(settings.certificates, caller, (VIEWER, *OPERATORS)) if settings.certificates else None
     own = {"connect/timeout_ms": _CONNECTS, "connect/exit_on_failure": True}
     with tempfile.TemporaryDirectory(prefix="aiorts-at-") as folder:
         gateway = Gateway(

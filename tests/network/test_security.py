@@ -101,7 +101,7 @@ class SecuredFar(Far):
 
 @pytest.mark.row(97)
 def test_a_viewer_looks_and_an_operator_controls(tmp_path: Path) -> None:
-    roles = {"robot": "component", "arm": "component", "anna": "viewer", "otto": "operator"}
+    roles = {"robot": "component", "arm": "component", "anna": "viewer", "otto": "operator", "lead": "coordinator"}
     folder(tmp_path / "certs", **roles)
     far = SecuredFar(tmp_path, tmp_path / "certs", "--allow-control", "-v")
     try:
@@ -113,6 +113,7 @@ def test_a_viewer_looks_and_an_operator_controls(tmp_path: Path) -> None:
         assert far.step() == 1
         assert far.do_as("otto", "conf", "counter", "step=5")[0] == exits.DONE
         assert far.step() == 5
+        assert far.do_as("lead", "conf", "counter", "step=7")[0] == exits.DONE
         status, _, errors = far.do_as("arm", "ls")
         assert (status, "'arm' has the role 'component'" in errors) == (exits.REFUSED, True)
         assert "[otto, another host]: configure(" in far.log.read_text()
