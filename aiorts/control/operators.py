@@ -2,7 +2,7 @@
 
 The operator of a component is the session that has changed it last, for as long as it is open. A session that its
 client has ended in order leaves all as it is; one that is lost (a client that was killed, a network that was cut) has
-each of its components do what its class says as `on_link_lost`.
+each of its components do what the system file, or else its class, says as `on_link_lost`.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ class Operators:
         for name in [name for name, operator in self._sessions.items() if operator is session]:
             del self._sessions[name]
             component = self._kernel.components.get(name)
-            if lost and component is not None and type(component).on_link_lost != "continue":
+            if lost and component is not None and (what := self._does(component)) != "continue":
                 if _is_active(component):
-                    self._lose(component, who)
+                    self._lose(component, who, what)
                 elif name in asked:  # its turn to be activated may be still to come
                     self._deactivate(component)
 
@@ -68,8 +68,11 @@ class Operators:
 
         return (*named, *(leaf.name for leaf in leaves_of(composites)))
 
-    def _lose(self, component: Component, who: str) -> None:
-        if type(component).on_link_lost == "error":
+    def _does(self, component: Component) -> str:
+        return self._kernel.registry.on_link_lost.get(component.name) or type(component).on_link_lost
+
+    def _lose(self, component: Component, who: str, what: str) -> None:
+        if what == "error":
             _LOG.warning("%s: the link to its operator is lost: %s; it goes to error", component.name, who)
             lost = ControlError(f"the link to its operator is lost: {who}")
             self._kernel.registry.task_failed(component, "the link to its operator", lost)

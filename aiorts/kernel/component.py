@@ -47,7 +47,7 @@ Hook = Awaitable[None] | None
 """What a hook may return: it is `async def` or plain `def`, and the value is None."""
 
 
-_LINK_LOST: Final = ("continue", "deactivate", "error")
+LINK_LOST: Final = ("continue", "deactivate", "error")
 
 
 class Component(Configurable):
@@ -101,8 +101,8 @@ class Component(Configurable):
                 elif isinstance(value, Declared):
                     parameters[attribute] = value.named(attribute, body.__qualname__)
         check_spelling(cls)
-        if cls.on_link_lost not in _LINK_LOST:
-            said = f"expected {', '.join(map(repr, _LINK_LOST))}, got {cls.on_link_lost!r:.80}"
+        if cls.on_link_lost not in LINK_LOST:
+            said = f"expected {', '.join(map(repr, LINK_LOST))}, got {cls.on_link_lost!r:.80}"
             raise DeclarationError(f"{cls.__qualname__}.on_link_lost: {said}")
         kinds = [
             one for base in reversed(cls.__mro__[1:]) if issubclass(base, Component) for one in declarations(base).kinds

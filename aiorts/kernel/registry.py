@@ -77,6 +77,8 @@ class Registry:
         """Instances whose code was taken back, and that stay in their place until a hook of theirs returns."""
         self.parked: set[Component] = set()
         """Those that are out of their places, and may come back."""
+        self.on_link_lost: dict[str, str] = {}
+        """By the component's name: what a system file says of it where its class may say otherwise; "" is nothing."""
         self.composing = asyncio.Lock()
         """Held while a composite changes: one at a time."""
 
@@ -182,6 +184,7 @@ class Registry:
         notify(self._kernel.services, "component_added", component)
 
     def _announce_end(self, component: Component) -> None:
+        self.on_link_lost.pop(component.name, None)
         self._kernel.bus.publish(ComponentRemoved(component.name))
         notify(self._kernel.services, "component_removed", component)
 

@@ -272,6 +272,7 @@ class Application:
 
     def _supervise_as(self, component: Component, entry: ComponentEntry) -> None:
         (self._planning.exclusive.add if entry.exclusive else self._planning.exclusive.discard)(entry.name)
+        self._kernel.registry.on_link_lost[entry.name] = entry.on_link_lost
         supervising = self._kernel.service(Supervising)
         if entry.start is None:
             supervising.rules.pop(entry.name, None)

@@ -79,6 +79,7 @@ class Canon:
         exclusive: bool,
         isolation: str = "",
         limits: Mapping[str, Any] = MappingProxyType({}),
+        on_link_lost: str = "",
     ) -> ComponentEntry:
         """A component of this class with this configuration."""
         text = self.named(cls, "components")
@@ -99,6 +100,7 @@ class Canon:
             exclusive,
             isolation,
             limits,
+            on_link_lost if on_link_lost != cls.on_link_lost else "",
         )
 
     def _params(self, name: str, state: ConfigurationState, declared: ConfigurationState) -> Mapping[str, Any]:

@@ -119,6 +119,7 @@ class _Reader:
             exclusive=component.name in self._exclusive,
             isolation="process" if isinstance(component, RemoteComponent) else "",
             limits=component.limits if isinstance(component, RemoteComponent) else _NO_LIMITS,
+            on_link_lost=self._kernel.registry.on_link_lost.get(component.name, ""),
         )
 
     # -- composites and contexts -----------------------------------------------------------------------------------

@@ -116,6 +116,7 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     kernel.origin = system.text
     planning = kernel.service(Planning)
     planning.clock = system.clock
+    kernel.registry.on_link_lost |= {entry.name: entry.on_link_lost for entry in system.components.values()}
     planning.exclusive |= {entry.name for entry in system.components.values() if entry.exclusive}
     attach_services(kernel, plan.services.values())
     with contextlib.ExitStack() as making:

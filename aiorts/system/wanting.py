@@ -78,6 +78,7 @@ class _Reader:
             exclusive=entry.exclusive,
             isolation=entry.isolation,
             limits=entry.limits,
+            on_link_lost=entry.on_link_lost,
         )
 
     def _context(self, entry: ContextEntry) -> ContextEntry:

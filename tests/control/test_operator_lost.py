@@ -8,13 +8,15 @@ import subprocess
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from aiorts import Component, Composite, Kernel, Param, PeriodicContext
 from aiorts.errors import DeclarationError
-from aiorts.system import check
+from aiorts.planning import wanted_of
+from aiorts.system import build, check, load, wanted
 from control_parts import WAIT, commanded
 
 PROGRAM = Path(__file__).with_name("holding_program.py")
@@ -259,3 +261,95 @@ def test_check_shows_what_each_does(tmp_path: Path) -> None:
     (found,) = check(tmp_path / "system.toml")
     assert (found.severity, found.code, found.line) == ("note", "N-OPERATOR", 2)
     assert found.message == "left is deactivated when the link to its operator is lost (Drive.on_link_lost)"
+
+
+DRIVES = """
+from aiorts import Component
+
+
+class Drive(Component):
+    on_link_lost = "deactivate"
+
+
+class Plain(Component):
+    pass
+
+
+class Newer(Component):
+    pass
+"""
+
+
+def a_file(folder: Path, name: str = "system", kind: str = "Plain", says: str = "error", of_drive: str = "") -> Path:
+    """A system with a left drive, of which the file may say nothing, and a plain component, of which it says `says`."""
+    (folder / "drives.py").write_text(DRIVES)
+    (file := folder / f"{name}.toml").write_text(
+        f'schema = 1\n[components.left]\ntype = "drives.py:Drive"\n{of_drive}'
+        f'[components.plain]\ntype = "drives.py:{kind}"\non_link_lost = "{says}"\n'
+        '[contexts.loop]\nkind = "periodic"\nrate = 100.0\nmembers = ["left", "plain"]\nactivate = false\n'
+    )
+    return file
+
+
+def test_check_shows_what_the_file_says_of_it(tmp_path: Path) -> None:
+    plain, left = check(a_file(tmp_path, of_drive='on_link_lost = "continue"\n'))[::-1]
+    assert (left.severity, left.code, left.line) == ("note", "N-OPERATOR", 4)
+    assert left.message == "left goes on when the link to its operator is lost (components.left.on_link_lost)"
+    assert (plain.severity, plain.code, plain.line) == ("note", "N-OPERATOR", 7)
+    assert plain.message == "plain goes to error when the link to its operator is lost (components.plain.on_link_lost)"
+
+
+def test_check_refuses_another_word_and_names_the_near_one(tmp_path: Path) -> None:
+    found = [one for one in check(a_file(tmp_path, says="deactivated")) if one.severity == "error"]
+    assert [one.line for one in found] == [6]
+    assert "unknown on_link_lost 'deactivated'; did you mean 'deactivate'?" in found[0].message
+
+
+def test_what_the_file_says_is_done_when_the_client_is_killed(hold: Hold, tmp_path: Path) -> None:
+    async def main() -> None:
+        async with Kernel(services={"control": {"name": "unit"}}) as kernel:
+            await build(kernel, load(a_file(tmp_path, of_drive='on_link_lost = "continue"\n')))
+            client = await hold("activate=left", "activate=plain")
+            client.kill()
+            async with asyncio.timeout(WAIT):
+                while kernel.components["plain"].states["loop"].value != "error":
+                    await asyncio.sleep(0.01)
+            assert kernel.components["left"].states["loop"].value == "active"
+
+    asyncio.run(main())
+
+
+def test_what_the_file_says_is_saved_planned_and_changed(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with Kernel() as kernel:
+            await build(kernel, load(a_file(tmp_path)))
+            assert (await kernel.apply(wanted(load(a_file(tmp_path))), dry_run=True)).plan.empty
+            await kernel.save(tmp_path / "saved.toml")
+            assert (tmp_path / "saved.toml").read_text().count("on_link_lost") == 1
+            assert wanted(load(tmp_path / "saved.toml")) == wanted_of(kernel)
+            changed = wanted(load(a_file(tmp_path, "next", says="deactivate")))
+            (step,) = (await kernel.apply(changed)).plan.steps
+            assert step.text == "supervise plain: on_link_lost error -> deactivate"
+            assert wanted_of(kernel).components["plain"].on_link_lost == "deactivate"
+
+    asyncio.run(main())
+
+
+def test_what_the_file_says_holds_for_newer_code_and_for_another_type(hold: Hold, tmp_path: Path) -> None:
+    async def main() -> None:
+        async with Kernel(services={"control": {"name": "unit"}}) as kernel:
+            await build(kernel, load(a_file(tmp_path)))
+            (tmp_path / "drives.py").write_text(f"{DRIVES}\n# newer\n")
+            await kernel.reload("Plain")
+            newer = wanted(load(a_file(tmp_path, "next", "Newer")))
+            await kernel.apply(replace(newer, services=wanted_of(kernel).services))
+            client = await hold("activate=plain")
+            client.kill()
+            async with asyncio.timeout(WAIT):
+                while kernel.components["plain"].states["loop"].value != "error":
+                    await asyncio.sleep(0.01)
+            await kernel.remove(kernel.components["plain"])
+            await kernel.create(Stays, "plain")
+            assert wanted_of(kernel).components["plain"].on_link_lost == ""
+
+    asyncio.run(main())

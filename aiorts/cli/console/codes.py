@@ -326,7 +326,8 @@ CODES: Final[dict[str, Code]] = {
     ),
     "N-OPERATOR": Code(
         "A component says what it does without its operator: aiorts check notes it.",
-        "Its class has `on_link_lost`, for a client that was killed, or a network that was cut, while it operates it.",
+        "Its class, or the file, says `on_link_lost`, for a client that was killed, or a network that was cut, while "
+        "it operates it.",
         "Ignore the note.",
     ),
     "N-COPY": Code(

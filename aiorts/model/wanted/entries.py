@@ -37,6 +37,8 @@ class ComponentEntry:
     """"process" for a process of its own."""
     limits: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     """What that process may use: memory, cpu, processes."""
+    on_link_lost: str = ""
+    """What it does when the link to its operator is lost; "" is what its class says."""
 
 
 def chosen(rule: Supervision | StartRule) -> dict[str, Any]:

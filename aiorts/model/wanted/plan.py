@@ -38,6 +38,8 @@ from aiorts.model.wanted.steps import (
 )
 
 _ABSENT: Final = object()
+_RULES: Final = ("supervision", "start", "exclusive", "on_link_lost")
+"""Of a component, what a `Supervise` changes."""
 E = TypeVar("E", ContextEntry, CompositeEntry)
 
 
@@ -212,7 +214,7 @@ class _Planner:
                 yield Reload(before, after)
                 continue
             if _shape(before) != _shape(after):
-                shaped = replace(after, supervision=before.supervision, start=before.start, exclusive=before.exclusive)
+                shaped = replace(after, **{word: getattr(before, word) for word in _RULES})
                 yield Configure(before, shaped)
                 before = shaped
             if before != after:

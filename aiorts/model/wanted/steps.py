@@ -175,7 +175,7 @@ class Reload(_Change):
 
 @dataclass(frozen=True, slots=True)
 class Supervise(_Change):
-    """Change what is done when a component fails, when it is started, or when it is replaced."""
+    """Change what is done when a component fails, is started, is replaced, or loses its operator."""
 
     before: ComponentEntry
     after: ComponentEntry
@@ -301,7 +301,8 @@ def _settings(one: ComponentEntry) -> dict[str, Any]:
 def _rules(one: ComponentEntry) -> dict[str, Any]:
     rules = {"supervision": one.supervision, "start": one.start}
     found = {f"{word}.{key}": value for word, rule in rules.items() if rule for key, value in chosen(rule).items()}
-    return {**found, "exclusive": True} if one.exclusive else found
+    alone = {"exclusive": one.exclusive, "on_link_lost": one.on_link_lost}
+    return {**found, **{word: value for word, value in alone.items() if value}}
 
 
 def _ends(connection: ConnectionEntry) -> str:

@@ -102,6 +102,8 @@ class _Writer:
             yield f"start = {self._inline(one.name, chosen(one.start))}"
         if one.exclusive:
             yield "exclusive = true"
+        if one.on_link_lost:
+            yield f"on_link_lost = {basic_string(one.on_link_lost)}"
         if one.isolation:
             yield f"isolation = {basic_string(one.isolation)}"
         if one.limits:

@@ -23,6 +23,7 @@ from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
 from aiorts.system.file.families import parts, root, unstartable
 from aiorts.system.file.survey import Survey
+from aiorts.system.text.reading import spelled
 from aiorts.types import is_mutable, type_name
 
 NOTHING_RUNS = "no context runs anything; add [contexts.NAME] with kind and members"
@@ -137,11 +138,15 @@ def _too_many(found: Survey) -> Iterator[Said]:
 
 
 def _left_alone(found: Survey) -> Iterator[Said]:
-    does = {"deactivate": "is deactivated", "error": "goes to error"}
+    does = {"continue": "goes on", "deactivate": "is deactivated", "error": "goes to error"}
     for name, cls in found.types.items():
-        if (what := does.get(cls.on_link_lost)) is not None:
-            text = f"{name} {what} when the link to its operator is lost ({cls.__name__}.on_link_lost)"
-            yield Said("note", "N-OPERATOR", ("components", name), text, of_key=True)
+        said = found.system.components[name].on_link_lost
+        if (word := said or cls.on_link_lost) == cls.on_link_lost == "continue":
+            continue
+        key = ("components", name, "on_link_lost") if said else ("components", name)
+        source = spelled(key) if said else f"{cls.__name__}.on_link_lost"
+        text = f"{name} {does[word]} when the link to its operator is lost ({source})"
+        yield Said("note", "N-OPERATOR", key, text, of_key=True)
 
 
 def _mutable(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:

@@ -20,6 +20,7 @@ from typing import Any, Final
 
 from aiorts.composites import ErrorPolicy, exports, groups_of
 from aiorts.errors import AiortsError, ConfigurationError, InvalidNameError, SystemFileError
+from aiorts.kernel.component import LINK_LOST
 from aiorts.model.configuration.sets import DEFAULT
 from aiorts.model.names import Path as PortPath
 from aiorts.model.names import check_name, names_kernel
@@ -57,7 +58,7 @@ TOP: Final = ("schema", *TOP_KEYS, "plugins", "clock", "components", "composites
 _LIMITS: Final = ("memory", "cpu", "processes")
 _COMPONENT: Final = (
     *("type", "options", "params", "sets", "active", "supervision", "start", "exclusive", "isolation", "limits"),
-    *(IF, REPEAT),
+    *("on_link_lost", IF, REPEAT),
 )
 _COMPOSITE: Final = ("members", "exported", "order", "groups", "errors", "own_schedule", IF, REPEAT)
 _SUPERVISION: Final = tuple(field.name for field in fields(Supervision))
@@ -210,6 +211,7 @@ class _Reader(Reading):
             self._start(key, table),
             self._get(key, table, "exclusive", bool, default=False),
             *self._isolation(key, table),
+            self._word(key, table, "on_link_lost", LINK_LOST) or "",
         )
 
     def _isolation(self, key: Key, table: dict[str, Any]) -> tuple[str, Mapping[str, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from aiorts.composites import ErrorPolicy
+from aiorts.kernel.component import LINK_LOST
 from aiorts.model.lifecycle import HOOKS
 from aiorts.supervision import ACTIONS, StartRule, Supervision
 from aiorts.system.file.parse import ORDERS
@@ -53,6 +54,12 @@ def limits_schema() -> dict[str, Any]:
             "processes": {"type": "integer", "minimum": 1, "description": "Processes and threads, itself included."},
         },
     )
+
+
+def link_lost_schema() -> dict[str, Any]:
+    """`on_link_lost` of a component."""
+    what = "Where it is active, and the link to its operator is lost: it goes on, is deactivated, or goes to error."
+    return {"enum": list(LINK_LOST), "description": f"{what} By default what its class says."}
 
 
 def supervision_schema() -> dict[str, Any]:
