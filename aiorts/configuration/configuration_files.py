@@ -62,11 +62,13 @@ class ConfigurationFiles(KernelService):
         self.kernel.check_open("load_configuration")
         await self._put_document(document)
 
-    async def load_text(self, text: str, name: str) -> None:
-        """The same for the text of a file, which messages call `name`."""
+    async def load_text(self, text: str, name: str) -> tuple[str, ...]:
+        """The same for the text of a file, which messages call `name`; the components in it."""
         from aiorts.model.configuration.configuration_text import parse_document
 
-        await self._put_document(parse_document(text, name))
+        document = parse_document(text, name)
+        await self._put_document(document)
+        return tuple(document.components)
 
     async def _put_document(self, document: Document) -> None:
         kernel = self.kernel

@@ -52,7 +52,7 @@ class Session:
         self.carried = carried
         self.right = right
         self.who = who
-        self.ended = False
+        self.ended = self._lost = False
         self._send = send
         self._has_room = has_room
         self._operators = operators
@@ -92,9 +92,10 @@ class Session:
         """
         if self.ended:
             return
-        self.ended = True
+        self.ended, self._lost = True, lost
         if self._operators is not None:
             self._operators.ended(self, self.who, chain.from_iterable(self._changing.values()), lost=lost)
+        self._changing.clear()
         for cancel in (*reversed(self._running.values()), *reversed(self._kept.values())):
             try:
                 cancel()
@@ -102,6 +103,15 @@ class Session:
                 LOG.error("%s: could not end what it began: %s", self.who, format_error(error), exc_info=error)
         self._running.clear()
         self._kept.clear()
+
+    def operates(self, components: Iterable[str]) -> None:
+        """It has changed these, and is their operator now; one that was lost meanwhile is so of these, too."""
+        if self._operators is None:
+            return
+        if not self.ended:
+            self._operators.changed(self, components)
+        elif self._lost:
+            self._operators.ended(self, self.who, components, lost=True)
 
     # -- calls -----------------------------------------------------------------------------------------------------
 
@@ -136,7 +146,7 @@ class Session:
         self._running.pop(number, None)
         changing = self._changing.pop(number, ())
         if task.cancelled():
-            self._operates(changing)  # what has begun goes on
+            self.operates(changing)  # what has begun goes on
             if inspect.iscoroutine(value):
                 value.close()  # cancelled before it began
             if stream is not None:
@@ -145,7 +155,7 @@ class Session:
             self._send(_error(number, ControlError(f"{operation.name}: was cancelled")), _nothing)
         elif (error := task.exception()) is not None:
             if isinstance(error, TransitionTimeout):
-                self._operates(changing)
+                self.operates(changing)
             self._fail(number, operation, arguments, error, stream)
         else:
             self._succeed(number, operation, arguments, task.result(), stream)
@@ -159,8 +169,8 @@ class Session:
 
     def _succeed(self, number: int, operation: Operation, arguments: Any, value: Any, stream: Stream | None) -> None:
         self._audit(operation, arguments, "done")
-        if operation.changes is not None:
-            self._operates(operation.changes(arguments, value))
+        if operation.changes is not None and not self.ended:
+            self.operates(operation.changes(arguments, value))
         self._send({"id": number, "ok": value}, _nothing)
         if stream is not None:
             stream.begun()
@@ -169,10 +179,6 @@ class Session:
             elif not stream.ended:
                 self._running[number] = stream.close
                 self._streams[number] = stream
-
-    def _operates(self, components: Iterable[str]) -> None:
-        if self._operators is not None and not self.ended:
-            self._operators.changed(self, components)
 
     def _fail(
         self, number: int, operation: Operation, arguments: Any, error: BaseException, stream: Stream | None

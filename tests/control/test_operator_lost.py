@@ -264,6 +264,8 @@ def test_check_shows_what_each_does(tmp_path: Path) -> None:
 
 
 DRIVES = """
+import asyncio
+
 from aiorts import Component
 
 
@@ -277,6 +279,15 @@ class Plain(Component):
 
 class Newer(Component):
     pass
+
+
+class Late(Component):
+    on_link_lost = "deactivate"
+    begun = False
+
+    async def on_activated(self):
+        self.begun = True
+        await asyncio.sleep(1.0)
 """
 
 
@@ -351,5 +362,73 @@ def test_what_the_file_says_holds_for_newer_code_and_for_another_type(hold: Hold
             await kernel.remove(kernel.components["plain"])
             await kernel.create(Stays, "plain")
             assert wanted_of(kernel).components["plain"].on_link_lost == ""
+
+    asyncio.run(main())
+
+
+def test_who_has_loaded_a_configuration_operates_what_is_in_it(hold: Hold, tmp_path: Path) -> None:
+    async def main() -> None:
+        async with three() as kernel:
+            await kernel.contexts["loop"].activate(*kernel.components.values())
+            (file := tmp_path / "robot.toml").write_text("schema = 1\n[components.stops.sets.default]\nstep = 3\n")
+            client = await hold(f"load={file}")
+            assert kernel.components["stops"].configuration.values["step"] == 3
+            client.kill()
+            await until(kernel, ["inactive", "active", "active"])
+
+    asyncio.run(main())
+
+
+def a_context(member: str, kind: str) -> str:
+    """A component that the next system has, too, alone in an active context."""
+    return (
+        f'[components.{member}]\ntype = "drives.py:{kind}"\n'
+        f'[contexts.own]\nkind = "periodic"\nrate = 100.0\nmembers = ["{member}"]\n'
+    )
+
+
+@asynccontextmanager
+async def of_file(file: Path) -> AsyncIterator[Kernel]:
+    """A kernel that has the system of a file, and of which a plan takes the socket not away."""
+    async with Kernel(services={"control": {"name": "unit"}}) as kernel:
+        kernel.services[0].table = None  # as where the command line asked for the socket
+        await build(kernel, load(file))
+        yield kernel
+
+
+@pytest.mark.parametrize("how", ["apply", "change"])
+def test_who_has_had_a_plan_carried_out_operates_what_it_changed(hold: Hold, tmp_path: Path, how: str) -> None:
+    async def main() -> None:
+        running = a_file(tmp_path)
+        running.write_text(running.read_text().replace("activate = false\n", ""))
+        changed = a_file(tmp_path, "next")
+        changed.write_text(running.read_text() + a_context("right", "Drive"))
+        async with of_file(running) as kernel:
+            client = await hold(f"{how}={changed}")
+            assert kernel.components["right"].states["own"].value == "active"
+            client.kill()
+            async with asyncio.timeout(WAIT):
+                while kernel.components["right"].states["own"].value != "inactive":
+                    await asyncio.sleep(0.01)
+            assert kernel.components["left"].states["loop"].value == "active"  # the plan did not touch it
+
+    asyncio.run(main())
+
+
+def test_a_plan_that_is_carried_out_when_the_client_is_killed(hold: Hold, tmp_path: Path) -> None:
+    async def main() -> None:
+        running, changed = a_file(tmp_path), a_file(tmp_path, "next")
+        changed.write_text(running.read_text() + a_context("late", "Late"))
+        async with of_file(running) as kernel:
+            client = await hold(f"begin_apply={changed}")
+            async with asyncio.timeout(WAIT):
+                while "late" not in kernel.components or not kernel.components["late"].begun:  # type: ignore[attr-defined]
+                    await asyncio.sleep(0.01)
+            client.kill()
+            await asyncio.to_thread(client.wait, WAIT)
+            await asyncio.sleep(1.5)  # longer than the plan takes
+            async with asyncio.timeout(WAIT):
+                while kernel.components["late"].states["own"].value != "inactive":
+                    await asyncio.sleep(0.01)
 
     asyncio.run(main())

@@ -106,7 +106,7 @@ def _dump(session: Session, given: Chosen) -> Document:
 async def _load(session: Session, given: Loading) -> Done:
     from aiorts.configuration import ConfigurationFiles  # late: few ask for it
 
-    await session.kernel.service(ConfigurationFiles).load_text("".join(given.parts), given.name)
+    session.operates(await session.kernel.service(ConfigurationFiles).load_text("".join(given.parts), given.name))
     return Done()
 
 

@@ -19,8 +19,10 @@ from aiorts.model.wanted.applied import Applied
 from aiorts.model.wanted.carried import received
 
 if TYPE_CHECKING:
+    from aiorts.kernel.microkernel import Microkernel
     from aiorts.model.wanted.entries import Wanted
     from aiorts.model.wanted.plan import Plan
+    from aiorts.model.wanted.steps import Places
 
 _DECIDED: Final = 120.0
 """Seconds that a change waits for the decision, while others change theirs; then it is taken back."""
@@ -108,8 +110,12 @@ def _plan(session: Session, given: Target) -> _Answer | Awaitable[_Answer]:
 async def _apply(session: Session, given: Application) -> _Answer:
     from aiorts.planning import Planning
 
-    wanted = await _allowed(session, given.wanted)
-    return _Answer(await session.kernel.service(Planning).apply(wanted, dry_run=False, window=given.window))
+    async def agreed(plan: Plan) -> str:
+        session.operates(_changed(session.kernel, plan))  # not at the end: this goes on where the session has gone
+        return ""
+
+    wanted, planning = await _allowed(session, given.wanted), session.kernel.service(Planning)
+    return _Answer(await planning.apply(wanted, dry_run=False, window=given.window, agreed=agreed))
 
 
 async def _change(session: Session, given: Target) -> _Answer:
@@ -125,9 +131,12 @@ async def _change(session: Session, given: Target) -> _Answer:
             made.set_result(plan)
         try:
             async with asyncio.timeout(None if simulated else _DECIDED):
-                return await decided
+                why = await decided
         except TimeoutError:
             return f"nothing was decided within {_DECIDED:g} s"
+        if not why:
+            session.operates(_changed(kernel, plan))
+        return why
 
     wanted = await _allowed(session, given.wanted)
     applying = kernel.service(Planning).apply(wanted, dry_run=False, window=0.0, agreed=agreed)
@@ -147,6 +156,33 @@ async def _decide(session: Session, given: Decision) -> _Answer:
         raise StateError("decide: nothing is changed in this session")
     _settle(decided, "" if given.keep else "not wanted any more")
     return _Answer(await asyncio.shield(changing))
+
+
+def _changed(kernel: Microkernel, plan: Plan) -> Iterator[str]:
+    """The components of which who wanted the plan is the operator, now that it is carried out."""
+    from aiorts.model.wanted.steps import Activate, Configure, Create, Move, Reload, RenewContext, Supervise
+
+    for step in plan.steps:
+        if isinstance(step, Create):
+            yield step.component.name
+        elif isinstance(step, Configure | Reload | Supervise):
+            yield step.after.name
+        elif isinstance(step, Activate | RenewContext):
+            context = step.context if isinstance(step, Activate) else step.after.name
+            yield from (one.name for one in kernel.contexts[context].members)
+        elif isinstance(step, Move):
+            yield from _come(step.before, step.after)
+
+
+def _come(before: Places, after: Places) -> Iterator[str]:
+    """Who comes into contexts and composites, and composites that come."""
+    for name, members in after.contexts.items():
+        yield from set(members) - set(before.contexts.get(name, ()))
+    for name, composite in after.composites.items():
+        was = before.composites.get(name)
+        if composite is not None:
+            come = [name] if was is None else set(composite.members) - set(was.members)
+            yield from (member.rpartition("/")[2] for member in come)
 
 
 def _settle(decided: asyncio.Future[str], why: str) -> None:
