@@ -8,6 +8,7 @@ object back. Only when all is over what is parked is ended.
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
@@ -52,6 +53,7 @@ from aiorts.model.wanted.steps import (
     Supervise,
 )
 from aiorts.planning.setting import Setting
+from aiorts.planning.shown import shown_name
 from aiorts.planning.switching import switch, tops
 from aiorts.reload import Trial, check_replaceable, code_of
 from aiorts.supervision import Supervising
@@ -81,6 +83,9 @@ class Application:
         self.goes_back = False
         """Whether what was done is being taken back."""
         self._parked: dict[str, Component] = {}
+        names = {one.name: shown_name(self._kernel, one) for one in self._kernel.connectors.values()}
+        self._shown = {name: shown for name, shown in names.items() if shown != name}
+        """By the name of a connector: what plans call it, where that is another."""
         self._connectors: list[Connector] = []
         """Those that are parked, in order."""
         self._of_services: list[Connector] = []
@@ -293,8 +298,19 @@ class Application:
         if parked is not None:
             self._connectors.remove(parked)
             kernel.connections.unpark(parked)
-        elif name not in kernel.connectors and name not in kernel.service_connectors:
-            await kernel.connect(one, two, **step.connection.options)
+        elif self._named(name) not in kernel.connectors and name not in kernel.service_connectors:
+            await self._make(name, step.connection)
+
+    async def _make(self, name: str, connection: ConnectionEntry) -> None:
+        """A connector that plans call so."""
+        made = await self._kernel.connect(*connection.ports, **connection.options)
+        if made.name != name:
+            self._shown[made.name] = name
+
+    def _named(self, name: str) -> str:
+        """What the kernel calls the connector that plans call so."""
+        there = self._kernel.connectors
+        return next((here for here, shown in self._shown.items() if shown == name and here in there), name)
 
     def _give_way(self, paths: tuple[str, ...]) -> None:
         """What a service has connected for itself ends where the system is to have a connector of its own."""
@@ -327,11 +343,16 @@ class Application:
         """The one of this name, if its ports are those that have these paths now."""
         ports = {self._kernel.registry.port(path) for path in paths}
         return next(
-            (one for one in reversed(self._connectors) if one.name == name and {one.out, one.in_} == ports), None
+            (
+                one
+                for one in reversed(self._connectors)
+                if self._shown.get(one.name, one.name) == name and {one.out, one.in_} == ports
+            ),
+            None,
         )
 
     async def _disconnect(self, step: Disconnect) -> None:
-        connections, name = self._kernel.connections, step.name
+        connections, name = self._kernel.connections, self._named(step.name)
         connector = connections.connectors.get(name)
         if connector is None:
             other = connections.service_connectors.get(name)
@@ -346,7 +367,7 @@ class Application:
             self._put_back()
 
     async def _change(self, step: Change) -> None:
-        connector = self._kernel.connectors[step.name]
+        connector = self._kernel.connectors[self._named(step.name)]
         profile = _profile(connector, step.after)
         words = {
             word: getattr(profile, word)
@@ -363,13 +384,13 @@ class Application:
 
             options["convert"] = await load_converter(options["convert"], self._kernel.plugins, self._kernel.clock)
         connections = self._kernel.connections
-        connector = connections.connectors.get(step.name)
+        connector = connections.connectors.get(self._named(step.name))
         if connector is not None and not (connector.in_.is_far or connector.out.is_far):
             connections.replace_options(connector, _own(options))
         else:
             # Both kernels agree anew on a link: what was under way is counted, and whether it came is not known.
             connections.end(connections.service_connectors[step.name] if connector is None else connector)
-            await self._kernel.connect(*step.after.ports, **options)
+            await self._make(step.name, replace(step.after, options=options))
 
     # -- contexts --------------------------------------------------------------------------------------------------
 

@@ -27,6 +27,7 @@ from aiorts.model.wanted.entries import (
 )
 from aiorts.planning.canon import Canon, service_connection, table, whole
 from aiorts.planning.planning import Planning
+from aiorts.planning.shown import shown_name, shown_path
 from aiorts.planning.switching import tops
 from aiorts.supervision import Supervising
 
@@ -169,25 +170,17 @@ class _Reader:
             if owned is not None and owned(connector):
                 continue
             number += 1
-            ports = (self._shown(connector.out.path), self._shown(connector.in_.path))
-            yield self._canon.connection(ports, connector.profile, connector.in_.length, number)
+            ports = (shown_path(self._kernel, connector.out.path), shown_path(self._kernel, connector.in_.path))
+            profile, name = connector.profile, shown_name(self._kernel, connector)
+            if name != profile.name:
+                profile = dataclasses.replace(profile, name=name)
+            yield self._canon.connection(ports, profile, connector.in_.length, number)
         for service in tuple(self._kernel.service_connectors.values()):
             number += 1
             one = service.profile
             ports = (one.ports[0], one.ports[1])
             entry = service_connection(one.name, ports, service.ports, one.mapping, strict=one.strict)
             yield dataclasses.replace(entry, number=number)
-
-    def _shown(self, path: str) -> str:
-        """A path as a file has it: a port of a member elsewhere is that of its composite, or one of its kernel."""
-        name, _, port = path.partition(".")
-        member = self._kernel.components.get(name)
-        outer = None if member is None else outer_of(member)
-        if member is None or outer is None or member not in outer.brought:
-            return path
-        names = (key for key, one in outer.component.ports.items() if one is member.ports.get(port))
-        shown = next(names, None)
-        return f"{outer.brought[member]}.{port}" if shown is None else f"{outer.name}.{shown}"
 
     # -- the whole -------------------------------------------------------------------------------------------------
 

@@ -7,10 +7,14 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from anyio import fail_after
 
+from aiorts import Kernel
+from aiorts.errors import ApplyError
+from aiorts.system import build, load, wanted
 from elsewhere_parts import left
 from remote.test_members import state_there
 
@@ -74,6 +78,40 @@ async def test_a_file_with_a_member_elsewhere_is_checked_runs_and_is_saved_as_it
     assert 'members = ["left/gripper"]' in saved
     assert 'to = "arm.inp"' in saved
     assert "components.gripper" not in saved
+
+
+async def test_a_plan_right_after_the_start_is_empty_and_one_that_changes_links_is_carried_out(tmp_path: Path) -> None:
+    def of(name: str, text: str) -> Any:
+        (tmp_path / name).write_text(text)
+        return load(tmp_path / name)
+
+    text = FILE.replace('"--count", "3"', '"--count", "1000000"')
+    first = of("first.toml", text)
+    other = of("other.toml", text.replace('to = "show.input0"', 'to = "show.input0"\nlength = 4'))
+    stamped = of("stamped.toml", text.replace('to = "show.input0"', 'to = "show.input0"\nstamp = "send"'))
+    less = of("less.toml", text[: text.index('[[connections]]\nfrom = "arm.force')] + text[text.index("[contexts") :])
+    (tmp_path / "bad.py").write_text(
+        "from aiorts import Component\n\nclass Bad(Component):\n    def on_activated(self):\n        raise ValueError\n"
+    )
+    bad = less.text.replace('"arm", "show"]', '"arm", "show", "bad"]').replace(
+        "[composites", '[components.bad]\ntype = "bad.py:Bad"\n[composites'
+    )
+    async with left(tmp_path), Kernel("right") as kernel:
+        await build(kernel, first)
+        assert [step.text for step in (await kernel.apply(wanted(first), dry_run=True)).plan.steps] == []
+        for system, steps in (
+            (other, ["change arm.force -> show.input0: length default -> 4"]),
+            (stamped, ["renew arm.force -> show.input0: length 4 -> default, stamp default -> send"]),
+            (less, ["disconnect arm.force -> show.input0"]),
+            (first, ["connect arm.force -> show.input0"]),
+        ):
+            assert [step.text for step in (await kernel.apply(wanted(system))).plan.steps] == steps
+            assert (await kernel.apply(wanted(system), dry_run=True)).plan.empty
+        with pytest.raises(ApplyError, match="all of it was taken back"):
+            await kernel.apply(wanted(of("fails.toml", bad)))
+        assert (await kernel.apply(wanted(first), dry_run=True)).plan.empty
+        ports = {one.profile.ports for one in kernel.connectors.values()}
+        assert ports == {("source.output", "gripper.inp"), ("gripper.force", "show.input0")}
 
 
 async def test_a_file_whose_members_are_all_elsewhere_runs(tmp_path: Path) -> None:
