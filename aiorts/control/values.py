@@ -26,7 +26,7 @@ class Names:
     connectors: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
     """The ports of each connector, those of service ports too."""
     in_error: tuple[str, ...] = ()
-    """Components that have failed: in error, or finished with an error."""
+    """Components that have failed, and were neither reset nor activated since."""
     finished: tuple[str, ...] = ()
     """Sources that have nothing more."""
     links: str = ""

@@ -124,6 +124,7 @@ class ComponentReport:
     states: Mapping[str, str]
     """Lifecycle state by context."""
     last_error: str | None = None
+    """What made it fail last; None once it was reset, or activated again."""
     log: tuple[LogLine, ...] = ()
     """The last lines it logged, oldest first."""
     calls: Mapping[str, ServiceStatistics] = field(default_factory=lambda: _NOTHING)

@@ -16,7 +16,7 @@ from aiorts.clock import SimulatedClock
 from aiorts.diagnostics import DeadlineMonitor
 from aiorts.errors import format_error
 from aiorts.kernel.declarations import declarations, kinds_of
-from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.cell import cell, standing_error
 from aiorts.kernel.service import reports
 from aiorts.model.configuration.parameters import ParameterSpec
 from aiorts.observe import special_reports
@@ -107,7 +107,7 @@ def component_report(component: Component) -> ComponentReport:
     kind = _KNOWN.get(type(component))
     if kind is None:
         kind = _KNOWN[type(component)] = _Kind(type(component))
-    error = component.last_error
+    error = standing_error(component)
     params, here = component.params, cell(component)
     ports, state = here.ports, here.configuration
     return ComponentReport(

@@ -289,8 +289,8 @@ class Replacement:
         self._give_back()
         exchange_cells(old, new)
         # What it failed for is forgotten; of the composite it may have become a member meanwhile, or of another one.
-        (error, limits, *_), other.standing = self._standing
-        place.standing = error, limits, place.group, place.previous_placements
+        (*known, _, _), other.standing = self._standing
+        place.standing = *known, place.group, place.previous_placements
         vars(old).clear()
         vars(old).update(self._old_vars)
         for port in self._fresh:

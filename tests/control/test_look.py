@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from aiorts import EventContext, Kernel
+from aiorts import Component, EventContext, Kernel, PeriodicContext
 from aiorts.cli.app import run_command
 from aiorts.cli.commands.live.look.ls import ls
 from aiorts.cli.commands.live.target import complete, complete_changes
 from aiorts.control import Client
-from control_parts import Counter, controlled, running, with_client
+from control_parts import WAIT, Counter, controlled, running, with_client
 
 pytestmark = pytest.mark.anyio
 SYSTEM = Path(__file__).parents[2] / "examples" / "pid" / "system.toml"
@@ -201,3 +201,42 @@ async def test_names_ports_and_parameters_are_completed() -> None:
         assert await asyncio.to_thread(offered, "only1.") == ["only1.out"]
         assert await asyncio.to_thread(offered, "nosuch.") == []
         assert await asyncio.to_thread(changes) == ["step="]
+
+
+class Tripping(Component):
+    """Fails in one cycle, whenever it is told to."""
+
+    trips = True
+
+    def on_execute(self) -> None:
+        if self.trips:
+            self.trips = False
+            raise ValueError("tripped")
+
+
+async def test_who_was_reset_after_an_error_is_shown_as_it_is_and_with_no_error(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    async with controlled() as kernel:
+        one = await kernel.create(Tripping, "one")
+        context = await kernel.start(PeriodicContext(rate=100.0, name="second"), one, activate=True)
+        async with asyncio.timeout(WAIT):
+            while one.state != "error":
+                await asyncio.sleep(0.005)
+        looks = (("ls", "-l", "one"), ("ls", "--json", "one"), ("cat", "one"), ("cat", "unit"))
+        before = [(await said(capsys, *words))[1] for words in looks]
+        assert "failed" in before[0]
+        assert '"failed": true' in before[1]
+        assert all("ValueError: tripped" in text for text in before[2:])
+        assert kernel.profile().components["one"].last_error == "ValueError: tripped"
+        assert await said(capsys, "reset", "one") == (0, "")
+        after = [(await said(capsys, *words))[1] for words in looks]
+        assert not [text for text in after if "tripped" in text or "failed" in text.replace('"failed": false', "")]
+        assert "inactive" in after[0]
+        assert isinstance(one.last_error, ValueError)  # for whoever looks into it in the program
+        one.trips = True
+        await context.activate(one)
+        async with asyncio.timeout(WAIT):
+            while one.state != "error":
+                await asyncio.sleep(0.005)
+        assert "failed" in (await said(capsys, "ls", "-l", "one"))[1]

@@ -11,6 +11,7 @@ from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Nothing, Operation, Right
 from aiorts.control.session import Session
 from aiorts.control.values import Names
+from aiorts.kernel.execution.cell import standing_error
 from aiorts.observe import SystemProfile, system_profile, system_profile_in_turns
 
 _HOLD_SECONDS: Final = 0.001
@@ -31,7 +32,7 @@ def _names(session: Session, _: Nothing) -> Names:
         components=MappingProxyType(components),
         contexts=MappingProxyType({name: one.profile.members for name, one in kernel.contexts.items()}),
         connectors=MappingProxyType({**wires, **calls}),
-        in_error=tuple(name for name, one in kernel.components.items() if one.last_error is not None),
+        in_error=tuple(name for name, one in kernel.components.items() if standing_error(one) is not None),
         finished=tuple(name for name, one in kernel.components.items() if one.has_finished),
         links="" if far is None else far.open_as(elsewhere=session.carried),
         notices=tuple(one.notice for one in kernel.services if one.notice),

@@ -18,7 +18,7 @@ from aiorts.control.operation import Operation, Right
 from aiorts.control.session import Session, Stream
 from aiorts.control.values import Done
 from aiorts.errors import AiortsError, ConfigurationError, StateError, WiringError
-from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.cell import cell, standing_error
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.last_sample import last_written
@@ -157,7 +157,7 @@ def _component(component: Component) -> dict[str, Any]:
     """States by context, whether it has failed, and the counts of its calls and of threads where there are any."""
     made: dict[str, Any] = {
         "states": {context: state.value for context, state in component.states.items()},
-        "failed": component.last_error is not None,
+        "failed": standing_error(component) is not None,
     }
     ports = cell(component).ports
     if answered := calls(ports):

@@ -65,6 +65,11 @@ class ComponentSide(Protocol):
 
     """Its lifecycle state in each of them."""
 
+    @property
+    def last_error(self) -> BaseException | None: ...
+
+    """What made it fail last."""
+
 
 class Configured(ComponentSide, Protocol):
     """A component, as a change of its configuration sees it."""
@@ -139,6 +144,8 @@ class Cell(PortHost):
         kernel: KernelSide | None  # pyright: ignore[reportIncompatibleVariableOverride] # the whole of it
 
     last_error: BaseException | None = None
+    mended: BaseException | None = None
+    """The last error, once it was reset or activated after it."""
     abandoned: BaseException | None = None
     """Why it never runs again: a hook ignored every cancellation and still runs."""
     failed_in: tuple[Member, str] | None = None
@@ -197,12 +204,12 @@ class Cell(PortHost):
 
     @property
     def standing(self) -> tuple[Any, ...]:
-        """What is known of a component whichever instance it is: last error, deadlines, group, previous placements."""
-        return self.last_error, self.deadlines, self.group, self.previous_placements
+        """What is known of a component whichever instance it is: its errors, deadlines, group, previous placements."""
+        return self.last_error, self.mended, self.deadlines, self.group, self.previous_placements
 
     @standing.setter
     def standing(self, standing: tuple[Any, ...]) -> None:
-        self.last_error, self.deadlines, self.group, self.previous_placements = standing
+        self.last_error, self.mended, self.deadlines, self.group, self.previous_placements = standing
 
 
 _OF_THE_CODE: Final = ("abandoned", "configuration", "failed_in", "hook_kinds", "judged", "log", "own", "port_group")
@@ -212,6 +219,12 @@ _OF_THE_CODE: Final = ("abandoned", "configuration", "failed_in", "hook_kinds", 
 def cell(component: ComponentSide) -> Cell:
     """What the kernel keeps on this component; AttributeError before `Component.__init__` has run."""
     return component._rt
+
+
+def standing_error(component: ComponentSide) -> BaseException | None:
+    """What made it fail last; None once it was reset, or activated, after that."""
+    error = component.last_error
+    return None if error is cell(component).mended else error
 
 
 def exchange_cells(one: ComponentSide, other: ComponentSide) -> None:

@@ -323,6 +323,7 @@ class Life:
             self.record(member, "on_activated", error)
             yield from self._abort(member, _ACTIVE)
             return error
+        _mend(member)
         self.enter(member, _ACTIVE)
         self._context._set_ports_open(member)
         return None
@@ -340,6 +341,7 @@ class Life:
             self.record(member, "on_reset", error)
             return error
         member.failure = None
+        _mend(member)
         self.enter(member, _INACTIVE)
         return None
 
@@ -495,6 +497,13 @@ def first_pass(member: Member) -> str:
 def second_pass(member: Member) -> str:
     """The hook of a member in the second pass of a cycle; "" for none."""
     return "on_state_update" if member.updates and member.active and not member.left else ""
+
+
+def _mend(member: Member) -> None:
+    """What failed before has been seen to, where no other context has the component in error."""
+    here = member.cell
+    if here.last_error is not None and all(one is member or one.state is not _ERROR for one in here.members):
+        here.mended = here.last_error
 
 
 def _because(member: Member, hook: str, error: BaseException | None) -> BaseException | None:
