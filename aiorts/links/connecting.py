@@ -450,9 +450,10 @@ class Links(KernelService):
 
     def _retry(self, link: Link) -> None:
         tried = self._tried[link] = self._tried.get(link, 0) + 1
-        self.kernel.call_later(_RETRY[min(tried, len(_RETRY)) - 1], lambda: self._try_again(link))
+        self.run(self._try_again(link, _RETRY[min(tried, len(_RETRY)) - 1]), f"aiorts retry {link.connector.name}")
 
-    def _try_again(self, link: Link) -> None:
+    async def _try_again(self, link: Link, seconds: float) -> None:
+        await self.kernel.sleep(seconds)
         if link in self._links_of(link.connector):
             self._try(link)
 

@@ -137,7 +137,8 @@ class Gateway:
                 await asyncio.wait([self._asking])
                 await self._sessions.carry(peer, reader, writer, begun)
         except AiortsError as error:
-            writer.write(framed({"error": {"code": error.code, "text": str(error)}}))
+            if not writer.is_closing():  # by who carried the session
+                writer.write(framed({"error": {"code": error.code, "text": str(error)}}))
         except (OSError, TimeoutError):
             pass  # it has gone, or is no command
         finally:

@@ -342,8 +342,9 @@ CODES: Final[dict[str, Code]] = {
     ),
     "N-PORTS": Code(
         "The ports of a component are known only when it runs: a note of aiorts check.",
-        "Its on_initialize adds ports, and no hook runs while a file is checked.",
-        "Add them in a method make_ports that on_initialize calls.",
+        "Its on_initialize adds ports, and no hook runs while a file is checked; or it is a composite with members in "
+        "other kernels, which need not run yet.",
+        "Add them in a method make_ports that on_initialize calls; of members in other kernels ignore the note.",
     ),
     "N-VARIABLE": Code(
         "A variable of a system file is in no text of it.",

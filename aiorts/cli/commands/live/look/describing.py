@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from aiorts.cli.commands.live.ledger import ledger_text
+from aiorts.cli.commands.live.measure.spans import EXACT
 from aiorts.cli.console.output import table
 
 _WIDEST: Final = 60
@@ -214,11 +215,7 @@ def _connector(name: str, report: Mapping[str, Any], *, long: bool) -> Iterator[
             if (spans := counts[word]) is not None:
                 off = counts.get("age_within_ns") if word == "age" else None
                 texts = [f"{spans[key] / 1e6:.3f} ms{_off(off)}" for key in ("p50_ns", "p99_ns")]
-                yield f"  {word} p50 {texts[0]}, p99 {texts[1]}" if off is None or off <= _EXACT else f"  {word} ?"
-
-
-_EXACT: Final = 10_000_000
-"""Nanoseconds by which an age may be off that is worth its figure."""
+                yield f"  {word} p50 {texts[0]}, p99 {texts[1]}" if off is None or off <= EXACT else f"  {word} ?"
 
 
 def _off(within_ns: int | None) -> str:

@@ -14,7 +14,7 @@ def span_text(ns: float) -> str:
     return f"{ns:.0f} ns"
 
 
-_EXACT: Final = 10_000_000
+EXACT: Final = 10_000_000
 """Nanoseconds by which a span may be off that is worth its figure."""
 
 
@@ -22,7 +22,7 @@ def within_text(within_ns: int | None) -> str:
     """What stands behind a span that may be off by so much; "?": it says nothing."""
     if within_ns is None:
         return ""
-    return "?" if within_ns > _EXACT else f" +- {span_text(within_ns)}"
+    return "?" if within_ns > EXACT else f" +- {span_text(within_ns)}"
 
 
 def span_plain(spans: Sequence[int] | None) -> dict[str, int] | None:
