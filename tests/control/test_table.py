@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import os
+import re
 import typing
 from typing import Any
 
@@ -115,7 +117,7 @@ async def test_what_changes_something_is_a_line_in_the_log_and_what_looks_is_non
     caplog.set_level("INFO", "aiorts.control")
 
     def use() -> None:
-        with Client.open(entry_of("audit"), timeout=WAIT, who="tester") as client:
+        with Client.open(entry_of("audit"), timeout=WAIT, who='odd "name" of\na tester') as client:
             for name in ("names", "profile", "statistics", "log_levels"):
                 client.call(name, WAIT)
             client.stream("events", WAIT).close()
@@ -127,8 +129,11 @@ async def test_what_changes_something_is_a_line_in_the_log_and_what_looks_is_non
         await asyncio.to_thread(use)
     lines = [one.getMessage() for one in caplog.records if one.name.startswith("aiorts.control")]
     done, refused = lines
-    assert done.startswith("tester [process ")
-    assert "deactivate(component='reader0'" in done
-    assert done.endswith(": done")
-    assert "activate(component='nobody'" in refused
-    assert ": refused: E-" in refused
+    fields = re.compile(r'who="([^"]*)" kernel="([^"]*)" what="([^"]*)" outcome="([^"]*)"')
+    (who, kernel, what, outcome), other = (fields.fullmatch(line).groups() for line in (done, refused))  # type: ignore[union-attr]
+    assert re.fullmatch(rf"odd 'name' of a tester \[process {os.getpid()}\]", who)
+    assert (kernel.rpartition("/")[2], outcome) == ("audit", "done")
+    assert what.startswith("deactivate(component='reader0'")
+    assert other[:2] == (who, kernel)
+    assert other[2].startswith("activate(component='nobody'")
+    assert other[3].startswith("refused E-")

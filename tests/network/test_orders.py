@@ -73,8 +73,9 @@ def test_of_a_thousand_orders_of_a_viewer_none_takes_effect_and_each_is_refused_
         assert (status, "counter" in said, "inactive" in said) == (0, True, False), said
         assert far.step() == 1
         audit = [line for line in far.log.read_text().splitlines() if "[anna, another host]" in line]
-        assert any("deactivate: refused: E-DENIED" in line for line in audit), far.log.read_text()[-2000:]
-        assert not [line for line in far.log.read_text().splitlines() if line.endswith(": done")]
+        refused = 'what="deactivate" outcome="refused E-DENIED: '
+        assert any(refused in line for line in audit), far.log.read_text()[-2000:]
+        assert not [line for line in far.log.read_text().splitlines() if line.endswith('outcome="done"')]
     finally:
         far.close()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -144,7 +145,7 @@ def test_all_is_seen_and_operated_as_on_this_host(far: Far) -> None:
     assert "inactive" in far.do("ls", "-l")[1]
     assert far.do("stop", "robot")[0] == exits.DONE
     assert far.process.wait(WAIT) == 0
-    assert "[tester, another host]: configure(" in far.log.read_text()
+    assert re.search(r'\[tester, another host\]" kernel="\S+/robot" what="configure\(', far.log.read_text())
 
 
 def test_who_may_operate_creates_what_is_offered_there_and_brings_no_code(far: Far, tmp_path: Path) -> None:
@@ -163,7 +164,8 @@ def test_who_may_only_look_changes_nothing(far: Far) -> None:
     status, _, errors = far.do("conf", "counter", "step=5")
     assert (status, "E-DENIED" in errors) == (exits.DENIED, True), (status, errors)
     assert far.step() == 1
-    assert "[tester, another host]: configure: refused: E-DENIED" in far.log.read_text()
+    refused = r'\[tester, another host\]" kernel="\S+/robot" what="configure" outcome="refused E-DENIED: '
+    assert re.search(refused, far.log.read_text())
 
 
 def test_a_kernel_that_is_killed_ends_the_command(far: Far) -> None:

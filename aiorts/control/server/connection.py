@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
 from aiorts.control.protocol import BYE, REQUESTS, STALL_SECONDS, WAITING, agreed, framed, frames, has_frame, request_in
-from aiorts.control.session import LOG
 from aiorts.errors import AiortsError, BusyError, ControlError, DeniedError, StaleError, WireError
 from aiorts.model.reading import from_plain
 
@@ -193,7 +192,7 @@ class Connection:
             operation, arguments = self._checked(number, request)
         except AiortsError as error:
             if isinstance(error, DeniedError):
-                LOG.info("%s: %.60s: refused: %s: %s", session.who, request["op"], error.code, error)
+                session.audit(f"{request['op']:.60}", f"refused {error.code}: {error}")
             self._answer({"id": number, "error": {"code": error.code, "text": str(error)}})
             return
         self._open[number] = operation.streams
