@@ -117,7 +117,9 @@ def _check_rules(composite: CompositeGroup, rules: Sequence[Export], members: Se
     there = [f"{member.name}.{port}" for member in members for port in member.ports]
     for rule in rules:
         if rule.literal and rule.pattern not in there:
+            far = next((path for one, path in composite.brought.items() if one.name == rule.component), "")
             raise WiringError(
-                f"{composite.name}: exported {rule.pattern!r}: no such port of a member; "
+                f"{composite.name}: exported {rule.pattern!r}: no such {'data ' * bool(far)}port of a member; "
                 f"there are {', '.join(there) or 'none'}"
+                + (f"; a service of {far} is not exported, connect with {far}.{rule.port} itself" if far else "")
             )

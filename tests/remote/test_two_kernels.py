@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import pytest
 
-from aiorts import Component, Composite, Kernel, LifecycleState, PeriodicContext
+from aiorts import Component, Composite, Kernel, LifecycleState, PeriodicContext, Provided, Required
+from aiorts.errors import WiringError
 from elsewhere_gripper import Gripper
 from elsewhere_parts import Local, until
 
@@ -35,3 +38,36 @@ async def test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the
         await left.remove(gripper)
         await until(lambda: [member.state for member in arm.members] == [INACTIVE, ERROR])
         assert "left/gripper: is there no more" in str(arm.last_error)
+
+
+class Hold(Protocol):
+    async def hold(self, force: float) -> float: ...
+
+
+class Hand(Gripper):
+    """A gripper with a service."""
+
+    grip = Provided[Hold]()
+
+    async def hold(self, force: float) -> float:
+        return 2 * force
+
+
+class Caller(Component):
+    """Calls it."""
+
+    grip = Required[Hold](timeout=5.0)
+
+
+async def test_a_service_of_a_member_elsewhere_is_not_exported_and_is_connected_by_its_kernel() -> None:
+    services = {"control": {"name": "left"}, "links": {}}
+    async with Kernel(services=services) as left, Kernel("right", services={"links": {}}) as right:
+        await left.start(PeriodicContext(200.0), await left.create(Hand, "hand"))
+        with pytest.raises(WiringError, match=r"a service of left/hand is not exported, connect with left/hand.grip"):
+            await right.add(Composite("arm", Local("near"), "left/hand", exported=["hand.inp", "hand.grip"]))
+        arm = await right.add(Composite("arm", "left/hand", exported=["hand.*"]))
+        assert list(arm.ports) == ["inp", "force"]
+        caller = await right.create(Caller, "caller")
+        await right.connect(caller.grip, "left/hand.grip")
+        await right.start(PeriodicContext(200.0), arm, activate=True)
+        assert await caller.grip.proxy.hold(1.5) == 3.0
