@@ -1,9 +1,12 @@
-"""The ledger of a connector on one line."""
+"""The ledger of a connector on one line, and how exact a figure of it has to be."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
+
+EXACT: Final = 10_000_000
+"""Nanoseconds by which a span of time may be off that is worth its figure."""
 
 
 def ledger_text(counts: Mapping[str, Any]) -> str:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from aiorts.cli.commands.live.ledger import ledger_text
-from aiorts.cli.commands.live.measure.spans import EXACT
+from aiorts.cli.commands.live.ledger import EXACT, ledger_text
 from aiorts.cli.console.output import table
 
 _WIDEST: Final = 60

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+
+from aiorts.cli.commands.live.ledger import EXACT
 
 
 def span_text(ns: float) -> str:
@@ -12,10 +13,6 @@ def span_text(ns: float) -> str:
         if abs(ns) >= size:
             return f"{ns / size:.3g} {unit}" if abs(ns) < 999 * size else f"{ns / size:.0f} {unit}"
     return f"{ns:.0f} ns"
-
-
-EXACT: Final = 10_000_000
-"""Nanoseconds by which a span may be off that is worth its figure."""
 
 
 def within_text(within_ns: int | None) -> str:
