@@ -7,6 +7,7 @@ the loop, unless it was woken already. It never calls the engine, which can bloc
 from __future__ import annotations
 
 import asyncio
+import atexit
 import contextlib
 import json
 import re
@@ -14,7 +15,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -35,6 +35,8 @@ _UNREACHED: Final = "Unable to connect"
 _EMPTY: Final = 0.3
 """Seconds until it is believed that nothing is there."""
 _AGAIN: Final = 0.05
+_LEAVES: Final = 4.0
+"""Seconds at the most that the interpreter's end waits for what is inside the engine."""
 _AT_ONCE: Final = 256
 """Items that are handled before the loop has its turn."""
 _MANY: Final = 16
@@ -78,6 +80,11 @@ class Inbox:
             self._loop.call_soon_threadsafe(self._handle)
         except RuntimeError:  # the loop has ended
             return
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the loop that handles all has ended."""
+        return self._loop.is_closed()
 
     def close(self) -> None:
         """Handle nothing any more."""
@@ -154,16 +161,21 @@ class Engine:
         config = self._zenoh.Config()
         for key, value in {**settings, **({"connect/timeout_ms": _ATTEMPT} if waits else {})}.items():
             config.insert_json5(key, json.dumps(value))
-        while self._session is None and not self._closed:
+        while self._session is None and not self._is_over:
             try:
                 self._session = self._zenoh.open(config)
             except self._zenoh.ZError as error:
                 if not waits or _UNREACHED not in str(error):
                     raise LinkError(f"zenoh: {_PLACE.sub('', str(error))}") from None
-        if self._closed:  # while it was opened
+        if self._is_over:  # while it was opened
             if self._session is not None:
                 self._session.close()
             raise LinkError("this kernel ends")
+
+    @property
+    def _is_over(self) -> bool:
+        """Whether it was closed, or nobody is left who could: the interpreter's end waits for who opens it."""
+        return self._closed or self._inbox.is_over
 
     def close(self) -> None:
         """End the session, and with it all that it has declared."""
@@ -361,16 +373,45 @@ class Engine:
 
 
 async def in_thread(work: Callable[[], T]) -> T:
-    """The result of work that may wait for the network, done in a thread of its own.
+    """The result of work that may wait for the network, done in a thread of its own; it is done in any case.
 
-    The thread ends with the work; those of a pool would stay.
+    The thread ends with the work; those of a pool would stay, and one that was interrupted while it starts for ever.
     """
-    executor = ThreadPoolExecutor(1, "aiorts zenoh")  # no daemon: one inside the engine aborts the interpreter's end
-    doing = executor.submit(work)
-    try:
-        return await asyncio.wrap_future(doing)
-    finally:
-        executor.shutdown(wait=doing.done())
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[T] = loop.create_future()
+
+    def settle(give: Callable[[Any], None], what: Any) -> None:
+        if not done.done():
+            give(what)
+
+    def run() -> None:
+        told: tuple[Callable[[Any], None], Any]
+        try:
+            told = done.set_result, work()
+        except BaseException as error:  # noqa: BLE001 - whatever it is, who waits is told; also a panic of the engine
+            told = done.set_exception, error
+        _inside.discard(thread)
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(settle, *told)
+
+    thread = threading.Thread(target=run, name="aiorts zenoh")
+    _inside.add(thread)
+    thread.start()
+    return await done
+
+
+_inside: Final[set[threading.Thread]] = set()
+"""Threads that may be inside the engine: one that still is when the interpreter is gone aborts the process."""
+
+
+@atexit.register
+def _leave() -> None:
+    """Wait for them once more: who sends SIGINT twice ends the interpreter's own waiting."""
+    until = time.monotonic() + _LEAVES
+    for thread in tuple(_inside):
+        while thread.is_alive() and (left := until - time.monotonic()) > 0:
+            with contextlib.suppress(KeyboardInterrupt):
+                thread.join(left)
 
 
 def _check_version() -> None:

@@ -203,7 +203,8 @@ class ZenohTransport:
         if self._inbox is not None:
             self._inbox.close()
         try:
-            await asyncio.wait_for(in_thread(self._end), _CLOSES)
+            async with asyncio.timeout(_CLOSES):
+                await in_thread(self._end)
         except TimeoutError:
             self.kernel.report(f"zenoh: the session has not ended within {_CLOSES:g} s")
 

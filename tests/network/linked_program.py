@@ -1,7 +1,8 @@
 """A kernel in a process of its own. It does what lines of JSON on its standard input say, and answers each with one.
 
 `python linked_program.py SETTINGS`, which say: `name`, `zenoh` (settings of the service), `sources` (names), `sinks`
-(names and the file that each appends to what it reads, as two numbers of 8 bytes: who wrote it, and its number).
+(names and the file that each appends to what it reads, as two numbers of 8 bytes: who wrote it, and its number),
+`watches` (seconds between two looks at the states of links).
 """
 
 from __future__ import annotations
@@ -117,13 +118,14 @@ class Program:
     async def watch(self) -> None:
         """Note each change of the state of a link."""
         before: dict[str, str] = {}
+        every = self.settings.get("watches", 0.005)
         while True:
             now = {name: text.partition(":")[0] for name, text in self.links.report().items()}
             for name in now.keys() | before.keys():
                 if now.get(name) != before.get(name):
                     self.changes.append((time.monotonic(), name, now.get(name, "")))
             before = now
-            await asyncio.sleep(0.005)
+            await asyncio.sleep(every)
 
     async def connect(self, source: str, to: str, **options: Any) -> str:
         out = self.asking[source].service if source in self.asking else self.sources[source].out
@@ -208,6 +210,7 @@ class Program:
         peers = sorted(f"{peer.host}/{peer.kernel}" for peer in self.links.peers)
         ages = {name: found[-2_000:] for name, found in self.ages.items()}
         report = {"states": dict(self.links.report()), "peers": peers, "changes": self.changes, "ages": ages}
+        report["ids"] = [f"{name} {id(one):x}" for name, one in self.kernel.connectors.items()]
         return {**report, "counts": counts, "read": self.read, "memory": resident(), "written": self.written}
 
     async def ledger(self) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import random
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,6 +19,7 @@ from aiorts.types import TimedLong
 from aiorts_zenoh import NetworkSettings, ZenohTransport
 from aiorts_zenoh.network import engine_settings
 from campaign import CAMPAIGN, time_limit
+from network.host_parts import wire_of
 from network.linked_parts import LEASE, Linked, assert_in_order, came, changed, ended, settings, settled
 from network.network_parts import free_port
 from network.proxy_parts import Proxy, Way, proxied
@@ -80,15 +80,7 @@ def down_and_said(one: Linked, since: float, count: int = 4) -> list[float]:
 @pytest.fixture
 def wired(hosts: tuple[list[str], list[str]]) -> tuple[tuple[list[str], list[str]], Any]:
     """Two hosts, and what takes the network device of the second one up or down."""
-    name = hosts[1][3]
-    listed = subprocess.run(["ip", "-n", name, "-o", "link"], capture_output=True, text=True, check=True, timeout=10)
-    (device,) = [line.split()[1].partition("@")[0] for line in listed.stdout.splitlines() if "@" in line]
-
-    def set_to(state: str) -> float:
-        subprocess.run(["ip", "-n", name, "link", "set", device, state], check=True, timeout=10)
-        return time.monotonic()
-
-    return hosts, set_to
+    return hosts, wire_of(hosts[1])
 
 
 @pytest.mark.fault("E02", "E03")
