@@ -154,6 +154,8 @@ def test_the_interpreter_ends_in_any_way_whatever_its_connection_is_like(tmp_pat
                     found.append(place.end(*todo.get_nowait()))
                 except queue.Empty:
                     return found
+                if found[-1][1]:
+                    print(found[-1][1])  # also where the run is ended before its end
 
     with ThreadPoolExecutor(AT_ONCE) as pool:
         found = [one for several in pool.map(work, range(AT_ONCE)) for one in several]
