@@ -259,7 +259,7 @@ async def test_who_it_is_cannot_write_into_the_terminal_of_the_log(caplog: pytes
     async with controlled("who"):
         await with_peer("who", use)
     line = next(one for one in caplog.messages if "deactivate(" in one)
-    assert line.startswith("a [2J b  [process ")
+    assert line.startswith('who="a [2J b  [process ')
 
 
 @given(st.lists(CALLS, min_size=1, max_size=8))
@@ -354,7 +354,7 @@ async def test_a_call_that_is_cancelled_has_a_last_answer_and_a_line_in_the_log(
         answer = await with_peer("cancel", use)
     assert "error" in answer or "ok" in answer
     line = next(one for one in caplog.messages if "deactivate(" in one)
-    assert line.endswith("cancelled" if "error" in answer else "done")
+    assert line.endswith('outcome="cancelled"' if "error" in answer else 'outcome="done"')
 
 
 @pytest.mark.anyio
