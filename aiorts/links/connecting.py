@@ -406,9 +406,7 @@ class Links(KernelService):
     def _check_made(self, path: Path) -> None:
         """WiringError: another kernel has connected too many of its ports here to connect this one, too."""
         if self._made[path.kernel] >= _BY_ONE or self._made.total() >= _BY_ALL:
-            raise WiringError(
-                f"{path}: other kernels have made {self._made.total():,} connectors, and may make no more"
-            )
+            raise WiringError(f"{path}: other kernels have made {self._made.total():,} connectors; no more are made")
 
     def _peer(self, link: Link) -> Peer | None:
         return self.peer_of(self.far_of(link))

@@ -59,6 +59,8 @@ BROAD_EXCEPT = {
     "aiorts/links/transport.py:answer_of",
     # Round what cuts off a name that was revoked: the other links of it, and the other names, are cut off all the same.
     "plugins/aiorts_zenoh/neighbours.py:_deny",
+    # Round what is done in a thread for a coroutine, which is told of it: also of a panic of the engine.
+    "plugins/aiorts_zenoh/engine.py:run",
     # What a plan did is taken back step by step: what one of these fails with is said, and the next follows.
     "aiorts/planning/applying.py:back",
     # What somebody else's exception says of itself may raise in its turn.

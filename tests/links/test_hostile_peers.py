@@ -133,7 +133,7 @@ def test_another_kernel_makes_a_bounded_number_of_connectors_and_of_its_own_port
             await two.add(Sink())
             answers = await _asked(two, network, "one", what, bodies("one", 5))
             assert [bool(answer.refused) for answer in answers] == [False, False, False, True, True]
-            assert "other kernels have made 3 connectors, and may make no more" in answers[4].refused
+            assert "other kernels have made 3 connectors; no more are made" in answers[4].refused
             (answer,) = await _asked(two, network, "three", what, bodies("one", 1))
             assert "is no port of three, which asks" in answer.refused
             if what == "request":

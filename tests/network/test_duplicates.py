@@ -230,7 +230,7 @@ class Process:
         return self.said.rpartition("standing: ")[2].split("\n")[0] if "standing: " in self.said else ""
 
 
-def _wait(met: Callable[[], bool], *processes: Process, within: float = 20.0) -> None:
+def _wait(met: Callable[[], bool], *processes: Process, within: float = 60.0) -> None:
     until = time.monotonic() + within
     while not met():
         assert time.monotonic() < until, [one.said[-1000:] for one in processes]

@@ -209,14 +209,15 @@ async def test_a_sample_written_before_the_reader_is_armed_wakes_it_all_the_same
         await kernel.connect(source.out, sink.inp)
         make_lock_free(sink.inp)
         kind, written = type(sink.inp), list[bool]()
-        before = kind._raise_if_over
+        before = kind._open_host
 
-        def in_between(port: InPort[Any]) -> None:
-            before(port)
+        def in_between(port: InPort[Any]) -> Any:
+            host = before(port)
             if not written:
                 written.append(source.out.write_nowait(long(7)))
+            return host
 
-        monkeypatch.setattr(kind, "_raise_if_over", in_between)
+        monkeypatch.setattr(kind, "_open_host", in_between)
         assert (await asyncio.wait_for(sink.inp.read(), 5.0)).data == 7
         assert written == [True]
 

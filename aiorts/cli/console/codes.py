@@ -326,8 +326,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "N-OPERATOR": Code(
         "A component says what it does without its operator: aiorts check notes it.",
-        "Its class, or the file, says `on_link_lost`, for a client that was killed, or a network that was cut, while "
-        "it operates it.",
+        "Its class, or the file, says `on_link_lost`, for a client that was killed or a network that was cut.",
         "Ignore the note.",
     ),
     "N-COPY": Code(
@@ -342,8 +341,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "N-PORTS": Code(
         "The ports of a component are known only when it runs: a note of aiorts check.",
-        "Its on_initialize adds ports, and no hook runs while a file is checked; or it is a composite with members in "
-        "other kernels, which need not run yet.",
+        "Its on_initialize adds ports, and no hook runs while a file is checked; or it has members in other kernels.",
         "Add them in a method make_ports that on_initialize calls; of members in other kernels ignore the note.",
     ),
     "N-VARIABLE": Code(
