@@ -15,7 +15,7 @@ from anyio import fail_after
 from aiorts import Composite, Kernel, LifecycleState, PeriodicContext
 from aiorts.errors import DeniedError
 from aiorts.types import TimedLong
-from elsewhere_parts import Local, left, until
+from remote_parts import Local, left, until
 
 pytest.importorskip("zenoh")
 

@@ -16,7 +16,7 @@ from aiorts.control import Client
 from aiorts.errors import AiortsError, ComponentError, ConfigurationError, DeniedError, LinkError, StateError
 from aiorts.types import TimedLong
 from control_parts import entry_of, with_client
-from elsewhere_parts import Local, left, until
+from remote_parts import Local, left, until
 
 pytestmark = [pytest.mark.anyio, pytest.mark.row(101)]
 ACTIVE, ERROR, INACTIVE = LifecycleState.ACTIVE, LifecycleState.ERROR, LifecycleState.INACTIVE

@@ -15,8 +15,8 @@ from anyio import fail_after
 from aiorts import Kernel
 from aiorts.errors import ApplyError
 from aiorts.system import build, load, wanted
-from elsewhere_parts import left
 from remote.test_members import state_there
+from remote_parts import left
 
 pytestmark = [pytest.mark.anyio, pytest.mark.row(101)]
 FILE = """

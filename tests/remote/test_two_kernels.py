@@ -8,8 +8,8 @@ import pytest
 
 from aiorts import Component, Composite, Kernel, LifecycleState, PeriodicContext, Provided, Required
 from aiorts.errors import WiringError
-from elsewhere_gripper import Gripper
-from elsewhere_parts import Local, until
+from remote_gripper import Gripper
+from remote_parts import Local, until
 
 pytestmark = [pytest.mark.anyio, pytest.mark.row(15, 101)]
 ACTIVE, ERROR, INACTIVE = LifecycleState.ACTIVE, LifecycleState.ERROR, LifecycleState.INACTIVE

@@ -20,7 +20,7 @@ from aiorts.types import TimedLong
 from control_parts import running, with_client
 
 WAIT = 20.0
-GRIPPER = Path(__file__).with_name("elsewhere_gripper.py")
+GRIPPER = Path(__file__).with_name("remote_gripper.py")
 
 
 class Local(Component):

@@ -40,17 +40,17 @@ _NEWS: Final = (
 """Events after which it is looked how the component is."""
 
 
-class ElsewhereKind(Kind):
+class RemoteKind(Kind):
     """Passes changes of the configuration on, before they are in force here."""
 
-    async def configuring(self, component: ElsewhereComponent, state: ConfigurationState) -> None:
+    async def configuring(self, component: RemoteComponent, state: ConfigurationState) -> None:
         await component.passes_on(state)
 
     def keeps_code(self, component: Any) -> str:
         return "it runs in another kernel; reload it there"
 
 
-class ElsewhereComponent(Component, kind=ElsewhereKind()):
+class RemoteComponent(Component, kind=RemoteKind()):
     """A component of another kernel, as this one sees it. `Kernel.stand_in` makes it."""
 
     _where: Path
