@@ -12,7 +12,7 @@ import math
 import threading
 from collections.abc import Awaitable, Callable, Mapping
 from types import MappingProxyType, TracebackType
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, TypeVarTuple, Unpack, cast, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, TypeVarTuple, Unpack, cast, overload
 
 from aiorts.clock import Clock, SystemClock, clock_of, to_ns
 from aiorts.errors import ClosedError, ConfigurationError, DeclarationError, StateError, ThreadError
@@ -33,7 +33,7 @@ from aiorts.kernel.loop.timers import sleep, timers_for
 from aiorts.kernel.pool import PoolMonitor
 from aiorts.kernel.ports import Port, PortDeclaration
 from aiorts.kernel.registry import Registry
-from aiorts.kernel.service import KernelService, attach_services, notify, plan_service, report_fault
+from aiorts.kernel.service import KernelService, TimedHook, attach_services, notify, plan_service, report_fault
 from aiorts.model.names import check_name
 from aiorts.model.naming import NamePolicy
 from aiorts.model.numbering import Numbering
@@ -204,6 +204,7 @@ class Microkernel:
             self._log_budget.summarize()
             services = self.services[::-1]
             notify(services, "stopped")
+            await self._end_services("leaving", budget)
             await self.bus.aclose(budget.rest)
             self._timers.release()
             self._pool.close()
@@ -213,7 +214,7 @@ class Microkernel:
             if self._remove_probe is not None:
                 self._remove_probe()
 
-    async def _end_services(self, hook: Literal["closing", "ending"], budget: StopBudget) -> None:
+    async def _end_services(self, hook: TimedHook, budget: StopBudget) -> None:
         """Give each service that asks for it its time, in reverse order."""
         for service in reversed(self.services):
             if getattr(type(service), hook) is not getattr(KernelService, hook):
@@ -680,10 +681,9 @@ class Microkernel:
             self._summary = self.call_later(1.0, self._log_budget.summarize)
 
 
-async def _end_service(service: KernelService, hook: Literal["closing", "ending"], budget: StopBudget) -> None:
+async def _end_service(service: KernelService, hook: TimedHook, budget: StopBudget) -> None:
     """Run this hook; what it raises is logged, and one that takes longer than the kernel has is abandoned."""
-    steps = service.closing(budget) if hook == "closing" else service.ending(budget)
-    task = kernel_task(service.kernel.loop, steps, f"aiorts {hook} {type(service).__name__}")
+    task = kernel_task(service.kernel.loop, getattr(service, hook)(budget), f"aiorts {hook} {type(service).__name__}")
     if not (await asyncio.wait({task}, timeout=budget.left))[0]:
         task.cancel()
         await asyncio.wait({task}, timeout=budget.grace)

@@ -135,6 +135,9 @@ class KernelService:
     def stopped(self) -> None:
         """Contexts, connectors and components are gone; the bus still publishes."""
 
+    async def leaving(self, budget: StopBudget) -> None:
+        """All services were told that they are stopped: what still ends outside of this process is waited for."""
+
     def closed(self) -> None:
         """All was given up, the bus too."""
 
@@ -201,8 +204,9 @@ Hook = Literal[
     "stopped",
     "closed",
 ]
+TimedHook = Literal["closing", "ending", "leaving"]
 HOOKS: Final[tuple[Hook, ...]] = get_args(Hook)
-"""The methods that notify a service at once; beside them `closing` and `ending` may take time."""
+"""The methods that notify a service at once; beside them `closing`, `ending` and `leaving` may take time."""
 
 
 def notify(services: Iterable[KernelService], hook: Hook, *args: object) -> None:

@@ -660,9 +660,8 @@ class Links(KernelService):
     async def ending(self, budget: StopBudget) -> None:
         """Wait until what was written is acknowledged, for a short time."""
         until = self.kernel.loop.time() + min(_LAST_SECONDS, budget.rest)
-        while any(one.is_connected and one.busy for one in self._writers.values()):
-            if self.kernel.loop.time() >= until:
-                return
+        loop, ends = self.kernel.loop, self._writers.values()
+        while loop.time() < until and any(one.is_connected and one.busy for one in ends):  # noqa: ASYNC110
             await asyncio.sleep(0.005)
 
     def stopped(self) -> None:
@@ -672,7 +671,9 @@ class Links(KernelService):
         self._serving.stopped()
         for task in self._tasks:
             task.cancel()
-        self.reach.close()
+
+    async def leaving(self, budget: StopBudget) -> None:
+        await self.reach.close()
 
     # -- helpers -------------------------------------------------------------------------------------------------------
 

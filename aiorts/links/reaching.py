@@ -148,14 +148,18 @@ class Reach:
         _LOG.warning("links: other kernels can be reached now")
         self._late()
 
-    def close(self) -> None:
-        """Give everything up."""
+    async def close(self) -> None:
+        """Give everything up; what has begun to close does so even where nobody waits for it any more."""
         self._closing = True
         if self._opening is not None:
             self._opening.cancel()
+        closes = []
         for transport in (*self._carriers, *(() if self._transport is None else (self._transport,))):
             closing = kernel_task(self._links.kernel.loop, transport.close(), "aiorts links close")
             closing.add_done_callback(_observed)
+            closes.append(closing)
+        if closes:
+            await asyncio.wait(closes)
 
     # -- other kernels ---------------------------------------------------------------------------------------------
 

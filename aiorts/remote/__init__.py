@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.remote.component import RemoteComponent
+    from aiorts.remote.component import FarComponent
     from aiorts.remote.finding import stand_in
 
-__all__ = ("RemoteComponent", "stand_in")
+__all__ = ("FarComponent", "stand_in")
 
 _late(
     globals(),
-    {"aiorts.remote.finding": "stand_in", "aiorts.remote.component": "RemoteComponent"},
+    {"aiorts.remote.finding": "stand_in", "aiorts.remote.component": "FarComponent"},
 )

@@ -40,17 +40,17 @@ _NEWS: Final = (
 """Events after which it is looked how the component is."""
 
 
-class RemoteKind(Kind):
+class FarKind(Kind):
     """Passes changes of the configuration on, before they are in force here."""
 
-    async def configuring(self, component: RemoteComponent, state: ConfigurationState) -> None:
+    async def configuring(self, component: FarComponent, state: ConfigurationState) -> None:
         await component.passes_on(state)
 
     def keeps_code(self, component: Any) -> str:
         return "it runs in another kernel; reload it there"
 
 
-class RemoteComponent(Component, kind=RemoteKind()):
+class FarComponent(Component, kind=FarKind()):
     """A component of another kernel, as this one sees it. `Kernel.stand_in` makes it."""
 
     _where: Path

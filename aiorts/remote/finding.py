@@ -22,7 +22,7 @@ from aiorts.links import Links
 from aiorts.model.configuration.sets import DEFAULT
 from aiorts.model.names import Path
 from aiorts.model.values import convert_value, parse_type
-from aiorts.remote.component import RemoteComponent
+from aiorts.remote.component import FarComponent
 from aiorts.remote.session import KernelSession
 
 if TYPE_CHECKING:
@@ -128,13 +128,13 @@ def _connect(entry: Entry) -> socket.socket | None:
     return connected
 
 
-def _class_of(name: str, configuration: Mapping[str, Any]) -> type[RemoteComponent]:
+def _class_of(name: str, configuration: Mapping[str, Any]) -> type[FarComponent]:
     """A class with the parameters and sets that a component has."""
     body: dict[str, Any] = {one["name"]: _param(one) for one in configuration["parameters"]}
     sets: Mapping[str, Any] = configuration["sets"]
     body["configurations"] = {key: values for key, values in sets.items() if key != DEFAULT}
     body |= {"__module__": __name__, "__doc__": f"Stands for {name} of another kernel."}
-    return type("RemoteComponent", (RemoteComponent,), body)
+    return type("FarComponent", (FarComponent,), body)
 
 
 def _param(one: Mapping[str, Any]) -> Any:

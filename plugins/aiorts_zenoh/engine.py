@@ -13,6 +13,7 @@ import json
 import re
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -171,6 +172,7 @@ class Engine:
             if self._session is not None:
                 self._session.close()
             raise LinkError("this kernel ends")
+        _open.add(self)
 
     @property
     def _is_over(self) -> bool:
@@ -180,6 +182,7 @@ class Engine:
     def close(self) -> None:
         """End the session, and with it all that it has declared."""
         self._closed = True
+        _open.discard(self)
         if self._session is not None:
             self.announce()
             self._session.close()
@@ -402,16 +405,21 @@ async def in_thread(work: Callable[[], T]) -> T:
 
 _inside: Final[set[threading.Thread]] = set()
 """Threads that may be inside the engine: one that still is when the interpreter is gone aborts the process."""
+_open: Final[weakref.WeakSet[Engine]] = weakref.WeakSet()
+"""Sessions that nobody has closed yet: a callback of the engine that comes when the interpreter is gone aborts, too."""
 
 
 @atexit.register
 def _leave() -> None:
-    """Wait for them once more: who sends SIGINT twice ends the interpreter's own waiting."""
+    """Wait for them once more, since a second SIGINT ends the interpreter's own waiting; end what is still open."""
     until = time.monotonic() + _LEAVES
     for thread in tuple(_inside):
         while thread.is_alive() and (left := until - time.monotonic()) > 0:
             with contextlib.suppress(KeyboardInterrupt):
                 thread.join(left)
+    for engine in tuple(_open):
+        with contextlib.suppress(Exception):  # nobody is left to be told
+            engine.close()
 
 
 def _check_version() -> None:

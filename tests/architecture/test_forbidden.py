@@ -61,6 +61,8 @@ BROAD_EXCEPT = {
     "plugins/aiorts_zenoh/neighbours.py:_deny",
     # Round what is done in a thread for a coroutine, which is told of it: also of a panic of the engine.
     "plugins/aiorts_zenoh/engine.py:run",
+    # Round the end of a session at the end of the interpreter: nobody is left to be told.
+    "plugins/aiorts_zenoh/engine.py:_leave",
     # What a plan did is taken back step by step: what one of these fails with is said, and the next follows.
     "aiorts/planning/applying.py:back",
     # What somebody else's exception says of itself may raise in its turn.

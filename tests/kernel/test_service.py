@@ -47,6 +47,10 @@ class Listening(KernelService):
     def stopped(self) -> None:
         self.heard.append("stopped")
 
+    async def leaving(self, budget: StopBudget) -> None:
+        await self.kernel.sleep(0.2)
+        self.heard.append("left")
+
     def closed(self) -> None:
         self.heard.append("closed")
 
@@ -62,5 +66,5 @@ async def test_a_service_hears_what_comes_and_goes() -> None:
         await kernel.remove(before)
         assert service.heard == ["added source", "added sink", "connected", "removed before"]
     assert service.heard[4] == "closing"
-    assert sorted(service.heard[5:-2]) == ["removed sink", "removed source"]
-    assert service.heard[-2:] == ["stopped", "closed"]
+    assert sorted(service.heard[5:-3]) == ["removed sink", "removed source"]
+    assert service.heard[-3:] == ["stopped", "left", "closed"]
