@@ -81,7 +81,7 @@ class Budget:
         It is not asked at thousands of channels at once: at some, and when it has answered there, at the next.
         """
         if not self.telling:
-            self._look()
+            self.look_at_some()
 
     def look_again(self) -> None:
         """Ask once more: what it was asked, or has said, may be lost. Channels where it was not asked come first."""
@@ -89,9 +89,10 @@ class Budget:
             sender.forget_look()
         for sender in tuple(self.telling):
             sender.look()
-        self._look()
+        self.look_at_some()
 
-    def _look(self) -> None:
+    def look_at_some(self) -> None:
+        """Ask where it was not asked for longest, as far as it has answered elsewhere."""
         while self.unasked and len(self.asked) < _ASKED:
             next(iter(self.unasked)).look()
 
@@ -141,6 +142,8 @@ class Sender:
         self.on_room = on_room
         self._queue: deque[tuple[int, Sequence[Block], int]] = deque()
         """What waits: kind, blocks and their size."""
+        self._last: Sequence[Block] | None = None
+        """The frame that came last, where it waits or was refused, and is short."""
         self._waits = 0
         self._sent = self._taken = 0
         self._looked = 0
@@ -158,6 +161,7 @@ class Sender:
         if not self._queue and budget.takes(size):
             self._give(FRAME, blocks)
             return True
+        self._last = blocks if size <= _LAST else None
         if self._waits >= _FULL:
             budget.refusing[self] = None
             return False
@@ -191,9 +195,7 @@ class Sender:
         Other channels may have a little under way that has come long ago: of so little a receiver says nothing by
         itself. They ask now, so that the next frame can go in one message.
         """
-        for sender in tuple(self._budget.unasked):
-            if sender is not self:
-                sender.look()
+        self._budget.look_at_some()
         _, blocks, whole = self._queue.popleft()
         found = [(PIECE, piece, size_of(piece)) for piece in pieces(blocks)]
         self._queue.extendleft(reversed(found))
@@ -246,12 +248,12 @@ class Sender:
     def close(self) -> None:
         """Send nothing any more.
 
-        A short frame that waits as the last one goes out at once, whatever is under way: it says that the link has
-        ended, which is said once.
+        A short frame that waits as the last one, or was refused, goes out at once, whatever is under way: it says that
+        the link has ended, which is said once.
         """
         budget = self._budget
-        if self._queue and (last := self._queue[-1])[0] == FRAME and last[2] <= _LAST:
-            self._put(message(FRAME, self._epoch, self._sent, self._now(), last[1]))
+        if self._queue and self._last is not None:
+            self._put(message(FRAME, self._epoch, self._sent, self._now(), self._last))
         if self in budget.senders:
             del budget.senders[self]
             budget.used -= self._sent - self._taken

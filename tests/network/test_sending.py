@@ -215,3 +215,25 @@ def test_what_says_that_a_link_has_ended_goes_out_though_there_is_no_room() -> N
     while way.under_way:
         way.step()
     assert way.came[-1] == b"ends"
+
+
+def test_who_cuts_a_long_frame_asks_at_some_of_thousands_of_channels() -> None:
+    budget, put = Budget(), []  # type: Budget, list[bytes]
+    ways = [Way(budget, put) for _ in range(2_000)]
+    for way in ways:
+        way.sender.send([bytes(100)])
+    assert ways[0].sender.send([bytes(1 << 20)])
+    kinds = [read(data).kind for data in put]
+    assert PIECE in kinds
+    assert 0 < kinds.count(LOOK) < 100
+
+
+def test_that_a_link_has_ended_is_said_though_so_much_waits_that_it_was_refused() -> None:
+    way = Way(Budget())
+    while way.sender.send([bytes(PIECES // 2)]):
+        pass
+    assert not way.sender.send([b"ends"])
+    way.sender.close()
+    while way.under_way:
+        way.step()
+    assert way.came[-1] == b"ends"
