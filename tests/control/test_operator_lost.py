@@ -186,6 +186,8 @@ def test_an_activation_that_is_under_way_when_the_client_is_killed(hold: Hold, k
             async with asyncio.timeout(WAIT):
                 while drive.states["loop"].value != after:
                     await asyncio.sleep(0.01)
+            shown = kernel.profile().components["drive"].last_error or ""
+            assert ("is lost" in shown) == (after == "error")  # it was activated after that, and yet it has failed
 
     asyncio.run(main())
 

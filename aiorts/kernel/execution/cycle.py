@@ -500,9 +500,9 @@ def second_pass(member: Member) -> str:
 
 
 def _mend(member: Member) -> None:
-    """What failed before has been seen to, where no other context has the component in error."""
+    """What failed before has been seen to, where the component is in error nowhere, and does not go there."""
     here = member.cell
-    if here.last_error is not None and all(one is member or one.state is not _ERROR for one in here.members):
+    if here.last_error is not None and all(one.failure is None for one in here.members):
         here.mended = here.last_error
 
 
