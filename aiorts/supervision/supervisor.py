@@ -76,6 +76,8 @@ class _Place:
     """Of a data connector the writer's port comes first. With whether its losses are reported."""
     standing: SavedState
     """Its configuration, and its place in a composite."""
+    on_link_lost: str
+    """What a system file says of it."""
 
 
 class Supervised:
@@ -275,7 +277,7 @@ class Supervisor:
         if place is None:
             if not _in_error(old):
                 return  # it was recovered by another request
-            place = one._place = _place_of(old)
+            place = one._place = _place_of(old, kernel.registry.on_link_lost.get(one.name, ""))
         if kernel.components.get(one.name) is old:
             one._removing = True
             try:
@@ -285,6 +287,7 @@ class Supervisor:
         new = instance_of(kernel, one.name, one._factory)
         place.standing.configure(new)
         await kernel.add(new)
+        kernel.registry.on_link_lost[one.name] = place.on_link_lost
         one.component = new
         _limit(new, one.policy)
         kept = place.standing.kept
@@ -342,11 +345,11 @@ def _limit(component: Component, policy: Supervision) -> None:
         member.limit_anew()
 
 
-def _place_of(component: Component) -> _Place:
+def _place_of(component: Component, on_link_lost: str) -> _Place:
     contexts = [(m.context, m.order, m.state is not _INACTIVE) for m in cell(component).members]
     # One from the component to itself hangs on two of its ports.
     found = {connector.name: connector for port in component.ports.values() for connector in port.connectors}
-    return _Place(contexts, [_kept_of(connector) for connector in found.values()], standing_of(component))
+    return _Place(contexts, [_kept_of(one) for one in found.values()], standing_of(component), on_link_lost)
 
 
 def _kept_of(connector: Connector | ServiceConnector) -> tuple[ConnectorProfile | ServiceConnectorProfile, bool]:

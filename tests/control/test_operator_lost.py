@@ -16,6 +16,7 @@ import pytest
 from aiorts import Component, Composite, Kernel, Param, PeriodicContext
 from aiorts.errors import DeclarationError
 from aiorts.planning import wanted_of
+from aiorts.supervision import Supervision
 from aiorts.system import build, check, load, wanted
 from control_parts import WAIT, commanded
 
@@ -364,6 +365,21 @@ def test_what_the_file_says_holds_for_newer_code_and_for_another_type(hold: Hold
             await kernel.remove(kernel.components["plain"])
             await kernel.create(Stays, "plain")
             assert wanted_of(kernel).components["plain"].on_link_lost == ""
+
+    asyncio.run(main())
+
+
+def test_what_the_file_says_holds_for_the_instance_that_a_restart_makes(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with Kernel() as kernel:
+            await build(kernel, load(a_file(tmp_path)))
+            plain = kernel.components["plain"]
+            kernel.supervise(plain, Supervision("restart", backoff=0.001))
+            kernel.registry.task_failed(plain, "its task", ValueError("fails"))
+            async with asyncio.timeout(WAIT):
+                while kernel.components.get("plain") in (None, plain):
+                    await asyncio.sleep(0.01)
+            assert wanted_of(kernel).components["plain"].on_link_lost == "error"
 
     asyncio.run(main())
 
