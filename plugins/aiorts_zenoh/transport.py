@@ -508,14 +508,18 @@ class ZenohTransport:
     def _give(self, peer: Peer | None, size: int, work: Callable[[], None]) -> None:
         """Give a question or answer to the engine, at once where that has room for it."""
         way = None if peer is None else self._ways.get(peer)
-        if way is None or way.takes(size):
+        if way is None or (not way.turn.locked() and way.takes(size)):
             work()
         else:
-            self.kernel.run_in_background(self._give_in_turn(way, work), "aiorts question")
+            self.kernel.run_in_background(self._give_in_turn(way, size, work), "aiorts question")
 
-    async def _give_in_turn(self, way: _Way, work: Callable[[], None]) -> None:
+    async def _give_in_turn(self, way: _Way, size: int, work: Callable[[], None]) -> None:
         async with way.turn:
-            if not self._closed:
+            if self._closed:
+                return
+            if way.takes(size):  # something was heard meanwhile
+                work()
+            else:
                 await in_thread(work)
 
     def _forget_answers(self) -> None:
@@ -540,9 +544,9 @@ class _Way:
         """Bytes that the engine was given since anything was heard of the kernel."""
 
     def takes(self, size: int) -> bool:
-        """Whether so many bytes may be given to the engine at once."""
+        """Whether the engine surely has room for so many bytes more."""
         self.given += size
-        return not self.turn.locked() and (size <= _SHORT or self.given <= _GIVEN)
+        return self.given <= _GIVEN
 
 
 def _priority(offer: LinkOffer) -> str:
