@@ -590,12 +590,13 @@ class _ZenohChannel:
         if epoch != self._epoch:
             return False
         if kind <= PIECE:
-            self._receiver.took(first, len(data))
             frame = blocks if kind == FRAME else self._whole.add(blocks)
             if frame:
                 if kind == PIECE:
                     self.came = sum(map(len, frame))
                 self.events.on_frames(((frame[0], frame[1:]),))
+            if self.is_open:
+                self._receiver.took(first, len(data))  # last: it may put a message, for which nobody waits
             return False
         if kind == TAKEN:
             self.sender.came(first)
