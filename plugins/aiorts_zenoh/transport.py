@@ -437,9 +437,13 @@ class ZenohTransport:
             else:
                 future.set_exception(LinkError(f"{peer.kernel}: {data[:_LONGEST].decode(errors='replace')}"))
 
+        def give(left: float) -> None:
+            if not future.done():  # else an old offer would come behind the new one, and be the one that counts
+                self.engine.ask(key, body, beside, left + _MARGIN, answered)
+
         def again(left: float) -> None:
             if not future.done() and not self._closed:
-                self._give(peer, len(body), partial(self.engine.ask, key, body, beside, left + _MARGIN, answered))
+                self._give(peer, len(body), partial(give, left))
 
         try:
             again(within)
