@@ -105,10 +105,14 @@ class Arrivals:
             self._links.run(self._tell(peer, component), "aiorts link")
 
     async def _tell(self, peer: Peer, component: str) -> None:
-        try:
-            await self._links.ask(peer, "come", component.encode(), _SECONDS)
-        except LinkError:
-            return  # it has gone, and asks anew when it comes back
+        while True:
+            try:
+                await self._links.ask(peer, "come", component.encode(), _SECONDS)
+            except LinkTimeout:
+                continue
+            except LinkError:
+                return  # it has gone, and asks anew when it comes back
+            return
 
 
 class Departures:

@@ -163,7 +163,7 @@ class Calls:
     def come(self, component: str, peer: Peer | None) -> None:
         """A component has come to another kernel."""
         for far in self._far:
-            if far.path.component == component and self._links.peer_of(far.path) == peer:
+            if peer is not None and far.path.component == component and far.path.kernel == peer.kernel:
                 self.look(far)
 
     def disconnected(self, event: Disconnected) -> None:

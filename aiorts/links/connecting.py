@@ -648,7 +648,7 @@ class Links(KernelService):
         """A component has come that links of this kernel waited for."""
         component = body.decode(errors="replace")
         for link in self._ends.at(component):
-            if self._peer(link) == caller.peer:
+            if caller.peer is not None and self.far_of(link).kernel == caller.peer.kernel:  # by whatever way
                 if link in self._asking:
                     self._retry(link)  # the answer that it was not there has come, and was not looked at yet
                 self._try(link)
