@@ -11,13 +11,17 @@ from anyio import fail_after
 from aiorts import Component, InPort, Kernel, OutPort
 from aiorts.links import Links
 from aiorts.system import build, load, wait_finished
+from aiorts.testing import MemoryNetwork, simulate
 from aiorts.types import TimedLong
+from links.memory_kernels import until
 
 pytestmark = pytest.mark.anyio
 READER = """
 import asyncio
 from aiorts import Component, InPort
+from aiorts.testing import MemoryNetwork, simulate
 from aiorts.types import TimedLong
+from links.memory_kernels import until
 
 
 class Slow(Component):
@@ -46,7 +50,9 @@ members = ["reader"]
 
 WRITER = """
 from aiorts import Component, OutPort
+from aiorts.testing import MemoryNetwork, simulate
 from aiorts.types import TimedLong
+from links.memory_kernels import until
 
 
 class Writer(Component):
@@ -120,3 +126,30 @@ async def test_a_system_that_ends_waits_for_its_links_and_says_what_was_not_take
         assert [one.name for one in unread] == ([] if is_there else ["writer.out-station/sink.inp"])
         (connector,) = robot.connectors.values()
         assert connector.statistics.acknowledged == (3 if is_there else 0)
+
+
+def test_a_component_that_comes_is_heard_of_by_whatever_way_its_kernel_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels of one host may find each other by a socket and over the network; which comes first is chance."""
+
+    async def main() -> str:
+        ways = MemoryNetwork(delay=0.1), MemoryNetwork()
+        async with Kernel("station") as station, Kernel("robot") as robot:
+            there, here = station.service(Links), robot.service(Links)
+            for links, name in ((there, "station"), (here, "robot")):
+                links.use(ways[0].transport(name))
+                await links.opened()
+            with there.making():
+                await station.add(Sink("sink"))
+            source = await robot.add(Source("source"))
+            connecting = asyncio.ensure_future(robot.connect(source.out, "station/sink.inp"))
+            await asyncio.sleep(0.05)  # it is asked, and not answered
+            monkeypatch.setattr("aiorts.testing.memory_links._HOST", "network")
+            for links, name in ((there, "station"), (here, "robot")):
+                await links.reach.carry(ways[1].transport(name))
+            connector = await connecting
+            await until(lambda: "is being started" in here.report()[connector.name])
+            there.started()
+            await asyncio.sleep(5.0)
+            return str(here.report()[connector.name])
+
+    assert simulate(main()) == "up"
