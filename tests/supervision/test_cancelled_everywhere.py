@@ -168,7 +168,7 @@ ELSEWHERE = {
     "Kernel.reload": "reload/test_cancelled.py",
     "Kernel.save": "planning/test_save.py",
     "KernelService.closing": "the kernel's own, while it closes; nobody who is cancelled awaits it",
-    "KernelService.ending": "the kernel's own, while it closes; nobody who is cancelled awaits it",
+    "KernelService.ending", "KernelService.leaving": "the kernel's own, while it closes; nobody who is cancelled awaits it",
     "Goal.__anext__": "services/test_goals.py",
     "Goal.result": "services/test_goals.py",
     "Synchronizer.match": "sync/test_synchronizer.py",
