@@ -15,6 +15,7 @@ import os
 import platform
 import socket
 import struct
+import sys
 from collections.abc import Awaitable, Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -86,11 +87,16 @@ class UnixTransport:
             return
         taken = LinkError(f"a kernel named {kernel.name!r} runs already; give this one another name")
         try:
-            folder = private_folder()
-            if any(_is_served(path) for path in folder.glob(f"{_hashed(kernel.name)}-*{_SUFFIX}")):
+            folder, name = private_folder(), _hashed(kernel.name)
+            if any(map(_is_served, folder.glob(f"{name}-*{_SUFFIX}"))):
                 raise taken  # before this one is seen: it may be tried again and again
-            others = sorted(folder.glob(f"*{_SUFFIX}"))
-            self._listen(folder / f"{_hashed(kernel.name)}-{kernel.epoch:016x}{_SUFFIX}")
+            self._listen(folder / f"{name}-{kernel.epoch:016x}{_SUFFIX}")
+            # Only now: of two that open at the same time, one at least finds the other.
+            others = [path for path in sorted(folder.glob(f"*{_SUFFIX}")) if path != self._path]
+            mine = _made_ns(self._path)
+            if any(path.name.startswith(f"{name}-") and _made_ns(path) <= mine and _is_served(path) for path in others):
+                await self.close()
+                raise taken
         except LinkError:
             raise
         except (AiortsError, OSError) as error:
@@ -98,18 +104,18 @@ class UnixTransport:
         found = [connection for path in others if (connection := self._connect(path)) is not None]
         if found:
             await asyncio.wait([one.greeted for one in found], timeout=_GREETING_SECONDS)
-        if any(peer.kernel == kernel.name for peer in self._peers):
-            await self.close()
-            raise taken
 
     def _listen(self, path: Path) -> None:
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        new = path.with_suffix(".new")
         try:
             listener.setblocking(False)
-            listener.bind(str(path))
+            listener.bind(str(new))
             listener.listen(128)
+            new.rename(path)  # who finds a socket that does not listen yet takes it for what a killed kernel has left
         except BaseException:
             listener.close()
+            new.unlink(missing_ok=True)
             raise
         self._path, self._listener = path, listener
         self.loop.add_reader(listener.fileno(), self._accept)
@@ -485,6 +491,14 @@ class _Connection:
 def _peer_of(greeting: bytes) -> Peer:
     """Who a greeting is of. LinkError: it is none, or its names are none."""
     return checked_peer(*fields(greeting, (str, str, int)))
+
+
+def _made_ns(path: Path) -> int:
+    """When a socket came into its place; in the far future where it has gone."""
+    try:
+        return path.stat().st_ctime_ns
+    except OSError:
+        return sys.maxsize
 
 
 def _is_served(path: Path) -> bool:

@@ -8,13 +8,18 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from aiorts import Kernel
 from aiorts.errors import LinkError
-from aiorts.links import Transport, checked_peer
+from aiorts.links import Links, Transport, checked_peer
 from aiorts.links.stream import Message, Stream
 from aiorts.links.unix import UnixTransport
 from aiorts.testing import TRANSPORT_CHECKS, check_transport
@@ -123,3 +128,34 @@ def test_a_machine_may_call_itself_what_it_likes_but_for_what_parts_a_path() -> 
     for host, kernel in (("a/b", "robot"), ("h" * 254, "robot"), ("host", "a/b"), ("host", "")):
         with pytest.raises(LinkError, match="name"):
             checked_peer(host, kernel, 7)
+
+
+@pytest.mark.parametrize("names", [("one", "two"), ("same", "same")])
+def test_kernels_that_start_at_the_same_time_find_each_other(
+    monkeypatch: pytest.MonkeyPatch, names: tuple[str, str]
+) -> None:
+    """Each in a thread; both have looked who is there before one of them listens."""
+    meet, listen = threading.Barrier(2), UnixTransport._listen
+
+    def meeting(transport: UnixTransport, path: Path) -> None:
+        meet.wait(10)
+        listen(transport, path)
+
+    monkeypatch.setattr(UnixTransport, "_listen", meeting)
+    over = threading.Barrier(2)
+
+    async def main(name: str) -> bool:
+        async with Kernel(name) as kernel:
+            links = kernel.service(Links)
+            with suppress(LinkError):  # its name is taken
+                await links.opened()
+            until = time.monotonic() + 5.0
+            while not links.peers and time.monotonic() < until and names[0] != names[1]:
+                await asyncio.sleep(0.01)
+            found = bool(links.peers) if names[0] != names[1] else links.reach.is_open
+            await asyncio.to_thread(over.wait, 10)
+            return found
+
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(lambda name: asyncio.run(main(name)), names))
+    assert sum(found) == (2 if names[0] != names[1] else 1)
