@@ -53,8 +53,13 @@ def one_process() -> str:
 def ran(*options: str) -> tuple[int, str]:
     """A run of the processes: exit status, what was said."""
     command = [sys.executable, str(EXAMPLE / "run.py"), *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
-    return done.returncode, done.stdout + done.stderr
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            said = process.communicate(timeout=95)
+        except subprocess.TimeoutExpired:
+            process.terminate()  # it ends the processes that it has started
+            said = process.communicate(timeout=20)
+    return process.returncode, "".join(said)
 
 
 # -- the parts ---------------------------------------------------------------------------------------------------------
