@@ -136,7 +136,7 @@ class KernelService:
         """Contexts, connectors and components are gone; the bus still publishes."""
 
     async def leaving(self, budget: StopBudget) -> None:
-        """All services were told that they are stopped: what still ends outside of this process is waited for."""
+        """Wait for what still ends outside of this process, such as connections; all services are stopped."""
 
     def closed(self) -> None:
         """All was given up, the bus too."""

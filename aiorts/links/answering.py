@@ -57,7 +57,7 @@ class NamedEnds:
 
     def __init__(self) -> None:
         self._links: dict[Name, ReaderLink] = {}
-        self._names: dict[ReaderLink, Name] = {}
+        self._names: dict[Link, Name] = {}
 
     def get(self, name: Name) -> ReaderLink | None:
         """The end of this name."""
@@ -76,7 +76,7 @@ class NamedEnds:
 
     def forget(self, link: Link) -> None:
         """It has no name any more."""
-        if (name := self._names.pop(link, None)) is not None:  # type: ignore[arg-type] # a writer's end has none
+        if (name := self._names.pop(link, None)) is not None:  # a writer's end has none
             del self._links[name]
 
 

@@ -28,7 +28,7 @@ WINDOW: Final = 256
 """Samples that may be unacknowledged."""
 _NEWEST: Final = 2
 """The same where only the newest sample counts: one on its way and one behind it."""
-_CLOSE_NS: Final = 50_000
+_SOON_NS: Final = 50_000
 """A sample that is written so soon after another was sent goes with those that are written after it."""
 _ACKNOWLEDGED: Final = "acknowledged"
 _UNKNOWN: Final = "unknown_fate"
@@ -110,7 +110,7 @@ class WriterLink:
         # A sample leaves in the write itself; those that follow closely travel together, in the next turn of the loop.
         if not self._turn_due:
             now = self._now()
-            if now - self._sent_ns > _CLOSE_NS:
+            if now - self._sent_ns > _SOON_NS:
                 if self._drain(now):
                     self._poll(now)
                 self._sent_ns = self._now()

@@ -119,8 +119,8 @@ class Inbox:
             return not self._due
 
 
-class _Unknown(NamedTuple):
-    """What puts bytes at a key that the engine does not know."""
+class _Undeclared(NamedTuple):
+    """What puts bytes at a key that is not declared to the engine."""
 
     put: Callable[[bytes], None]
 
@@ -311,16 +311,16 @@ class Engine:
         info = self._session.info
         return bool(info.peers_zid() or info.routers_zid())
 
-    def publisher(self, key: str, priority: str, *, known: bool) -> Any:
-        """What puts bytes at a key, with a priority of the engine by its name; `known`: see `expect`.
+    def publisher(self, key: str, priority: str, *, declared: bool) -> Any:
+        """What puts bytes at a key, with a priority of the engine by its name; `declared`: see `expect`.
 
         What is under way is bounded by credits (`sending`), so that the engine's queue never is full.
         """
         zenoh = self._zenoh
         how = {"congestion_control": zenoh.CongestionControl.DROP, "priority": getattr(zenoh.Priority, priority)}
-        if known:
+        if declared:
             return self._session.declare_publisher(key, **how)
-        return _Unknown(partial(self._session.put, zenoh.KeyExpr(key), **how))
+        return _Undeclared(partial(self._session.put, zenoh.KeyExpr(key), **how))
 
     def expect(self, key: str) -> Callable[[], None]:
         """Have the engine know a key at which messages come, until the returned function is called.

@@ -49,6 +49,7 @@ class Budget:
     def __init__(self) -> None:
         self.used = 0
         self.senders: dict[Sender, None] = {}
+        # The first of a plain dict is found the later the more was taken from its front.
         self.unasked: OrderedDict[Sender, None] = OrderedDict()
         """Those that have sent something since the other kernel was asked last how far it has come."""
         self.asked: dict[Sender, None] = {}
@@ -92,7 +93,7 @@ class Budget:
         self.look_at_some()
 
     def look_at_some(self) -> None:
-        """Ask where it was not asked for longest, as far as it has answered elsewhere."""
+        """Ask at up to 64 channels at the same time, first where it was not asked for longest."""
         while self.unasked and len(self.asked) < _ASKED:
             next(iter(self.unasked)).look()
 

@@ -43,11 +43,12 @@ _MARGIN: Final = 1.0
 _LONGEST: Final = 2_000
 _GIVEN: Final = 10 << 16
 """Bytes of questions and answers that the engine surely has room for: its queue is of 16 times 64 KiB."""
+_DECLARED: Final = 32
+"""Links with one other kernel whose keys are declared to the engine: the first ones.
 
-_KNOWN: Final = 32
-"""Links with one other kernel whose keys the engine knows: the first. It finds the way of a message by such a key at
-once. For one with another key it compares the key with each known one of the same two kernels, 32 in some 15 us; but to
-have thousands known takes longer with each, some ms beside 3,000, and for all time."""
+It finds the way of a message with such a key at once. Any other key it compares with each declared one of the same two
+kernels, 32 in some 15 us. But a declaration takes the longer the more there are: some ms beside 3,000.
+"""
 
 Handler = Callable[[bytes, Caller], Awaitable[bytes]]
 
@@ -306,16 +307,16 @@ class ZenohTransport:
         if (old := self._channels.get(of)) is not None:
             old.close()
         budget = self._peers[peer]
-        known = len(budget.senders) < _KNOWN
+        declared = len(budget.senders) < _DECLARED
         priority = _priority(offer) if writes else "INTERACTIVE_HIGH"
         channel = self._channels[of] = _ZenohChannel(
-            [self.engine.publisher(at, one, known=known) for one in (priority, "INTERACTIVE_HIGH")],
+            [self.engine.publisher(at, one, declared=declared) for one in (priority, "INTERACTIVE_HIGH")],
             budget,
             peer,
             offer.writer_epoch & 0xFFFFFFFF,
             events,
             partial(self._forget, of),
-            self.engine.expect(of) if known else None,
+            self.engine.expect(of) if declared else None,
         )
         if self._looking is None:
             self._looking = self.loop.call_later(_LOOK_AGAIN, self._look_again)

@@ -113,8 +113,8 @@ def test_what_a_link_carries_decides_about_its_priority(monkeypatch: pytest.Monk
     made: list[tuple[str, str]] = []
     publisher = Engine.publisher
 
-    def noted(self: Engine, key: str, priority: str, *, known: bool) -> Any:
-        found = publisher(self, key, priority, known=known)
+    def noted(self: Engine, key: str, priority: str, *, declared: bool) -> Any:
+        found = publisher(self, key, priority, declared=declared)
         made.append((key[-1], str(found.priority).rpartition(".")[2]))
         return found
 
