@@ -303,7 +303,8 @@ class Application:
 
     async def _make(self, name: str, connection: ConnectionEntry) -> None:
         """A connector that plans call so."""
-        made = await self._kernel.connect(*connection.ports, **connection.options)
+        one, two = connection.ports
+        made = await self._kernel.connect(one, two, **connection.options)
         if made.name != name:
             self._shown[made.name] = name
 

@@ -29,6 +29,7 @@ _NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,252}")
 """One part of a key: of a host that calls itself otherwise the user says the name."""
 LEASE: Final = 2.5
 """Seconds without a word after which a connection is over."""
+PATIENCE: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
 _HARDENED: Final[Mapping[str, Any]] = {
     "transport/link/tx/lease": int(LEASE * 1_000),
     # A lost link is noticed a lease after the last word that came: with this many in a lease, within 3 s.
@@ -36,8 +37,8 @@ _HARDENED: Final[Mapping[str, Any]] = {
     # Who connects and says nothing has a place for a second. There are so many places that others find one.
     "transport/unicast/accept_timeout": 1_000,
     "transport/unicast/accept_pending": 2_000,
-    # What has to wait for room waits no longer for a neighbour that stands still; a router holds all others up so long.
-    "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
+    # What has to wait for room waits no longer for a neighbour that stands still.
+    PATIENCE: 500_000,
     "transport/unicast/max_sessions": 256,  # more machines meet in a router
     # By itself the engine would put together, in memory, what says that it has 1 GiB.
     "transport/link/rx/max_message_size": 16 << 20,

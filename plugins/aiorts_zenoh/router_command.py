@@ -13,12 +13,16 @@ import click
 from aiorts import exits
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.neighbours import Neighbours
-from aiorts_zenoh.network import NetworkSettings, check_free, endpoints_of, engine_settings, listed
+from aiorts_zenoh.network import PATIENCE, NetworkSettings, check_free, endpoints_of, engine_settings, listed
 from aiorts_zenoh.security.access import ROUTER
 from aiorts_zenoh.security.tls import secured_by
 
-_SESSIONS: Final = 10_000
-"""Connections at the most: a fleet meets here."""
+_OWN: Final = {
+    "mode": "router",
+    "transport/unicast/max_sessions": 10_000,  # a fleet meets here
+    # Meanwhile it carries nothing of others. As long as kernels wait they would give up the router that waits.
+    PATIENCE: 250_000,
+}
 
 
 @click.command(short_help="Let the kernels of many hosts meet in one place.")
@@ -66,7 +70,7 @@ async def _route_until(ended: asyncio.Event, settings: NetworkSettings, name: st
     neighbours = Neighbours(endpoints_of(settings.connect), secured, logging.getLogger("aiorts.zenoh").warning)
     engine, loop, due = Engine(), asyncio.get_running_loop(), asyncio.Event()
     neighbours.denies.append(lambda _: due.set())
-    own = {**engine_settings(settings, secured), "mode": "router", "transport/unicast/max_sessions": _SESSIONS}
+    own = {**engine_settings(settings, secured), **_OWN}
     await in_thread(lambda: engine.open(own, Inbox(loop)))
     waits = [loop.create_task(one.wait()) for one in (ended, due)]
     try:

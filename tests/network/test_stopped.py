@@ -82,7 +82,7 @@ def test_a_stopped_kernel_that_was_asked_or_is_answered_much_delays_no_call_betw
 ) -> None:
     """15 MB in 30 questions or answers, or 5 MB in 1,400: more than the queues of the engine and of the system take.
 
-    A router waits half a second for room in such a queue, and meanwhile carries nothing.
+    A router waits a quarter of a second for room in such a queue, and meanwhile carries nothing.
     """
     address = f"127.0.0.1:{free_port()}"
     a = Linked(settings("a", **({"connect": address} if router else {"listen": address})), tmp_path / "a.log")
