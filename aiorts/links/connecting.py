@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -60,6 +60,8 @@ _FIRST_SECONDS: Final = 5.0
 """How long `connect` waits at the most for what the other kernel answers."""
 _RETRY: Final = (0.2, 0.4, 0.8, 1.6, 2.0)
 """Seconds until an offer without an answer is made again."""
+_AT_ONCE: Final = 64
+"""Links that are offered to one kernel at once: of thousands, those at the end would have no answer in time."""
 _READ_SECONDS: Final = 0.05
 """How often it is looked whether a connector without a writer was read empty."""
 _BY_ONE: Final = 10_000
@@ -96,6 +98,7 @@ class Links(KernelService):
         self._made: Counter[str] = Counter()
         """How many each of the others has connected, by its name."""
         self._asking: set[Link] = set()
+        self._turns: defaultdict[Peer, asyncio.Semaphore] = defaultdict(partial(asyncio.Semaphore, _AT_ONCE))
         self._tried: dict[Link, int] = {}
         """How often a link was offered in vain since it was up last."""
         self._first: dict[Link, asyncio.Future[None]] = {}
@@ -391,6 +394,7 @@ class Links(KernelService):
             self._serving.gone(peer)
             self._arrivals.gone(peer)
             self._end_unanswered(peer)
+            self._turns.pop(peer, None)
             return
         self._departures.back(peer)
         for link in self._all():
@@ -434,10 +438,13 @@ class Links(KernelService):
                 return
             if peer is None:
                 return self._waits(link) if link in self._own else None
-            if isinstance(link, WriterLink):
-                await self._offer(link, peer)
-            else:
-                will_be_offered = await self._request(link, peer)
+            async with self._turns[peer]:
+                if link not in self._links_of(link.connector) or link.is_connected:
+                    return
+                if isinstance(link, WriterLink):
+                    await self._offer(link, peer)
+                else:
+                    will_be_offered = await self._request(link, peer)
         except LinkError as error:
             link.why = str(error)
             self._retry(link)

@@ -89,6 +89,8 @@ class ReaderLink:
 
     def connect(self, channel: Channel, number: int, peer_epoch: int) -> None:
         """Receive over this channel from now on the frames that carry `number`."""
+        if self._channel is not None:
+            self._channel.close()  # of an earlier offer, whose answer came too late
         self._channel, self.why = channel, ""
         self.end.renumber(number)
         now = self._now()

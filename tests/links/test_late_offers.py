@@ -1,0 +1,81 @@
+"""A kernel that answers offers late has all its links in the end, and nothing is left of those that came to nothing."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Any
+
+from aiorts import Kernel
+from aiorts.links import Caller, Channel, ChannelEvents, LinkOffer, Links
+from aiorts.testing import MemoryNetwork, simulate
+from links.memory_kernels import Sink, Source, until
+
+COUNT = 400
+EACH = 0.01
+"""Seconds that the reader's kernel takes for one offer: 400 take longer than a question waits."""
+
+
+class Counted:
+    """A channel that is in `open` until it is closed."""
+
+    def __init__(self, channel: Channel, open_: set[Counted]) -> None:
+        self._channel, self._open = channel, open_
+        open_.add(self)
+
+    def send(self, head: Any, parts: Sequence[Any] = ()) -> bool:
+        return self._channel.send(head, parts)
+
+    def close(self) -> None:
+        self._open.discard(self)
+        self._channel.close()
+
+
+class Late:
+    """A transport whose kernel answers offers one after the other, each after so many seconds."""
+
+    def __init__(self, transport: Any, seconds: Callable[[], float]) -> None:
+        self._transport, self._seconds, self._turn = transport, seconds, asyncio.Lock()
+        self.open_channels: set[Counted] = set()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._transport, name)
+
+    async def channel(self, offer: LinkOffer, events: ChannelEvents) -> Counted:
+        return Counted(await self._transport.channel(offer, events), self.open_channels)
+
+    def answer(self, what: str, handler: Callable[[bytes, Caller], Awaitable[bytes]]) -> None:
+        async def answered(body: bytes, caller: Caller) -> bytes:
+            async with self._turn:
+                answer = await handler(body, caller)
+                await asyncio.sleep(self._seconds())
+                return answer
+
+        self._transport.answer(what, answered if what == "offer" else handler)
+
+
+async def linked(count: int, seconds: Callable[[], float], within: float) -> int:
+    """Has so many links to a kernel that comes and answers late; how many channels its own ends have at the end."""
+    network = MemoryNetwork()
+    async with Kernel("one") as one, Kernel("two") as two:
+        one.service(Links).use(network.transport("one"))
+        await one.service(Links).opened()
+        source, sink = await one.add(Source()), await two.add(Sink())
+        for _ in range(count):
+            await one.connect(source.out, f"two/{sink.name}.inp", allow_duplicate=True)
+        late = Late(network.transport("two"), seconds)
+        two.service(Links).use(late)  # type: ignore[arg-type] # it is one with all that it hands on
+        await two.service(Links).opened()
+        states = one.service(Links).report
+        await until(lambda: set(states().values()) == {"up"}, within)
+        return len(late.open_channels)
+
+
+def test_many_links_to_a_kernel_that_takes_its_time_for_each_are_all_up_when_it_has_answered_each_once() -> None:
+    assert simulate(linked(COUNT, lambda: EACH, 1.5 * COUNT * EACH)) == COUNT
+
+
+def test_of_an_offer_whose_answer_came_too_late_no_channel_is_left() -> None:
+    waits = [5.0, 0.0]
+    assert simulate(linked(1, lambda: waits.pop(0) if waits else 0.0, 30.0)) == 1
+    assert waits == []
