@@ -282,7 +282,14 @@ class Links(KernelService):
         encode = self._codec.parts_encoder(connector.out.type)
         kind = PulledWriterLink if connector.profile.dataflow is Dataflow.PULL else WriterLink
         link = self._writers[connector] = kind(
-            self.kernel, connector, new_epoch(), encode, lost=self._lost, ended=self._ended, report=_report
+            self.kernel,
+            connector,
+            new_epoch(),
+            encode,
+            lost=self._lost,
+            unanswered=self._retry,
+            ended=self._ended,
+            report=_report,
         )
         self._ends.add(self.far_of(link), link)
         return link

@@ -42,6 +42,7 @@ class WriterLink:
     Args:
         encode: makes the bytes of a sample, with what travels beside them.
         lost: called when the channel went down, with the reason.
+        unanswered: called when it was given up, since nobody has answered on it.
         ended: called when the reader's end has disconnected.
         report: warns of what cannot be sent.
     """
@@ -54,6 +55,7 @@ class WriterLink:
         encode: Callable[[Any], tuple[bytes, Sequence[memoryview]]],
         *,
         lost: Callable[[WriterLink, str], None],
+        unanswered: Callable[[WriterLink], None],
         ended: Callable[[WriterLink], None],
         report: Callable[[str], None],
     ) -> None:
@@ -63,6 +65,7 @@ class WriterLink:
         self.why = "not connected yet"
         """Why it is not up; "" while it is."""
         self._kernel, self._encode, self._lost, self._report, self._gone = kernel, encode, lost, report, ended
+        self._unanswered = unanswered
         self._now: Callable[[], int] = kernel.clock.monotonic_ns
         self._channel: Channel | None = None
         self._wakening = Wakening(kernel, self._wake)
@@ -244,7 +247,14 @@ class WriterLink:
             channel.close()
 
     def _wake(self) -> None:
-        self._poll(self._now())
+        now = self._now()
+        if self._channel is not None and self.end.is_unanswered(now):
+            self._channel.close()
+            self._channel, self.why = None, "the reader's end has not answered"
+            self.end.channel_down(now)
+            self._unanswered(self)
+        else:
+            self._poll(now)
 
     def _poll(self, now: int) -> None:
         channel = self._channel

@@ -31,17 +31,33 @@ class Counted:
         self._channel.close()
 
 
-class Late:
-    """A transport whose kernel answers offers one after the other, each after so many seconds."""
+class Deaf:
+    """A channel that leads nowhere."""
 
-    def __init__(self, transport: Any, seconds: Callable[[], float]) -> None:
-        self._transport, self._seconds, self._turn = transport, seconds, asyncio.Lock()
+    def send(self, head: Any, parts: Sequence[Any] = ()) -> bool:
+        return True
+
+    def close(self) -> None:
+        pass
+
+
+class Late:
+    """A transport whose kernel answers offers one after the other, each after so many seconds.
+
+    Its first channels, as many as `deaf`, lead nowhere.
+    """
+
+    def __init__(self, transport: Any, seconds: Callable[[], float], deaf: int) -> None:
+        self._transport, self._seconds, self._turn, self._deaf = transport, seconds, asyncio.Lock(), deaf
         self.open_channels: set[Counted] = set()
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._transport, name)
 
     async def channel(self, offer: LinkOffer, events: ChannelEvents) -> Counted:
+        if self._deaf:
+            self._deaf -= 1
+            return Counted(Deaf(), self.open_channels)
         return Counted(await self._transport.channel(offer, events), self.open_channels)
 
     def answer(self, what: str, handler: Callable[[bytes, Caller], Awaitable[bytes]]) -> None:
@@ -54,7 +70,7 @@ class Late:
         self._transport.answer(what, answered if what == "offer" else handler)
 
 
-async def linked(count: int, seconds: Callable[[], float], within: float) -> int:
+async def linked(count: int, seconds: Callable[[], float], within: float, deaf: int = 0) -> int:
     """Has so many links to a kernel that comes and answers late; how many channels its own ends have at the end."""
     network = MemoryNetwork()
     async with Kernel("one") as one, Kernel("two") as two:
@@ -63,7 +79,7 @@ async def linked(count: int, seconds: Callable[[], float], within: float) -> int
         source, sink = await one.add(Source()), await two.add(Sink())
         for _ in range(count):
             await one.connect(source.out, f"two/{sink.name}.inp", allow_duplicate=True)
-        late = Late(network.transport("two"), seconds)
+        late = Late(network.transport("two"), seconds, deaf)
         two.service(Links).use(late)  # type: ignore[arg-type] # it is one with all that it hands on
         await two.service(Links).opened()
         states = one.service(Links).report
@@ -79,3 +95,7 @@ def test_of_an_offer_whose_answer_came_too_late_no_channel_is_left() -> None:
     waits = [5.0, 0.0]
     assert simulate(linked(1, lambda: waits.pop(0) if waits else 0.0, 30.0)) == 1
     assert waits == []
+
+
+def test_a_channel_on_which_nobody_answers_is_given_up_and_the_link_offered_again() -> None:
+    assert simulate(linked(1, lambda: 0.0, 25.0, deaf=2)) == 1

@@ -18,6 +18,8 @@ LEAST_NS: Final = 100 * _MS
 LONGEST_NS: Final = 2_000 * _MS
 """Each time it doubles, up to this."""
 STALLED_NS: Final = 2_000 * _MS
+UNANSWERED_NS: Final = 10_000 * _MS
+"""A channel on which no hello was answered for so long leads nowhere."""
 _KEPT_BACK_NS: Final = 50 * _MS
 
 
@@ -124,6 +126,10 @@ class WriterEnd:
             return LinkState.CONNECTING
         waits = self._highest >= self._oldest and now - self._heard_ns > STALLED_NS
         return LinkState.STALLED if waits else LinkState.UP
+
+    def is_unanswered(self, now: int) -> bool:
+        """Whether nobody answers on this channel: another one may lead to the reader's end."""
+        return self._up and not self._greeted and now - self._heard_ns >= UNANSWERED_NS
 
     # -- samples ---------------------------------------------------------------------------------------------------
 
