@@ -39,7 +39,7 @@ from aiorts.links.reaching import Reach, new_epoch
 from aiorts.links.reader_link import ReaderLink, of_shape, reader_options
 from aiorts.links.serving import Serving
 from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
-from aiorts.links.writer_link import WINDOW, WriterLink
+from aiorts.links.writer_link import WriterLink
 from aiorts.model.names import MAX_NAME_LENGTH, Path, check_name
 from aiorts.model.options import chosen_options, link_options
 from aiorts.model.policy import Dataflow, OnLinkLost
@@ -54,7 +54,6 @@ if TYPE_CHECKING:
 
 _LOG: Final = KernelLog()
 _report: Final = partial(_LOG.warning, "W-LINK: %s")
-_WINDOW_BYTES: Final = 8 << 20
 _ASK_SECONDS: Final = 2.0
 _FIRST_SECONDS: Final = 5.0
 """How long `connect` waits at the most for what the other kernel answers."""
@@ -470,24 +469,7 @@ class Links(KernelService):
             self._try(link)
 
     async def _offer(self, link: WriterLink, peer: Peer) -> None:
-        connector, out = link.connector, link.connector.out
-        schema, text = layout_of(out.type)
-        offer = LinkOffer(
-            protocol=versions.SPOKEN,
-            link=connector.name,
-            writer=self.path_of(out, peer),
-            reader=self.far_of(link),
-            writer_epoch=link.end.epoch,
-            reader_epoch=0,
-            number=0,
-            schema=schema,
-            type_text=text,
-            unit=out.unit,
-            shape=out.shape,
-            profile=connector.profile,
-            window=WINDOW,
-            window_bytes=_WINDOW_BYTES,
-        )
+        offer = link.offer(self.path_of(link.connector.out, peer), self.far_of(link))
         answer = await self._question(peer, "offer", offer.to_bytes())
         if not answer.number:
             return self._not_now(link, answer)
@@ -495,7 +477,7 @@ class Links(KernelService):
         agreed = replace(offer, protocol=(version, version), reader_epoch=answer.epoch, number=answer.number)
         agreed = replace(agreed, reader=replace(offer.reader, host=peer.host))
         channel = await self.reach.carrier(peer).channel(agreed, link)
-        if self._writers.get(connector) is not link:
+        if self._writers.get(link.connector) is not link:
             channel.close()
             await self._departures.tell(peer, answer.epoch)
             return None

@@ -13,8 +13,11 @@ from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.in_port import InPort, receiver_of
 from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
+from aiorts.links import versions
+from aiorts.links.layout import layout_of
 from aiorts.links.linked import LINK, Aged, Confirmation, Confirmed, Linked, added
 from aiorts.links.timing import Wakening
+from aiorts.links.transport import LinkOffer
 from aiorts.model.links import WriterEnd
 from aiorts.model.policy import Push
 
@@ -23,9 +26,11 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
     from aiorts.links.transport import Channel
     from aiorts.model.links import Buffer
+    from aiorts.model.names import Path
 
-WINDOW: Final = 256
+_WINDOW: Final = 256
 """Samples that may be unacknowledged."""
+_WINDOW_BYTES: Final = 8 << 20
 _NEWEST: Final = 2
 """The same where only the newest sample counts: one on its way and one behind it."""
 _SOON_NS: Final = 50_000
@@ -61,7 +66,7 @@ class WriterLink:
     ) -> None:
         self.connector = connector
         profile = connector.profile
-        self.end = WriterEnd(0, epoch, window=_NEWEST if profile.push is Push.NEW else WINDOW)
+        self.end = WriterEnd(0, epoch, window=_NEWEST if profile.push is Push.NEW else _WINDOW)
         self.why = "not connected yet"
         """Why it is not up; "" while it is."""
         self._kernel, self._encode, self._lost, self._report, self._gone = kernel, encode, lost, report, ended
@@ -177,6 +182,27 @@ class WriterLink:
         found = transport_of(self.connector)
         assert isinstance(found, Linked)  # noqa: S101 - its profile has `on_link_lost`
         return found
+
+    def offer(self, writer: Path, reader: Path) -> LinkOffer:
+        """What the reader's kernel is offered."""
+        out = self.connector.out
+        schema, text = layout_of(out.type)
+        return LinkOffer(
+            protocol=versions.SPOKEN,
+            link=self.connector.name,
+            writer=writer,
+            reader=reader,
+            writer_epoch=self.end.epoch,
+            reader_epoch=0,
+            number=0,
+            schema=schema,
+            type_text=text,
+            unit=out.unit,
+            shape=out.shape,
+            profile=self.connector.profile,
+            window=_WINDOW,
+            window_bytes=_WINDOW_BYTES,
+        )
 
     # -- the channel -----------------------------------------------------------------------------------------------
 
