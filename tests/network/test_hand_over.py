@@ -22,7 +22,7 @@ from aiorts_zenoh.network import engine_settings
 from campaign import CAMPAIGN, time_limit
 from network.network_parts import free_port
 
-CALLBACKS = 10_000_000 if CAMPAIGN else 1_000_000
+CALLBACKS = 10_000_000 if CAMPAIGN else 200_000
 BOUND = 128 << 10
 """KiB by which the process may grow: 100,000 messages with their keys, and what the engine holds."""
 
@@ -40,7 +40,7 @@ class Counting(Inbox):
 @pytest.mark.fault("E24")
 @pytest.mark.timeout(time_limit(3_600))
 @pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
-def test_a_million_callbacks_beside_a_busy_loop(loop: str) -> None:
+def test_callbacks_without_end_beside_a_busy_loop(loop: str) -> None:
     pytest.importorskip(loop)
     callbacks, handled, left_out, grown = run(_flooded, loop=loop)
     assert callbacks >= CALLBACKS
