@@ -28,6 +28,9 @@ LOWEST, HIGHEST = (1, 9), (1, 11)
 """Versions of the engine: from the first of these on, and before the second."""
 _ITEMS: Final = 100_000
 _BYTES: Final = 64 << 20
+"""What waits for the loop at the most: so many items, and so many bytes in those that are not short."""
+_SHORT: Final = 512
+"""Bytes of a message up to which the bound of the items is enough."""
 _PLACE: Final = re.compile(r" at /\S+\.rs:\d+\.?")
 """Where an error of the engine was made in its own sources."""
 _ATTEMPT: Final = 1_000
@@ -58,29 +61,38 @@ class Inbox:
         self._items: deque[tuple[Callable[..., None], tuple[Any, ...], int]] = deque()
         self._lock = threading.Lock()
         self._came = self._left = 0
-        """Bytes of what was ever put in and taken out; each is changed by one side alone."""
+        """Bytes of what was ever put in and taken out, without short messages; each is changed by one side alone."""
         self._due = self._closed = False
+        """Whether the loop looks again by itself."""
+        self._next: asyncio.Handle | None = None
         self._pause = 0.0
         self.dropped = 0
         """Items that were left out."""
 
     def put(self, handle: Callable[..., None], *arguments: Any, size: int = 0) -> None:
-        """Have the loop call `handle`; from any thread, and never waiting."""
+        """Have the loop call `handle`; from any thread, and never waiting.
+
+        No lock for short messages: taking one is the greater part of what the engine's thread has to do for them.
+        """
+        items = self._items
+        if (size > _SHORT or len(items) >= _ITEMS) and not self._has_room(size):
+            return
+        items.append((handle, arguments, size))
+        if not self._due:  # the loop says so before it looks for the last time, so that it finds this, or is woken
+            self._due = True
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                self._loop.call_soon_threadsafe(self._handle)
+
+    def _has_room(self, size: int) -> bool:
+        """Whether there is room for so many bytes, which are in from then on; else an item was left out."""
         with self._lock:
             if self._closed:
-                return
-            if len(self._items) >= _ITEMS or self._came - self._left + size > _BYTES:
+                return False
+            if len(self._items) >= _ITEMS or (size > _SHORT and self._came - self._left + size > _BYTES):
                 self.dropped += 1
-                return
-            self._items.append((handle, arguments, size))
-            self._came += size
-            if self._due:
-                return
-            self._due = True
-        try:
-            self._loop.call_soon_threadsafe(self._handle)
-        except RuntimeError:  # the loop has ended
-            return
+                return False
+            self._came += size if size > _SHORT else 0
+            return True
 
     @property
     def is_over(self) -> bool:
@@ -90,33 +102,39 @@ class Inbox:
     def close(self) -> None:
         """Handle nothing any more."""
         with self._lock:
-            self._closed = True
+            self._closed = self._due = True
             self._items.clear()
 
     def _handle(self) -> None:
+        if self._next is not None:
+            self._next.cancel()
+            self._next = None
         items = self._items
         for done in range(_AT_ONCE):
-            if not items and self._is_done(done):
+            if self._closed or (not items and self._is_done(done)):
                 return
-            handle, arguments, size = items.popleft()  # only this takes, so that it needs no lock
-            self._left += size
+            handle, arguments, size = items.popleft()
+            if size > _SHORT:
+                self._left += size
             try:
                 handle(*arguments)
             except BaseException:
-                self._loop.call_soon(self._handle)  # what came behind it is handled all the same
+                self._next = self._loop.call_soon(self._handle)  # what came behind it is handled all the same
                 raise
-        self._loop.call_soon(self._handle)
+        self._next = self._loop.call_soon(self._handle)
 
     def _is_done(self, done: int) -> bool:
         """Whether the loop may turn to other things; after many items it looks again by itself."""
         if done >= _MANY:
             self._pause = min(2 * self._pause, _LONG_PAUSE) or _PAUSE
-            self._loop.call_later(self._pause, self._handle)
+            self._next = self._loop.call_later(self._pause, self._handle)
             return True
         self._pause = 0.0
-        with self._lock:
-            self._due = bool(self._items)
-            return not self._due
+        self._due = False
+        if not self._items:
+            return True
+        self._due = True
+        return False
 
 
 class _Undeclared(NamedTuple):
