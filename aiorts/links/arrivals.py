@@ -116,7 +116,7 @@ class Arrivals:
 
 
 class Departures:
-    """The links that one kernel has connected, and disconnected while the other one was away: that hears of them when
+    """The links that one kernel has connected, and disconnected while they were down: the other one hears of them, when
     it is back.
 
     Args:
@@ -137,7 +137,11 @@ class Departures:
     def add(self, link: Link, far: Path) -> None:
         """One is being disconnected here; `far`: the port at its other end."""
         is_known_there = link.end.peer_epoch and not link.end.peer_ended and not link.is_connected
-        if link in self._own and is_known_there and not self._kernels.kernel.closed and len(self._untold) < _UNTOLD:
+        if link not in self._own or not is_known_there or self._kernels.kernel.closed:
+            return
+        if (peer := self._kernels.peer_of(far)) is not None:  # it is back, and the link was not offered again yet
+            self._kernels.run(self._tell(peer, link, far), "aiorts link")
+        elif len(self._untold) < _UNTOLD:
             self._untold[link] = far
 
     def back(self, peer: Peer) -> None:

@@ -11,7 +11,7 @@ import asyncio
 import os
 from collections import Counter, defaultdict
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -60,7 +60,7 @@ _FIRST_SECONDS: Final = 5.0
 _RETRY: Final = (0.2, 0.4, 0.8, 1.6, 2.0)
 """Seconds until an offer without an answer is made again."""
 _AT_ONCE: Final = 64
-"""Links that are offered to one kernel at once: of thousands, those at the end would have no answer in time."""
+"""Links that are offered to one kernel at once: of thousands, the last would have no answer in time."""
 _READ_SECONDS: Final = 0.05
 """How often it is looked whether a connector without a writer was read empty."""
 _BY_ONE: Final = 10_000
@@ -253,9 +253,9 @@ class Links(KernelService):
         waits = [self._first[link] for one in connectors for link in self._links_of(one) if link in self._first]
         waits += self.calls.first_answers(connectors)
         try:
-            for wait in waits:
-                await asyncio.wait((wait,), timeout=_FIRST_SECONDS)
-                if wait.done():
+            if waits:
+                done, _ = await asyncio.wait(waits, timeout=_FIRST_SECONDS, return_when=asyncio.FIRST_EXCEPTION)
+                for wait in done:
                     wait.result()
         except WiringError:
             for one in connectors:
@@ -444,7 +444,8 @@ class Links(KernelService):
                 return
             if peer is None:
                 return self._waits(link) if link in self._own else None
-            async with self._turns[peer]:
+            # Of what was connected just now somebody awaits the first answer, so that there are few.
+            async with nullcontext() if link in self._first else self._turns[peer]:
                 if link not in self._links_of(link.connector) or link.is_connected:
                     return
                 if isinstance(link, WriterLink):

@@ -47,7 +47,7 @@ class WriterLink:
     Args:
         encode: makes the bytes of a sample, with what travels beside them.
         lost: called when the channel went down, with the reason.
-        unanswered: called when it was given up, since nobody has answered on it.
+        unanswered: called when the channel was given up, since nobody has answered on it.
         ended: called when the reader's end has disconnected.
         report: warns of what cannot be sent.
     """

@@ -62,9 +62,9 @@ class Inbox:
         self._lock = threading.Lock()
         self._came = self._left = 0
         """Bytes of what was ever put in and taken out, without short messages; each is changed by one side alone."""
-        self._due = self._closed = False
+        self._due = False
         """Whether the loop looks again by itself."""
-        self._next: asyncio.Handle | None = None
+        self._closed = False
         self._pause = 0.0
         self.dropped = 0
         """Items that were left out."""
@@ -75,19 +75,17 @@ class Inbox:
         No lock for short messages: taking one is the greater part of what the engine's thread has to do for them.
         """
         items = self._items
-        if (size > _SHORT or len(items) >= _ITEMS) and not self._has_room(size):
+        if self._closed or ((size > _SHORT or len(items) >= _ITEMS) and not self._has_room(size)):
             return
         items.append((handle, arguments, size))
-        if not self._due:  # the loop says so before it looks for the last time, so that it finds this, or is woken
+        if not self._due:  # the loop makes it False before it looks for the last time: it finds this, or is woken
             self._due = True
             with contextlib.suppress(RuntimeError):  # the loop has ended
                 self._loop.call_soon_threadsafe(self._handle)
 
     def _has_room(self, size: int) -> bool:
-        """Whether there is room for so many bytes, which are in from then on; else an item was left out."""
+        """Whether there is room for an item of so many bytes: they count as put in, or the item as dropped."""
         with self._lock:
-            if self._closed:
-                return False
             if len(self._items) >= _ITEMS or (size > _SHORT and self._came - self._left + size > _BYTES):
                 self.dropped += 1
                 return False
@@ -102,13 +100,10 @@ class Inbox:
     def close(self) -> None:
         """Handle nothing any more."""
         with self._lock:
-            self._closed = self._due = True
+            self._closed = True
             self._items.clear()
 
     def _handle(self) -> None:
-        if self._next is not None:
-            self._next.cancel()
-            self._next = None
         items = self._items
         for done in range(_AT_ONCE):
             if self._closed or (not items and self._is_done(done)):
@@ -119,22 +114,21 @@ class Inbox:
             try:
                 handle(*arguments)
             except BaseException:
-                self._next = self._loop.call_soon(self._handle)  # what came behind it is handled all the same
+                self._loop.call_soon(self._handle)  # what came behind it is handled all the same
                 raise
-        self._next = self._loop.call_soon(self._handle)
+        self._loop.call_soon(self._handle)
 
     def _is_done(self, done: int) -> bool:
         """Whether the loop may turn to other things; after many items it looks again by itself."""
         if done >= _MANY:
             self._pause = min(2 * self._pause, _LONG_PAUSE) or _PAUSE
-            self._next = self._loop.call_later(self._pause, self._handle)
+            self._loop.call_later(self._pause, self._handle)
+            self._due = True  # two threads may both have woken the loop: the other call has made it False then
             return True
         self._pause = 0.0
         self._due = False
-        if not self._items:
-            return True
-        self._due = True
-        return False
+        self._due = bool(self._items)
+        return not self._due
 
 
 class _Undeclared(NamedTuple):

@@ -6,10 +6,12 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
+import pytest
+
 from aiorts import Kernel
 from aiorts.links import Caller, Channel, ChannelEvents, LinkOffer, Links
 from aiorts.testing import MemoryNetwork, simulate
-from links.memory_kernels import Sink, Source, until
+from links.memory_kernels import Sink, Source, kernel_of, until
 
 COUNT = 400
 EACH = 0.01
@@ -99,3 +101,28 @@ def test_of_an_offer_whose_answer_came_too_late_no_channel_is_left() -> None:
 
 def test_a_channel_on_which_nobody_answers_is_given_up_and_the_link_offered_again() -> None:
     assert simulate(linked(1, lambda: 0.0, 25.0, deaf=2)) == 1
+
+
+async def left_over(seconds_until_disconnected: float) -> int:
+    """Ends 20 links that were down and wait for their turn; how many connectors the reader's kernel has in the end."""
+    network = MemoryNetwork(delay=0.03)
+    async with kernel_of(network, "one") as one, kernel_of(network, "two") as two:
+        source, sink = await one.add(Source()), await two.add(Sink())
+        port = f"two/{sink.name}.inp"
+        made = [await one.connect(source.out, port, allow_duplicate=True) for _ in range(100)]
+        states = one.service(Links).report
+        await until(lambda: set(states().values()) == {"up"})
+        network.cut("one", "two")
+        await until(lambda: "up" not in states().values())
+        network.restore("one", "two")
+        await asyncio.sleep(seconds_until_disconnected)
+        for connector in made[-20:]:
+            await one.disconnect(connector)
+        await until(lambda: set(states().values()) == {"up"})
+        await asyncio.sleep(20.0)
+        return len(two.connectors)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.01, 0.05, 0.1, 0.5])
+def test_of_a_link_that_is_disconnected_before_it_was_offered_again_no_end_is_left(seconds: float) -> None:
+    assert simulate(left_over(seconds)) == 80
