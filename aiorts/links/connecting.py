@@ -98,6 +98,7 @@ class Links(KernelService):
         """How many each of the others has connected, by its name."""
         self._asking: set[Link] = set()
         self._turns: defaultdict[Peer, asyncio.Semaphore] = defaultdict(partial(asyncio.Semaphore, _AT_ONCE))
+        """Held by each link that is being offered anew, by its other kernel."""
         self._tried: dict[Link, int] = {}
         """How often a link was offered in vain since it was up last."""
         self._first: dict[Link, asyncio.Future[None]] = {}
@@ -444,7 +445,7 @@ class Links(KernelService):
                 return
             if peer is None:
                 return self._waits(link) if link in self._own else None
-            # Of what was connected just now somebody awaits the first answer, so that there are few.
+            # Where somebody waits for the first answer, thousands of others that are offered anew hold nothing up.
             async with nullcontext() if link in self._first else self._turns[peer]:
                 if link not in self._links_of(link.connector) or link.is_connected:
                     return

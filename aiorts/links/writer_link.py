@@ -256,9 +256,12 @@ class WriterLink:
     def on_state(self, up: bool, why: str) -> None:
         if up or self._channel is None:
             return
+        self._down(why)
+        self._lost(self, why)
+
+    def _down(self, why: str) -> None:
         self._channel, self.why = None, why
         self.end.channel_down(self._now())
-        self._lost(self, why)
 
     def close(self, *, for_good: bool) -> None:
         """The connector has ended; `for_good`: say so to the reader's end. Whoever waits goes on. Idempotent."""
@@ -276,8 +279,7 @@ class WriterLink:
         now = self._now()
         if self._channel is not None and self.end.is_unanswered(now):
             self._channel.close()
-            self._channel, self.why = None, "the reader's end has not answered"
-            self.end.channel_down(now)
+            self._down("the reader's end has not answered")
             self._unanswered(self)
         else:
             self._poll(now)

@@ -19,11 +19,11 @@ EACH = 0.01
 
 
 class Counted:
-    """A channel that is in `open` until it is closed."""
+    """A channel that is among the open ones until it is closed."""
 
-    def __init__(self, channel: Channel, open_: set[Counted]) -> None:
-        self._channel, self._open = channel, open_
-        open_.add(self)
+    def __init__(self, channel: Channel, among: set[Counted]) -> None:
+        self._channel, self._open = channel, among
+        among.add(self)
 
     def send(self, head: Any, parts: Sequence[Any] = ()) -> bool:
         return self._channel.send(head, parts)
@@ -81,8 +81,8 @@ async def linked(count: int, seconds: Callable[[], float], within: float, deaf: 
         source, sink = await one.add(Source()), await two.add(Sink())
         for _ in range(count):
             await one.connect(source.out, f"two/{sink.name}.inp", allow_duplicate=True)
-        late = Late(network.transport("two"), seconds, deaf)
-        two.service(Links).use(late)  # type: ignore[arg-type] # it is one with all that it hands on
+        late: Any = Late(network.transport("two"), seconds, deaf)
+        two.service(Links).use(late)
         await two.service(Links).opened()
         states = one.service(Links).report
         await until(lambda: set(states().values()) == {"up"}, within)

@@ -40,7 +40,7 @@ class Counting(Inbox):
 @pytest.mark.fault("E24")
 @pytest.mark.timeout(time_limit(3_600))
 @pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
-def test_callbacks_without_end_beside_a_busy_loop(loop: str) -> None:
+def test_a_flood_of_callbacks_beside_a_busy_loop(loop: str) -> None:
     pytest.importorskip(loop)
     callbacks, handled, left_out, grown = run(_flooded, loop=loop)
     assert callbacks >= CALLBACKS

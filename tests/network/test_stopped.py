@@ -17,7 +17,7 @@ from campaign import CAMPAIGN
 from network.linked_parts import WAIT, Linked, assert_in_order, came, ended, settings, settled
 from network.network_parts import free_port
 
-PAUSE = 8.0 if CAMPAIGN else 5.0  # a connection is over after 2.5 s
+PAUSE = 8.0
 COUNT = 20_000 if CAMPAIGN else 2_000
 LONGEST = 0.5
 """Seconds that a call between two that go on may take longer than before, on a machine that has other things to do."""
