@@ -14,7 +14,7 @@ import pytest
 
 from aiorts import Component, InPort, Kernel, OutPort, Param, PeriodicContext
 from aiorts.cli.app import run_command
-from aiorts.control import Client, Entry, entries
+from aiorts.sessions import Client, Entry, entries
 from aiorts.types import TimedDouble
 
 T = TypeVar("T")

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import msgpack  # type: ignore[import-untyped]
 
-from aiorts.control.folder import entries
+from aiorts.sessions.folder import entries
 
 
 def framed(body: bytes) -> bytes:

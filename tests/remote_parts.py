@@ -14,8 +14,8 @@ from typing import ClassVar
 from anyio import fail_after, sleep
 
 from aiorts import Component, InPort, OutPort, Param
-from aiorts.control import entries
 from aiorts.errors import AiortsError
+from aiorts.sessions import entries
 from aiorts.types import TimedLong
 from control_parts import running, with_client
 

@@ -10,11 +10,11 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from aiorts.control.operation import Right
-from aiorts.control.protocol import WAITING
 from aiorts.errors import AiortsError, ControlError, TransitionTimeout, format_error
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.model.plain import plain
+from aiorts.sessions import WAITING
 
 if TYPE_CHECKING:
     from aiorts.control.operation import Operation

@@ -21,13 +21,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from aiorts.control import private_folder
 from aiorts.errors import AiortsError, LinkError, LinkTimeout
 from aiorts.links.messages import LARGEST, fields, packed
 from aiorts.links.stream import Message, Stream
 from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of, checked_peer
 from aiorts.model.links import Buffer
 from aiorts.rings import OFFERED, REFUSAL, Rings, proof, proves
+from aiorts.sessions import private_folder
 
 _HELLO, _ASK, _ANSWER, _REFUSAL, _BY_WRITER, _BY_READER, _PROOF, _RING = range(1, 9)
 _IN_RING: Final = 4

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from anyio import to_thread
 
-from aiorts.control import Entry, entries
 from aiorts.errors import AbsentError, ClosedError, DeniedError, LinkError, NoAnswerError, StateError
 from aiorts.kernel.parameters import Param
 from aiorts.kernel.registry import known
@@ -24,6 +23,7 @@ from aiorts.model.names import Path
 from aiorts.model.values import convert_value, parse_type
 from aiorts.remote.component import FarComponent
 from aiorts.remote.session import KernelSession
+from aiorts.sessions import Entry, entries
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component

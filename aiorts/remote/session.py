@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from aiorts.control import BYE, NEWEST, OLDEST, answer_in, error_in, framed, frames
 from aiorts.errors import AiortsError, ClosedError, NoAnswerError, WireError
 from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.sessions import BYE, NEWEST, OLDEST, answer_in, error_in, framed, frames
 
 if TYPE_CHECKING:
     import socket

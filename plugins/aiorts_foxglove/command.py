@@ -8,8 +8,8 @@ from typing import Any, Final
 import click
 
 from aiorts import exits, import_types
-from aiorts.control import Client, entries, kernels
 from aiorts.errors import AbsentError, AmbiguousError, ClosedError, NoAnswerError
+from aiorts.sessions import Client, entries, kernels
 from aiorts_foxglove.admission import ORIGINS
 from aiorts_foxglove.serving import Serving, goodbye
 

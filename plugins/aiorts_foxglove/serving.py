@@ -9,8 +9,8 @@ from http import HTTPStatus
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.control import Client
 from aiorts.errors import ConfigurationError, MissingExtra, WireError
+from aiorts.sessions import Client
 from aiorts_foxglove import protocol
 from aiorts_foxglove.admission import VIEWERS, refusal
 from aiorts_foxglove.channels import Channel, Kind

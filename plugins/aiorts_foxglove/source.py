@@ -11,8 +11,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
-from aiorts.control import END, Client, Stream
 from aiorts.errors import AiortsError, ClosedError
+from aiorts.sessions import END, Client, Stream
 from aiorts_foxglove.channels import Kind
 
 _EVENTS: Final = ("ComponentAdded", "ComponentRemoved", "PortAdded", "PortRemoved")

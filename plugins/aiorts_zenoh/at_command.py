@@ -16,8 +16,8 @@ from typing import Final
 
 import click
 
-from aiorts.control import FEW, FURTHER
 from aiorts.errors import LinkError
+from aiorts.sessions import FEW, FURTHER
 from aiorts_zenoh.gateway import Gateway
 from aiorts_zenoh.keys import ClientKeys
 from aiorts_zenoh.network import NetworkSettings, endpoints_of, engine_settings, listed

@@ -14,9 +14,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from aiorts.control import REQUESTS, Carrier, answer_in, framed, frames
 from aiorts.errors import AbsentError, AiortsError, LinkError
 from aiorts.links import Peer
+from aiorts.sessions import REQUESTS, Carrier, answer_in, framed, frames
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.keys import INFO, ClientKeys, peer_of
 from aiorts_zenoh.sessions import DEADLINE, Sessions

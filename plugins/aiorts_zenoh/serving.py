@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 import msgpack  # type: ignore[import-untyped]
 
-from aiorts.control import NEWEST, OLDEST, Control, Right, answer_in, framed, frames
+from aiorts.control import Control, Right
 from aiorts.errors import AiortsError, ClosedError, ControlError, DeniedError, NoAnswerError
+from aiorts.sessions import NEWEST, OLDEST, answer_in, framed, frames
 from aiorts_zenoh.carried import Carried
 from aiorts_zenoh.engine import Engine, Inbox
 from aiorts_zenoh.envelope import END, FRAME, LOOK, read

@@ -9,9 +9,9 @@ from contextlib import suppress
 from functools import partial
 from typing import Final
 
-from aiorts.control import answer_in
 from aiorts.errors import WireError
 from aiorts.links import Peer
+from aiorts.sessions import answer_in
 from aiorts_zenoh.carried import Carried
 from aiorts_zenoh.engine import Engine, in_thread
 from aiorts_zenoh.envelope import read

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from aiorts.control import Client, entries
+from aiorts.sessions import Client, entries
 
 CHANGES: dict[str, dict[str, Any]] = {"configure": {"values": {"": {"step": 2}}}}
 

@@ -12,9 +12,9 @@ import pytest
 
 from aiorts import Kernel
 from aiorts.cli.app import run_command
-from aiorts.control import Client
 from aiorts.errors import AiortsError, RecordError
 from aiorts.model.wanted.carried import carried, received
+from aiorts.sessions import Client
 from aiorts.system import build, load, wanted
 from control_parts import WAIT, with_client
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from aiorts.control import Client, entries
 from aiorts.errors import DeniedError
+from aiorts.sessions import Client, entries
 from control_parts import WAIT, entry_of, running, until
 
 SYSTEM = Path(__file__).parents[2] / "examples/pid/system.toml"
@@ -42,7 +42,7 @@ def test_a_kernel_of_a_program_imports_nothing_of_it_unless_asked() -> None:
     code = (
         "import asyncio, sys\nfrom aiorts import Kernel\n"
         "async def main(services):\n    async with Kernel(services=services) as kernel:\n"
-        "        return bool(kernel.address), kernel.epoch != 0, 'aiorts.control' in sys.modules\n"
+        "        return bool(kernel.address), kernel.epoch != 0, not {'aiorts.control', 'aiorts.sessions'}.isdisjoint(sys.modules)\n"
         "print(asyncio.run(main({})), asyncio.run(main({'control': {}})))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=WAIT, check=True)

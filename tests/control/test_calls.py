@@ -13,7 +13,7 @@ from typing import Any, Literal, Protocol
 import pytest
 
 from aiorts import Component, EventContext, Goal, Kernel, PeriodicContext, Provided, ThreadContext
-from aiorts.control import Client
+from aiorts.sessions import Client
 from aiorts.types import TimedDouble
 from control_parts import WAIT, commanded, entry_of
 

@@ -12,8 +12,8 @@ import pytest
 
 from aiorts import Component, InPort, Kernel, Param, PeriodicContext
 from aiorts.composites import Composite
-from aiorts.control import Client
 from aiorts.errors import DeniedError
+from aiorts.sessions import Client
 from aiorts.types import TimedLong, TimedPoint2D
 from control_parts import Counter, Reader, commanded, controlled, with_client
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import pytest
 
 from aiorts.cli.app import run_command
-from aiorts.control import entries
+from aiorts.sessions import entries
 from control_parts import WAIT, until
 
 SOURCE = ("flexiconst", "-p", "TimedDouble", "-c", "1", "-r", "50")

@@ -16,7 +16,7 @@ import pytest
 
 import garbage
 from aiorts import Kernel
-from aiorts.control import Client
+from aiorts.sessions import Client
 from campaign import CAMPAIGN, time_limit
 from control_parts import WAIT, controlled, entry_of, until
 

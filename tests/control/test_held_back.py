@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aiorts.control.ahead import Waiting
+from aiorts.sessions.ahead import Waiting
 from aiorts.types import TimedDouble
 from control_parts import WAIT, Counter, controlled
 
@@ -102,7 +102,7 @@ async def test_one_that_was_stopped_for_too_long_is_cut_off_and_told_so(
 def test_what_waits_is_kept_in_order_or_missing(actions: list[str | int], room: int) -> None:
     """Against a plain list: `take`, or an item before which the kernel dropped so many."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("aiorts.control.ahead.ITEMS", room)
+        patch.setattr("aiorts.sessions.ahead.ITEMS", room)
         waiting, kept, came, taken, missed = Waiting(), deque[int](), 0, 0, 0
         for action in actions:
             if action == "take":

@@ -17,8 +17,8 @@ from typing import Any, Final
 import pytest
 
 from aiorts import Kernel
-from aiorts.control import Client, entries, open_all
 from aiorts.errors import AiortsError
+from aiorts.sessions import Client, entries, open_all
 from campaign import cases, time_limit
 from control_parts import WAIT, controlled, entry_of, running, until
 
@@ -27,7 +27,7 @@ SYSTEM = str(ROOT / "examples/pid/system.toml")
 _SILENT: Final[dict[str, Any]] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
 CLIENT = """
 import sys
-from aiorts.control import Client, entries
+from aiorts.sessions import Client, entries
 entry = next(one for one in entries() if one.name == sys.argv[1])
 print("ready", flush=True)
 while True:

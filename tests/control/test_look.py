@@ -16,7 +16,7 @@ from aiorts import Component, EventContext, Kernel, PeriodicContext
 from aiorts.cli.app import run_command
 from aiorts.cli.commands.live.look.ls import ls
 from aiorts.cli.commands.live.target import complete, complete_changes
-from aiorts.control import Client
+from aiorts.sessions import Client
 from control_parts import WAIT, Counter, controlled, running, with_client
 
 pytestmark = pytest.mark.anyio

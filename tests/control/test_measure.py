@@ -12,8 +12,8 @@ import pytest
 from aiorts.cli.app import run_command
 from aiorts.cli.commands.live.measure.readings import Rates, rate_of
 from aiorts.cli.commands.live.measure.spans import span_text
-from aiorts.control import Client
 from aiorts.errors import ConfigurationError, StateError, WiringError
+from aiorts.sessions import Client
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble
 from aiorts.wire import MsgpackCodec

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from aiorts import Component, InPort, OutPort, PeriodicContext, profile_from_plain
-from aiorts.control import END, Client
 from aiorts.errors import ClosedError, RecordError, WiringError
+from aiorts.sessions import END, Client
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble, TimedOctetSeq
 from control_parts import WAIT, Counter, commanded, controlled, entry_of, with_client

@@ -13,7 +13,7 @@ import pytest
 
 from aiorts import EventContext, Kernel
 from aiorts.cli.app import run_command
-from aiorts.control import Client
+from aiorts.sessions import Client
 from aiorts.system import check
 from control_parts import WAIT, Counter, with_client
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from aiorts import Kernel, PeriodicContext
-from aiorts.control import Client
 from aiorts.errors import ClosedError
+from aiorts.sessions import Client
 from aiorts.testing import simulate
 from control_parts import WAIT, Counter, Reader, entry_of, running
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from aiorts import Kernel
-from aiorts.control import Client, entries
 from aiorts.errors import AbsentError, ClosedError, ControlError, DeniedError, StaleError, StateError
+from aiorts.sessions import Client, entries
 from aiorts.testing import simulate
 from control_parts import WAIT, Counter, controlled, entry_of, with_client
 

@@ -8,8 +8,8 @@ import logging
 import pytest
 
 from aiorts import Kernel
-from aiorts.control import Client
 from aiorts.errors import AbsentError, ConfigurationError
+from aiorts.sessions import Client
 from control_parts import WAIT, Counter, controlled, entry_of, with_client
 
 pytestmark = pytest.mark.anyio

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from aiorts.control import Client
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations import OPERATIONS
 from aiorts.control.server.service import Control
@@ -19,6 +18,7 @@ from aiorts.control.session import Session
 from aiorts.errors import AiortsError, DeniedError, StaleError
 from aiorts.model.plain import plain
 from aiorts.model.reading import from_plain
+from aiorts.sessions import Client
 from control_parts import WAIT, controlled, entry_of
 
 ROWS = list(OPERATIONS.values())

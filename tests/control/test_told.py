@@ -14,11 +14,11 @@ import pytest
 
 from aiorts import EventContext
 from aiorts.cli.commands import live
-from aiorts.control import Client, Entry, Kernels, Running, Silent
-from aiorts.control.folder import Claim
 from aiorts.control.operation import Right
 from aiorts.control.operations import OPERATIONS
 from aiorts.errors import NoAnswerError
+from aiorts.sessions import Client, Entry, Kernels, Running, Silent
+from aiorts.sessions.folder import Claim
 from control_parts import WAIT, Counter, commanded, controlled
 
 pytestmark = pytest.mark.anyio

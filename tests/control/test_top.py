@@ -27,7 +27,7 @@ from aiorts.cli.app import run_command
 from aiorts.cli.commands.live.edges import Edge
 from aiorts.cli.commands.live.measure.screen import keys_in
 from aiorts.cli.commands.live.measure.table import KINDS, View, fitted, screen_of, tables, text_of
-from aiorts.control import Client
+from aiorts.sessions import Client
 from control_parts import WAIT, Counter, Reader, controlled, entry_of, running
 
 COLUMNS, LINES = 100, 20

@@ -14,7 +14,7 @@ import pytest
 
 from aiorts import Kernel
 from aiorts.cli.app import run_command
-from aiorts.control import entries
+from aiorts.sessions import entries
 from aiorts.system import build, load
 from control_parts import WAIT, until
 

@@ -13,7 +13,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 
 from aiorts import Component, Kernel, OutPort
-from aiorts.control import Client
+from aiorts.sessions import Client
 from aiorts.types import TimedDouble, TimedString, record
 from aiorts_foxglove.admission import ORIGINS
 from aiorts_foxglove.serving import Serving

@@ -13,9 +13,9 @@ import click
 import pytest
 
 from aiorts.cli.app import aiorts as root
-from aiorts.control import entries
 from aiorts.guide import Page, blocks, pages
 from aiorts.guide.contents import FOLDER
+from aiorts.sessions import entries
 from guide_blocks import anchors, links, run_page
 
 ELSEWHERE = {

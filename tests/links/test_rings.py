@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 
 from aiorts import Component, InPort, Kernel, OutPort
-from aiorts.control import private_folder
 from aiorts.links import Links
 from aiorts.links.unix import UnixTransport
 from aiorts.rings import Rings, proof
+from aiorts.sessions import private_folder
 from aiorts.types import TimedOctetSeq
 
 pytestmark = [

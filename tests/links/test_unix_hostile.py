@@ -16,9 +16,9 @@ import pytest
 from anyio import fail_after, sleep
 
 from aiorts import Component, InPort, Kernel, OutPort
-from aiorts.control import private_folder
 from aiorts.links import Links
 from aiorts.links.messages import packed
+from aiorts.sessions import private_folder
 from aiorts.types import TimedLong, TimedOctetSeq
 from campaign import CAMPAIGN
 

@@ -89,7 +89,7 @@ def test_a_size_that_is_claimed_takes_no_memory() -> None:
 _WITHOUT_DESCRIPTORS = """
 import asyncio, os, resource, socket, time
 from aiorts import Kernel
-from aiorts.control import private_folder
+from aiorts.sessions import private_folder
 from aiorts.links import Links
 
 async def main():

@@ -20,7 +20,7 @@ pytest.importorskip("zenoh")
 import msgpack
 import zenoh
 
-from aiorts.control import Client, Entry, framed
+from aiorts.sessions import Client, Entry, framed
 from aiorts_zenoh import NetworkSettings
 from aiorts_zenoh.gateway import Gateway
 from aiorts_zenoh.keys import ClientKeys

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from aiorts.control import FURTHER
+from aiorts.sessions import FURTHER
 
 pytest.importorskip("zenoh")
 pytest.importorskip("cryptography")

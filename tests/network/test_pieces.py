@@ -22,8 +22,8 @@ pytest.importorskip("zenoh")
 import zenoh
 
 from aiorts import Component, Kernel, Param, PeriodicContext
-from aiorts.control import FURTHER, Client, entries, framed
 from aiorts.model.plain import plain
+from aiorts.sessions import FURTHER, Client, entries, framed
 from aiorts_zenoh import Network, NetworkSettings
 from aiorts_zenoh.envelope import FRAME, read
 from aiorts_zenoh.gateway import Gateway

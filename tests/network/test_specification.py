@@ -16,10 +16,10 @@ pytest.importorskip("zenoh")
 
 import msgpack
 
-from aiorts.control.protocol import answer_in, frames
 from aiorts.links.messages import Answer, LinkRequest
 from aiorts.links.transport import LinkOffer, Peer
 from aiorts.model.links.frames import ages_of, fates_of, head_of, samples_of
+from aiorts.sessions.protocol import answer_in, frames
 from aiorts.wire import LINK, MsgpackCodec
 from aiorts_zenoh import envelope
 from aiorts_zenoh.keys import claim_of, peer_of

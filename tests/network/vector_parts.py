@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import aiorts_zenoh
-from aiorts.control.protocol import framed
 from aiorts.links.layout import layout_of
 from aiorts.links.messages import Answer, LinkRequest, packed
 from aiorts.links.transport import LinkOffer, Peer
 from aiorts.model.links import frames
 from aiorts.model.names import Path as PortPath
 from aiorts.model.options import connector_profile, link_options
+from aiorts.sessions.protocol import framed
 from aiorts.types import (
     TimedBoolean,
     TimedDouble,

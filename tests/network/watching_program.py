@@ -6,7 +6,7 @@ import json
 import sys
 from itertools import chain
 
-from aiorts.control import Client, entries
+from aiorts.sessions import Client, entries
 
 entry = next(one for one in entries() if one.name == sys.argv[1])
 with Client.open(entry, timeout=20.0) as client:

@@ -12,8 +12,8 @@ import pytest
 from anyio import fail_after
 
 from aiorts import Composite, Kernel, LifecycleState, PeriodicContext
-from aiorts.control import Client
 from aiorts.errors import AiortsError, ComponentError, ConfigurationError, DeniedError, LinkError, StateError
+from aiorts.sessions import Client
 from aiorts.types import TimedLong
 from control_parts import entry_of, with_client
 from remote_parts import Local, left, until

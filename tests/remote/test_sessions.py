@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from anyio import fail_after
 
-from aiorts.control import framed
 from aiorts.errors import ClosedError, WireError
 from aiorts.remote.session import KernelSession
+from aiorts.sessions import framed
 
 pytestmark = pytest.mark.anyio
 

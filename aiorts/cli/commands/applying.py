@@ -14,8 +14,8 @@ from aiorts.cli.commands.planning import check_steps, parts_of, say_planned, say
 from aiorts.cli.commands.unrun import plugins_option
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.output import say, say_json
-from aiorts.control import change_all
 from aiorts.errors import SystemFileError
+from aiorts.sessions import change_all
 from aiorts.system import Choices
 
 _LEFT_OFF: Final = (

@@ -43,7 +43,7 @@ from aiorts.system import FrameInput, LiveInput, StandardInput, construct, optio
 from aiorts.types import type_name
 
 if TYPE_CHECKING:
-    from aiorts.control import Stream
+    from aiorts.sessions import Stream
 
 _WORDS: Final = {"in": "in ", "out": "out"}
 _STREAMS: Final = ("stdin", "stdout")
@@ -264,7 +264,7 @@ def _tap(word: str | None) -> Stream | None:
     if word is None:
         return None
     from aiorts.cli.commands.live.target import kernels
-    from aiorts.control import Client
+    from aiorts.sessions import Client
 
     with kernels() as found:
         one = found.find(word)

@@ -19,7 +19,7 @@ from aiorts.types import full_name, type_name
 
 if TYPE_CHECKING:
     from aiorts.cli.runtime.ends import Ends
-    from aiorts.control import Stream
+    from aiorts.sessions import Stream
     from aiorts.system import FrameInput, LiveInput, StandardInput
 
 DEFAULT_RATE: Final = 10.0

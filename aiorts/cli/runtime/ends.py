@@ -12,7 +12,7 @@ from aiorts.system import FrameInput, FrameOutput, LiveInput, StandardInput, Sta
 from aiorts.wire import find_codec
 
 if TYPE_CHECKING:
-    from aiorts.control import Stream
+    from aiorts.sessions import Stream
     from aiorts.wire import Codec
 
 _SINGLY = 10

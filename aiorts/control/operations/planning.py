@@ -10,13 +10,13 @@ from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right, converters_read, is_code
-from aiorts.control.protocol import Made
 from aiorts.control.session import Session
 from aiorts.errors import DeniedError, StateError
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.late import dataclass
 from aiorts.model.wanted.applied import Applied
 from aiorts.model.wanted.carried import received
+from aiorts.sessions import Made
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel

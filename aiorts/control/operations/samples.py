@@ -14,12 +14,12 @@ from weakref import WeakKeyDictionary
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.tools import Tools
-from aiorts.control.protocol import WAITING, Made
 from aiorts.control.session import Session, Stream
 from aiorts.errors import AbsentError, AiortsError, ClosedError, RecordError, WiringError, WriteTimeout
 from aiorts.kernel.loop.bus import ComponentRemoved, PortRemoved
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.late import dataclass
+from aiorts.sessions import WAITING, Made
 from aiorts.types import full_name, has_tm, type_name, wire_name, wire_type
 from aiorts.wire import LineReader, MsgpackCodec, schema_text, split_sample
 

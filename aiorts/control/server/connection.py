@@ -14,9 +14,9 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
-from aiorts.control.protocol import BYE, REQUESTS, STALL_SECONDS, WAITING, agreed, framed, frames, has_frame, request_in
 from aiorts.errors import AiortsError, BusyError, ControlError, DeniedError, StaleError, WireError
 from aiorts.model.reading import from_plain
+from aiorts.sessions import BYE, REQUESTS, STALL_SECONDS, WAITING, agreed, framed, frames, has_frame, request_in
 
 if TYPE_CHECKING:
     from aiorts.control.server.listener import Listener

@@ -28,8 +28,8 @@ from aiorts.errors import BusyError, ControlError, format_error
 from aiorts.wire.limits import MIB
 
 if TYPE_CHECKING:
-    from aiorts.control.folder import Claim
     from aiorts.kernel.microkernel import Microkernel
+    from aiorts.sessions import Claim
 
 _CLIENTS: Final = 256
 """At most; the oldest that has not said hello makes room for another."""

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from aiorts.control.folder import Claim, TakenError, is_supported
 from aiorts.control.operation import Right
 from aiorts.control.server.listener import Listener
 from aiorts.control.session import LOG
@@ -19,6 +18,7 @@ from aiorts.errors import ConfigurationError, ControlError
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.model.names import check_name
+from aiorts.sessions import Claim, TakenError, is_supported
 
 if TYPE_CHECKING:
     from aiorts.kernel.loop.deadlines import StopBudget

@@ -6,13 +6,13 @@ import asyncio
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.control import END
 from aiorts.errors import AiortsError, ClosedError, WireError
+from aiorts.sessions import END
 from aiorts.system.stdio.pipes import Incoming, Notify
 from aiorts.wire import MsgpackCodec
 
 if TYPE_CHECKING:
-    from aiorts.control import Stream
+    from aiorts.sessions import Stream
 
 _LOOK_AGAIN: Final = 0.2
 """Seconds after which the thread that waits for samples sees whether it is still wanted."""

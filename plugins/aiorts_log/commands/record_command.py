@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from aiorts import exits
-from aiorts.control import kernels, likely
+from aiorts.sessions import kernels, likely
 from aiorts_log.errors import RecordingError
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
-from aiorts.control import Kernels, Running, is_glob
 from aiorts.errors import AbsentError, AmbiguousError
+from aiorts.sessions import Kernels, Running, is_glob
 
 _SHOWN: Final = 10
 

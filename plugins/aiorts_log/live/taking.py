@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any, Final, TypeAlias, TypeVar
 
-from aiorts.control import END, Client, Stream
 from aiorts.errors import AiortsError, ClosedError, NoAnswerError
+from aiorts.sessions import END, Client, Stream
 from aiorts_log.live.choice import Choice
 from aiorts_log.live.frames import Frame, FrameWriter, frame_kind, type_in
 

@@ -9,8 +9,8 @@ from aiorts.cli.commands.live.components import absolute
 from aiorts.cli.commands.live.showing import json_option, timeout_option
 from aiorts.cli.commands.live.target import Kernels, complete, kernels
 from aiorts.cli.console.output import say, say_json
-from aiorts.control import Client
 from aiorts.errors import AmbiguousError
+from aiorts.sessions import Client
 
 
 @click.command(short_help="Replace the code of components that run.")

@@ -17,8 +17,8 @@ from aiorts.cli.commands.live.showing import followed, following_options, hint, 
 from aiorts.cli.commands.live.target import complete, kernels
 from aiorts.cli.console.output import say_line
 from aiorts.cli.console.report import report
-from aiorts.control import Client, Stream
 from aiorts.errors import AbsentError, RecordError
+from aiorts.sessions import Client, Stream
 
 _BATCH: Final = 64
 """Lines that go in one call."""

@@ -11,8 +11,8 @@ import click
 from aiorts import exits
 from aiorts.cli.console.output import say, say_json
 from aiorts.cli.console.report import say as tell
-from aiorts.control import CutOff, Kernels, Running, Stream
 from aiorts.errors import AbsentError, ClosedError, NoAnswerError
+from aiorts.sessions import CutOff, Kernels, Running, Stream
 
 C = TypeVar("C", bound=Callable[..., Any])
 T = TypeVar("T")

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from aiorts.control import (
+from aiorts.sessions import (
     FILES,
     PATIENCE,
     Found,

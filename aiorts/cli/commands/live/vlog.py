@@ -14,8 +14,8 @@ from aiorts import exits
 from aiorts.cli.commands.live.showing import followed, following_options, hint, items_of, named, say_done
 from aiorts.cli.commands.live.target import Found, Running, complete, kernels
 from aiorts.cli.console.output import say, say_json, say_line, say_now, table
-from aiorts.control import Stream
 from aiorts.errors import AmbiguousError
+from aiorts.sessions import Stream
 
 LEVELS: Final = ("debug", "info", "warning", "error", "critical")
 

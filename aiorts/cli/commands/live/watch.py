@@ -12,7 +12,7 @@ from aiorts import exits
 from aiorts.cli.commands.live.showing import followed, following_options, hint, items_of
 from aiorts.cli.commands.live.target import complete_kernels, kernels
 from aiorts.cli.console.output import say_line, say_now
-from aiorts.control import Stream
+from aiorts.sessions import Stream
 
 _LONGEST = 80
 

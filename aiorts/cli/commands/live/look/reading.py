@@ -11,8 +11,8 @@ import click
 
 from aiorts.cli.commands.live.look.named import Named, named
 from aiorts.cli.commands.live.target import is_file, kernels, the_one
-from aiorts.control import entries
 from aiorts.errors import AbsentError, AiortsError, AmbiguousError, NoAnswerError
+from aiorts.sessions import entries
 
 if TYPE_CHECKING:
     from aiorts.observe import SystemProfile

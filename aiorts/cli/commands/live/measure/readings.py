@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from math import sqrt
 from typing import Any
 
-from aiorts.control import Client
+from aiorts.sessions import Client
 
 Counters = Mapping[str, Any]
 """What the operation `statistics` says."""

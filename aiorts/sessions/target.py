@@ -13,12 +13,12 @@ from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from typing import Any, Final, Never, TypeVar
 
-from aiorts.control.client import Client, Silent, open_all
-from aiorts.control.folder import Entry, entries
-from aiorts.control.many import said_by_many
 from aiorts.errors import AbsentError, AiortsError, AmbiguousError, ClosedError, NoAnswerError
 from aiorts.late import dataclass
 from aiorts.model.names import split_path
+from aiorts.sessions.client import Client, Silent, open_all
+from aiorts.sessions.folder import Entry, entries
+from aiorts.sessions.many import said_by_many
 
 T = TypeVar("T")
 FILES: Final = (".toml", ".xml", ".yaml", ".yml", ".mcap")

@@ -21,9 +21,11 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from aiorts import errors
-from aiorts.control.ahead import Ahead, Waiting
-from aiorts.control.folder import Entry, discard, is_served
-from aiorts.control.protocol import (
+from aiorts.errors import AiortsError, ControlError, NoAnswerError, WireError
+from aiorts.late import dataclass
+from aiorts.sessions.ahead import Ahead, Waiting
+from aiorts.sessions.folder import Entry, discard, is_served
+from aiorts.sessions.protocol import (
     ANSWERS,
     BYE,
     NEWEST,
@@ -36,8 +38,6 @@ from aiorts.control.protocol import (
     framed,
     frames,
 )
-from aiorts.errors import AiortsError, ControlError, NoAnswerError, WireError
-from aiorts.late import dataclass
 
 TIMEOUT: Final = 5.0
 """Seconds that a call waits for its answer."""

@@ -18,9 +18,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts.control import Client, Entry
-from aiorts.control.protocol import REQUESTS, WAITING, answer_in, frames, request_in
 from aiorts.errors import AiortsError, ControlError, LimitError, WireError
+from aiorts.sessions import Client, Entry
+from aiorts.sessions.protocol import REQUESTS, WAITING, answer_in, frames, request_in
 from campaign import cases
 from control_parts import WAIT, controlled, entry_of, until, with_client
 from garbage import HELLO, framed

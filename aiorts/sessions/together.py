@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from aiorts.control.client import Client
-from aiorts.control.target import Running
 from aiorts.errors import AiortsError, ClosedError, NoAnswerError
 from aiorts.late import dataclass
+from aiorts.sessions.client import Client
+from aiorts.sessions.target import Running
 
 Parts = tuple[str, ...]
 

@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from aiorts import Kernel
-from aiorts.control import Client, entries, folder
 from aiorts.errors import AbsentError, ControlError
+from aiorts.sessions import Client, entries, folder
 from control_parts import WAIT, controlled, entry_of, until, with_client
 
 ROOT = Path(__file__).parents[2]

@@ -12,9 +12,9 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import Any, Final
 
-from aiorts.control.folder import Entry
-from aiorts.control.protocol import ANSWERS, answer_in, framed, frames
 from aiorts.errors import AiortsError
+from aiorts.sessions.folder import Entry
+from aiorts.sessions.protocol import ANSWERS, answer_in, framed, frames
 
 FEW: Final = 16
 """So many kernels of one socket have sessions at once."""

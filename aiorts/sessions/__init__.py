@@ -1,0 +1,119 @@
+"""Sessions with running kernels: what is said, in frames, where kernels are found, and the client's end.
+
+It stands below links and is imported by short-lived commands: it knows neither asyncio nor the kernel. The kernel's
+end is `aiorts.control`.
+"""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.sessions.client import END, TIMEOUT, Client, CutOff, Silent, Stream, open_all
+    from aiorts.sessions.folder import (
+        FURTHER,
+        Carrier,
+        Claim,
+        Entry,
+        TakenError,
+        entries,
+        is_supported,
+        private_folder,
+    )
+    from aiorts.sessions.many import FEW
+    from aiorts.sessions.protocol import (
+        BYE,
+        NEWEST,
+        OLDEST,
+        REQUESTS,
+        STALL_SECONDS,
+        WAITING,
+        Made,
+        agreed,
+        answer_in,
+        error_in,
+        framed,
+        frames,
+        has_frame,
+        request_in,
+    )
+    from aiorts.sessions.target import (
+        FILES,
+        PATIENCE,
+        Found,
+        Kernels,
+        Running,
+        is_file,
+        is_glob,
+        kernels,
+        likely,
+        outlines,
+        sharing,
+        the_one,
+    )
+    from aiorts.sessions.together import Outcome, change_all
+
+__all__ = (
+    "BYE",
+    "END",
+    "FEW",
+    "FILES",
+    "FURTHER",
+    "NEWEST",
+    "OLDEST",
+    "PATIENCE",
+    "REQUESTS",
+    "STALL_SECONDS",
+    "TIMEOUT",
+    "WAITING",
+    "Carrier",
+    "Claim",
+    "Client",
+    "CutOff",
+    "Entry",
+    "Found",
+    "Kernels",
+    "Made",
+    "Outcome",
+    "Running",
+    "Silent",
+    "Stream",
+    "TakenError",
+    "agreed",
+    "answer_in",
+    "change_all",
+    "entries",
+    "error_in",
+    "framed",
+    "frames",
+    "has_frame",
+    "is_file",
+    "is_glob",
+    "is_supported",
+    "kernels",
+    "likely",
+    "open_all",
+    "outlines",
+    "private_folder",
+    "request_in",
+    "sharing",
+    "the_one",
+)
+
+_late(
+    globals(),
+    {
+        "aiorts.sessions.client": "END TIMEOUT Client CutOff Silent Stream open_all",
+        "aiorts.sessions.folder": "FURTHER Carrier Claim Entry TakenError entries is_supported private_folder",
+        "aiorts.sessions.many": "FEW",
+        "aiorts.sessions.protocol": (
+            "BYE NEWEST OLDEST REQUESTS STALL_SECONDS WAITING Made agreed answer_in error_in framed frames has_frame "
+            "request_in"
+        ),
+        "aiorts.sessions.target": (
+            "FILES PATIENCE Found Kernels Running is_file is_glob kernels likely outlines sharing the_one"
+        ),
+        "aiorts.sessions.together": "Outcome change_all",
+    },
+)
