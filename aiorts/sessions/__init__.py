@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         has_frame,
         request_in,
     )
+    from aiorts.sessions.session import Call, ClientSession, Said
     from aiorts.sessions.target import (
         FILES,
         PATIENCE,
@@ -67,9 +68,11 @@ __all__ = (
     "STALL_SECONDS",
     "TIMEOUT",
     "WAITING",
+    "Call",
     "Carrier",
     "Claim",
     "Client",
+    "ClientSession",
     "CutOff",
     "Entry",
     "Found",
@@ -77,6 +80,7 @@ __all__ = (
     "Made",
     "Outcome",
     "Running",
+    "Said",
     "Silent",
     "Stream",
     "TakenError",
@@ -111,6 +115,7 @@ _late(
             "BYE NEWEST OLDEST REQUESTS STALL_SECONDS WAITING Made agreed answer_in error_in framed frames has_frame "
             "request_in"
         ),
+        "aiorts.sessions.session": "Call ClientSession Said",
         "aiorts.sessions.target": (
             "FILES PATIENCE Found Kernels Running is_file is_glob kernels likely outlines sharing the_one"
         ),

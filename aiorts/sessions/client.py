@@ -15,34 +15,23 @@ import select
 import socket
 import sys
 import time
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from threading import Condition, Thread
 from types import TracebackType
 from typing import Any, Final, Self
 
 from aiorts import errors
-from aiorts.errors import AiortsError, ControlError, NoAnswerError, WireError
+from aiorts.errors import AiortsError, ControlError, NoAnswerError
 from aiorts.late import dataclass
-from aiorts.sessions.ahead import Ahead, Waiting
 from aiorts.sessions.folder import Entry, discard, is_served
-from aiorts.sessions.protocol import (
-    ANSWERS,
-    BYE,
-    NEWEST,
-    OLDEST,
-    REQUESTS,
-    STALL_SECONDS,
-    agreed,
-    answer_in,
-    error_in,
-    framed,
-    frames,
-)
+from aiorts.sessions.protocol import STALL_SECONDS
+from aiorts.sessions.session import ITEMS, Answer, Call, ClientSession, Said, SessionState
 
 TIMEOUT: Final = 5.0
 """Seconds that a call waits for its answer."""
 _CHUNK: Final = 1 << 18
-_SILENCE: Final = "no answer"
+_JOIN: Final = 1.0
+"""Seconds that the thread has which reads ahead, once the socket is shut down."""
 
 
 class Client:
@@ -50,9 +39,6 @@ class Client:
 
     Attributes:
         entry: the kernel's entry; its epoch is that of the session.
-        right: "view", "operate" or "code": what the kernel lets this session do.
-        hello: what the kernel says of itself: name, address, pid.
-        silence: what is said where it does not answer.
 
     Args:
         later: whether the session is to begin with the first call.
@@ -60,17 +46,13 @@ class Client:
 
     def __init__(self, entry: Entry, who: str = "", *, patience: float = TIMEOUT, later: bool = False) -> None:
         self.entry = entry
-        self.right = ""
-        self.hello: Mapping[str, Any] = {}
-        self._buffer = bytearray()
-        self._frames: deque[tuple[dict[Any, Any], int]] = deque()
-        """What has come, and its bytes."""
-        self._answers: dict[int, Waiting] = {}
-        """Of calls that run: what has come for each."""
-        self._ahead: Ahead | None = None
-        self._last = 0
-        self._gone = ""
-        self.silence = _SILENCE
+        self._session = ClientSession(entry.address, entry.epoch)
+        self._news = Condition()
+        """Held while something is done with the session; notified when something has come."""
+        self._thread: Thread | None = None
+        """Reads ahead."""
+        self._deaf = False
+        """Whether the kernel takes nothing any more; what it said last may still be read."""
         self._who = who or _command()
         self._socket: socket.socket
         self.begun = False
@@ -82,14 +64,11 @@ class Client:
         """Begin the session, if there is none."""
         if self.begun:
             return
-        hello: dict[str, object] = {"oldest": OLDEST, "newest": NEWEST, "who": self._who}
-        if self.entry.carried:
-            hello["to"] = [self.entry.address, self.entry.epoch]
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.settimeout(TIMEOUT)
             self._connect(self.entry, time.monotonic() + patience)
-            self._socket.sendall(framed({"hello": hello}))
+            self._socket.sendall(self._session.greeting(self._who, carried=self.entry.carried))
         except BaseException:
             self._socket.close()
             raise
@@ -107,7 +86,8 @@ class Client:
         until = time.monotonic() + timeout
         client = cls(entry, who, patience=timeout)
         try:
-            client._greet(until)
+            while client._session.state is not SessionState.OPEN:
+                client._receive(until)
         except BaseException:
             client.close()
             raise
@@ -130,53 +110,57 @@ class Client:
                     raise NoAnswerError(f"{entry.address}: no answer") from None
                 raise ControlError(f"{entry.address}: {entry.path}: {error.strerror}") from None
 
-    def _greet(self, until: float) -> None:
-        while not self.hello:
-            self._receive(until)
-            while self._frames and not self.hello:
-                self._take_hello(self._frames.popleft()[0])
+    @property
+    def hello(self) -> Mapping[str, Any]:
+        """What the kernel says of itself: name, address, pid."""
+        return self._session.hello
 
-    def _take_hello(self, frame: dict[Any, Any]) -> None:
-        if "error" in frame:
-            raise error_in(frame["error"], self.entry.address)
-        hello = frame.get("hello")
-        if not isinstance(hello, dict):
-            raise WireError(f"{self.entry.address}: no hello; what listens there is no kernel of aiorts")
-        agreed(hello.get("protocol"), hello.get("protocol"), self.entry.address)
-        self.right = str(hello.get("right", ""))
-        process = hello.get("pid")
-        process = process if type(process) is int else self.entry.pid
-        epoch = str(hello.get("epoch", ""))
-        self.entry = Entry(self.entry.address, process, epoch, self.entry.path, self.entry.carried)
-        self.hello = hello
+    @property
+    def right(self) -> str:
+        """What the kernel lets this session do: "view", "operate" or "code"."""
+        return str(self.hello.get("right", ""))
+
+    @property
+    def silence(self) -> str:
+        """What is said where it does not answer."""
+        busy = self._session.busy
+        return f"no answer: its event loop has been busy for at least {busy:.1f} s" if busy else "no answer"
 
     def close(self) -> None:
         """End the session in order: what it began in the kernel ends with it. Idempotent."""
-        if self._last:
-            self._say_bye()
-        if self._ahead is not None:
+        with self._news:
+            bye = self._session.bye()
+        if self.begun and self._session.last:
+            with contextlib.suppress(OSError):  # it has ended, or takes nothing
+                if self._thread is None:
+                    self._socket.settimeout(0.0)
+                self._socket.send(bye, socket.MSG_DONTWAIT)
+        if self._thread is not None:
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
-            self._ahead.join()
+            self._thread.join(_JOIN)
         if self.begun:
             self._socket.close()
-
-    def _say_bye(self) -> None:
-        with contextlib.suppress(OSError):  # it has ended, or takes nothing
-            if self._ahead is None:
-                self._socket.settimeout(0.0)
-            self._socket.send(BYE, socket.MSG_DONTWAIT)
 
     def read_ahead(self) -> None:
         """From now on a thread takes what comes: this process may be held back, and the kernel does not notice.
 
-        A stream keeps `ahead.ITEMS` items for who does not take them; the others are `missed`. `read` and `fileno` are
-        not for who calls this. Idempotent.
+        A stream keeps `session.ITEMS` items for who does not take them; the others are `missed`. `read` and `fileno`
+        are not for who calls this. Idempotent.
         """
-        if self._ahead is None:
+        if self._thread is None:
             self._start()
             self._socket.settimeout(None)
-            self._ahead = Ahead(self.read, self._sort)
+            self._session.credit = ITEMS
+            self._thread = Thread(target=self._read_on, name="aiorts client", daemon=True)
+            self._thread.start()
+
+    def _read_on(self) -> None:
+        try:
+            while self._session.error is None:
+                self._take()
+        finally:
+            self._end(errors.ClosedError(f"{self.entry.address}: is not read any more"))
 
     def __enter__(self) -> Self:
         return self
@@ -209,32 +193,32 @@ class Client:
 
     def begin(self, operation: str, /, **arguments: object) -> int:
         """Send a call and do not wait; `result` gives its result by the number that is returned."""
-        number = self._last + 1
-        self._answers[number] = Waiting()
-        try:
-            self._send({"id": number, "op": operation, "epoch": self.entry.epoch, "args": arguments})
-        except BaseException:
-            del self._answers[number]
-            raise
-        self._last = number
-        return number
+        return self._begin(operation, arguments).number
+
+    def _begin(self, operation: str, arguments: Mapping[str, object], *, streams: bool = False) -> Call:
+        self._start()
+        with self._news:
+            call, frame = self._session.begin(operation, arguments, streams=streams)
+        self._send(frame)
+        return call
 
     def result(self, number: int, wait: float | None = TIMEOUT) -> Any:
         """Wait for the result of a call that was begun. Raises as `call` does."""
+        call = self._session.calls[number]
         try:
-            return self._next(number, wait)["ok"]
+            return self._next(call, wait).result()
         finally:
-            self._answers.pop(number, None)
+            self._leave(call)
 
     def stream(self, operation: str, wait: float | None = TIMEOUT, /, **arguments: object) -> Stream:
         """Begin an operation that streams; the stream's items come as they are made. Arguments and errors as `call`."""
-        number = self.begin(operation, **arguments)
+        call = self._begin(operation, arguments, streams=True)
         try:
-            began = self._next(number, wait)["ok"]
+            began = self._next(call, wait).result()
         except BaseException:
-            self._answers.pop(number, None)
+            self._leave(call)
             raise
-        return Stream(self, number, began)
+        return Stream(self, call, began)
 
     def wait_end(self, seconds: float) -> None:
         """Wait until the kernel's process, or the session, has ended.
@@ -243,64 +227,15 @@ class Client:
             NoAnswerError: it runs on after so many seconds.
         """
         until = time.monotonic() + seconds
-        try:
-            while True:
+        with self._news:
+            while self._session.error is None:
                 self._receive(until)
-                self._frames.clear()
-        except errors.ClosedError:
-            return
 
-    def _send(self, message: Mapping[str, Any]) -> None:
-        frame = framed(message)
-        if len(frame) > REQUESTS.frame:
-            raise errors.LimitError(f"a call of {len(frame)} bytes; at most {REQUESTS.frame} are allowed")
-        self._start()
-        try:
-            self._socket.settimeout(TIMEOUT)
-            self._socket.sendall(frame)
-        except TimeoutError:
-            raise NoAnswerError(f"{self.entry.address}: does not take what is sent") from None
-        except OSError:
-            self._gone = self._gone or f"{self.entry.address}: has ended"  # what it said last may still be read
+    def answered(self, number: int) -> bool:
+        """Whether something has come for a call, after `read`."""
+        return bool(self._session.calls.get(number))
 
-    def _next(self, number: int, timeout: float | None) -> dict[Any, Any]:
-        """The next that comes for a call."""
-        waiting = self._answers[number]
-        until = None if timeout is None else time.monotonic() + timeout
-        if self._ahead is None:
-            while not waiting:
-                self._receive(until)
-                self._sort()
-        elif not waiting and not self._ahead.wait(lambda: len(waiting) > 0, until):
-            raise NoAnswerError(f"{self.entry.address}: {self.silence}")
-        answer = waiting.take()
-        if "error" in answer:
-            raise error_in(answer["error"], self.entry.address)
-        return answer
-
-    def _sort(self) -> None:
-        while self._frames:
-            frame, size = self._frames.popleft()
-            if not self.hello:
-                self._take_hello(frame)
-                continue
-            if "id" not in frame and "error" in frame:
-                raise error_in(frame["error"], self.entry.address)
-            number, busy = frame.get("id"), frame.get("busy")
-            waiting = self._answers.get(number) if type(number) is int else None
-            if waiting is not None:
-                waiting.put(frame, size, bounded=self._ahead is not None)
-                self.silence = _SILENCE
-            elif type(busy) is float or type(busy) is int:
-                self.silence = f"no answer: its event loop has been busy for at least {busy:.1f} s"
-
-    def _receive(self, until: float | None) -> None:
-        """Wait until at least one frame has come."""
-        while not self._frames:
-            if until is not None and time.monotonic() >= until:
-                raise NoAnswerError(f"{self.entry.address}: {self.silence}")
-            self._socket.settimeout(None if until is None else max(0.001, until - time.monotonic()))
-            self.read()
+    # -- the socket ------------------------------------------------------------------------------------------------
 
     def read(self) -> None:
         """Take what has come.
@@ -308,31 +243,82 @@ class Client:
         Raises:
             ClosedError: the kernel has ended the session, or its process has ended.
         """
+        self._take()
+        self._session.check()
+
+    def _send(self, data: bytes) -> None:
+        try:
+            self._socket.settimeout(TIMEOUT)
+            self._socket.sendall(data)
+        except TimeoutError:
+            self._end(NoAnswerError(f"{self.entry.address}: does not take what is sent"))  # a part of it may be sent
+            self._session.check()
+        except OSError:
+            self._deaf = True
+
+    def _leave(self, call: Call) -> None:
+        with self._news:
+            self._session.leave(call)
+
+    def _cancel(self, call: Call) -> None:
+        with self._news:
+            frame = self._session.cancel(call)
+        self._send(frame)
+
+    def _next(self, call: Call, timeout: float | None) -> Answer:
+        """The next that comes for a call."""
+        until = None if timeout is None else time.monotonic() + timeout
+        with self._news:
+            while not call:
+                self._receive(until)
+            return call.take()
+
+    def _receive(self, until: float | None) -> None:
+        """Wait until something comes; `_news` is held. Raises what has ended the session."""
+        self._session.check()
+        left = None if until is None else until - time.monotonic()
+        if left is not None and left <= 0:
+            raise NoAnswerError(f"{self.entry.address}: {self.silence}")
+        if self._thread is not None:
+            self._news.wait(left)
+        else:
+            self._socket.settimeout(None if left is None else max(0.001, left))
+            self._take()
+
+    def _take(self) -> None:
+        """Take what comes within the socket's timeout; at its end, the session ends."""
         try:
             data = self._socket.recv(_CHUNK)
         except (TimeoutError, BlockingIOError):
             return
         except OSError as error:
-            raise errors.ClosedError(f"{self.entry.address}: the session has ended ({error.strerror})") from None
+            self._end(errors.ClosedError(f"{self.entry.address}: the session has ended ({error.strerror})"))
+            return
         if not data:
-            raise self._ended()
-        self._buffer += data
-        self._frames.extend((answer_in(frame), len(frame)) for frame in frames(self._buffer, ANSWERS))
+            self._end(self._why_ended())
+            return
+        with self._news:
+            greets = self._session.state is SessionState.GREETING
+            self._session.receive(data)
+            if greets and self.hello:
+                process, entry = self.hello.get("pid"), self.entry
+                process = process if type(process) is int else entry.pid
+                self.entry = Entry(entry.address, process, self._session.epoch, entry.path, entry.carried)
+            self._news.notify_all()
 
-    def _ended(self) -> errors.ClosedError:
+    def _end(self, error: AiortsError) -> None:
+        with self._news:
+            self._session.end(error)
+            self._news.notify_all()
+
+    def _why_ended(self) -> errors.ClosedError:
         """Why nothing comes any more."""
-        if not self._gone and self.hello and is_served(self.entry):
+        if not self._deaf and self.hello and is_served(self.entry):
             return CutOff(
                 f"{self.entry.address}: runs on, and has cut off this process, which took nothing for "
                 f"{STALL_SECONDS:.0f} s; what it missed at the end is not counted"
             )
-        return errors.ClosedError(self._gone or f"{self.entry.address}: has ended")
-
-    def answered(self, number: int) -> bool:
-        """Whether something has come for a call, after `read`."""
-        if self._ahead is None:
-            self._sort()
-        return bool(self._answers.get(number))
+        return errors.ClosedError(f"{self.entry.address}: has ended")
 
 
 class CutOff(errors.ClosedError):
@@ -348,13 +334,12 @@ class Stream:
         result: what it said when it ended.
     """
 
-    def __init__(self, client: Client, number: int, began: Any) -> None:
+    def __init__(self, client: Client, call: Call, began: Any) -> None:
         self.client = client
         self.began = began
         self.missed = 0
         self.result: Any = None
-        self._number = number
-        self._waiting = client._answers[number]
+        self._call = call
         self._ended = False
 
     def __iter__(self) -> Iterator[Any]:
@@ -386,16 +371,16 @@ class Stream:
         if self._ended:
             return END
         try:
-            answer = self.client._next(self._number, timeout)
+            answer = self.client._next(self._call, timeout)
         except errors.ClosedError:
-            self.missed += self._waiting.missed_last()
+            self.missed += self._call.missed_last()
             raise
-        self.missed += answer["missed"]
-        if "item" in answer:
-            return answer["item"]
+        self.missed += answer.missed
+        if answer.said is Said.ITEM:
+            return answer.value
         self._ended = True
-        self.result = answer.get("end")
-        self.client._answers.pop(self._number, None)
+        self.client._leave(self._call)
+        self.result = answer.result()
         return END
 
     def take(self, timeout: float) -> list[Any]:
@@ -404,7 +389,7 @@ class Stream:
             found = [self.next(timeout)]
         except NoAnswerError:
             return []
-        while found[-1] is not END and self.client.answered(self._number):
+        while found[-1] is not END and self._call:
             found.append(self.next(0.0))
         return found
 
@@ -412,8 +397,7 @@ class Stream:
         """End the operation; idempotent."""
         if not self._ended:
             self._ended = True
-            self.client._send({"id": self._number, "cancel": True})
-            self.client._answers.pop(self._number, None)
+            self.client._cancel(self._call)
 
 
 END: Final = object()

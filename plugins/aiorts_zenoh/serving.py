@@ -16,7 +16,7 @@ import msgpack  # type: ignore[import-untyped]
 
 from aiorts.control import Control, Right
 from aiorts.errors import AiortsError, ClosedError, ControlError, DeniedError, NoAnswerError
-from aiorts.sessions import NEWEST, OLDEST, answer_in, framed, frames
+from aiorts.sessions import ClientSession, answer_in, framed
 from aiorts_zenoh.carried import Carried
 from aiorts_zenoh.engine import Engine, Inbox
 from aiorts_zenoh.envelope import END, FRAME, LOOK, read
@@ -214,25 +214,29 @@ class Serving:
     async def _answer(self, branch: str, key: str, body: bytes, query: Any) -> None:
         *_, caller, operation = key.split("/")
         try:
-            answer = await self._call(branch, caller, operation, body)
+            answer = {"ok": await self._call(branch, caller, operation, body)}
         except (AiortsError, OSError) as error:
             answer = _said(error)
         at = self._keys.call(branch, caller, operation)
         self._engine.reply(query, cast("bytes", msgpack.packb(answer)), good=True, key=at)
 
-    async def _call(self, branch: str, caller: str, operation: str, body: bytes) -> dict[Any, Any]:
-        """What the kernel says to one call, in a session of its own: "ok" and its value, or "error"."""
+    async def _call(self, branch: str, caller: str, operation: str, body: bytes) -> Any:
+        """What the kernel says to one call, in a session of its own; raises what it refuses it with."""
         hello = self._control.hello
         if operation == HELLO:
             self._check(branch, caller)
-            return {"ok": {**hello, "right": self._branches[branch].value}}
-        arguments = answer_in(body) if body else {}
-        call = {"id": 1, "op": operation, "epoch": hello.get("epoch"), "args": arguments}
+            return {**hello, "right": self._branches[branch].value}
+        session = ClientSession(str(hello.get("address", "")), str(hello.get("epoch", "")), longest=_ANSWERS)
+        _, call = session.begin(operation, answer_in(body) if body else {})
         reader, writer = await self._let_in(branch, caller)
         try:
-            writer.write(framed({"hello": {"oldest": OLDEST, "newest": NEWEST, "who": "a call"}}) + framed(call))
+            writer.write(session.greeting("a call") + call)
             async with asyncio.timeout(_ANSWER_SECONDS):
-                return await _answer_in(reader)
+                while data := await reader.read(1 << 16):
+                    for answered in session.receive(data):
+                        return answered.take().result()
+                    session.check()
+            raise ClosedError("the kernel ends")
         except TimeoutError:
             raise NoAnswerError(f"{operation}: no answer within {_ANSWER_SECONDS:g} s") from None
         finally:
@@ -243,14 +247,3 @@ def _said(error: AiortsError | OSError) -> dict[str, Any]:
     """The answer where there is none; OSError: no descriptor is left."""
     code = error.code if isinstance(error, AiortsError) else ControlError.code
     return {"error": {"code": code, "text": str(error)}}
-
-
-async def _answer_in(reader: asyncio.StreamReader) -> dict[Any, Any]:
-    buffer = bytearray()
-    while data := await reader.read(1 << 16):
-        buffer += data
-        for frame in frames(buffer, _ANSWERS):
-            answer = answer_in(frame)
-            if said := {key: answer[key] for key in ("ok", "error") if key in answer}:
-                return said
-    raise ClosedError("the kernel ends")

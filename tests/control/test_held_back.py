@@ -7,16 +7,12 @@ import re
 import signal
 import sys
 from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections import deque
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from aiorts.sessions.ahead import Waiting
 from aiorts.types import TimedDouble
 from control_parts import WAIT, Counter, controlled
 
@@ -96,29 +92,3 @@ async def test_one_that_was_stopped_for_too_long_is_cut_off_and_told_so(
             _, _, said = await end_of(process)
     assert process.returncode == status, said
     assert "runs on, and has cut off this process" in said
-
-
-@given(st.lists(st.one_of(st.just("take"), st.integers(0, 3)), max_size=60), st.integers(1, 5))
-def test_what_waits_is_kept_in_order_or_missing(actions: list[str | int], room: int) -> None:
-    """Against a plain list: `take`, or an item before which the kernel dropped so many."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("aiorts.sessions.ahead.ITEMS", room)
-        waiting, kept, came, taken, missed = Waiting(), deque[int](), 0, 0, 0
-        for action in actions:
-            if action == "take":
-                if kept:
-                    answer = waiting.take()
-                    assert answer["item"] == kept.popleft()
-                    taken, missed = taken + 1, missed + answer["missed"]
-                continue
-            came += 1 + int(action)
-            if len(kept) < room:
-                kept.append(came)
-            waiting.put({"item": came, "missed": int(action)}, 10, bounded=True)
-        while kept:
-            answer = waiting.take()
-            assert answer["item"] == kept.popleft()
-            taken, missed = taken + 1, missed + answer["missed"]
-        waiting.put({"end": None, "missed": 0}, 10, bounded=True)
-        missed += waiting.take()["missed"] + waiting.missed_last()
-    assert taken + missed == came

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import os
 import threading
 from pathlib import Path
@@ -62,12 +63,12 @@ async def test_who_may_only_look_is_denied() -> None:
 async def test_a_call_for_another_epoch_does_nothing() -> None:
     async with controlled("epoch") as kernel:
 
-        def stale(client: Client) -> None:
-            client.entry = type(client.entry)(client.entry.address, 1, "0" * 16, client.entry.path)
-            client.call("deactivate", component="reader0")
+        def stale() -> None:
+            with Client(dataclasses.replace(entry_of("epoch"), epoch="0" * 16)) as client:
+                client.call("deactivate", component="reader0")  # on its way before the kernel has said hello
 
         with pytest.raises(StaleError, match="Nothing was done"):
-            await with_client("epoch", stale)
+            await asyncio.to_thread(stale)
         assert [state.value for state in kernel.components["reader0"].states.values()] == ["active"]
 
 
