@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from aiorts.errors import AiortsError, ClosedError, NoAnswerError, WireError
 from aiorts.kernel.loop.tasks import kernel_task
-from aiorts.sessions import Call, ClientSession, Said
+from aiorts.sessions import Call, ClientSession
 
 if TYPE_CHECKING:
     import socket
@@ -37,9 +37,9 @@ class KernelSession:
         self._reader, self._writer = reader, writer
         self._greeted: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._answers: dict[Call, asyncio.Future[Any]] = {}
-        """Of calls that wait for their answer."""
+        """The calls that wait for their answer."""
         self._items: dict[Call, Callable[[Any], object]] = {}
-        """Of operations that stream: what takes their items."""
+        """The functions that take the items of streams."""
         self._closed = False
         self._reading = kernel_task(asyncio.get_running_loop(), self._read(), f"aiorts session {address}")
 
@@ -62,7 +62,7 @@ class KernelSession:
 
     @property
     def hello(self) -> Mapping[str, Any]:
-        """What the other kernel says of itself: its right, its epoch."""
+        """The epoch of the other kernel, the right that it gives, and its names; empty before its hello."""
         return self._session.hello
 
     @property
@@ -136,18 +136,18 @@ class KernelSession:
 
     def _take(self, call: Call) -> None:
         answer, waiting = call.take(), self._answers.get(call)
-        if answer.said is Said.ITEM:
+        if answer.said == "item":
             self._items[call](answer.value)
         elif waiting is None or waiting.done():
             self._session.leave(call)  # a stream has ended
             self._items.pop(call, None)
-        elif answer.said is Said.ERROR:
+        elif answer.said == "error":
             waiting.set_exception(answer.value)
         else:
             waiting.set_result(answer.value)
 
     def _end(self, error: AiortsError) -> None:
-        """End it. What the session itself has found wrong says more than that it has ended."""
+        """End it; a fault that the session has found says more than `error`."""
         if self._closed:
             return
         self._closed = True

@@ -24,21 +24,18 @@ if TYPE_CHECKING:
     from aiorts.sessions.many import FEW
     from aiorts.sessions.protocol import (
         BYE,
-        NEWEST,
-        OLDEST,
         REQUESTS,
         STALL_SECONDS,
         WAITING,
         Made,
         agreed,
         answer_in,
-        error_in,
         framed,
         frames,
         has_frame,
         request_in,
     )
-    from aiorts.sessions.session import Call, ClientSession, Said
+    from aiorts.sessions.session import Call, ClientSession
     from aiorts.sessions.target import (
         FILES,
         PATIENCE,
@@ -61,8 +58,6 @@ __all__ = (
     "FEW",
     "FILES",
     "FURTHER",
-    "NEWEST",
-    "OLDEST",
     "PATIENCE",
     "REQUESTS",
     "STALL_SECONDS",
@@ -80,7 +75,6 @@ __all__ = (
     "Made",
     "Outcome",
     "Running",
-    "Said",
     "Silent",
     "Stream",
     "TakenError",
@@ -88,7 +82,6 @@ __all__ = (
     "answer_in",
     "change_all",
     "entries",
-    "error_in",
     "framed",
     "frames",
     "has_frame",
@@ -112,10 +105,9 @@ _late(
         "aiorts.sessions.folder": "FURTHER Carrier Claim Entry TakenError entries is_supported private_folder",
         "aiorts.sessions.many": "FEW",
         "aiorts.sessions.protocol": (
-            "BYE NEWEST OLDEST REQUESTS STALL_SECONDS WAITING Made agreed answer_in error_in framed frames has_frame "
-            "request_in"
+            "BYE REQUESTS STALL_SECONDS WAITING Made agreed answer_in framed frames has_frame request_in"
         ),
-        "aiorts.sessions.session": "Call ClientSession Said",
+        "aiorts.sessions.session": "Call ClientSession",
         "aiorts.sessions.target": (
             "FILES PATIENCE Found Kernels Running is_file is_glob kernels likely outlines sharing the_one"
         ),

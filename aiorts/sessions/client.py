@@ -25,7 +25,7 @@ from aiorts.errors import AiortsError, ControlError, NoAnswerError
 from aiorts.late import dataclass
 from aiorts.sessions.folder import Entry, discard, is_served
 from aiorts.sessions.protocol import STALL_SECONDS
-from aiorts.sessions.session import ITEMS, Answer, Call, ClientSession, Said, SessionState
+from aiorts.sessions.session import ITEMS, Answer, Call, ClientSession
 
 TIMEOUT: Final = 5.0
 """Seconds that a call waits for its answer."""
@@ -86,7 +86,7 @@ class Client:
         until = time.monotonic() + timeout
         client = cls(entry, who, patience=timeout)
         try:
-            while client._session.state is not SessionState.OPEN:
+            while client._session.state != "open":
                 client._receive(until)
         except BaseException:
             client.close()
@@ -112,17 +112,17 @@ class Client:
 
     @property
     def hello(self) -> Mapping[str, Any]:
-        """What the kernel says of itself: name, address, pid."""
+        """The name, address and pid that the kernel has said; empty before its hello."""
         return self._session.hello
 
     @property
     def right(self) -> str:
-        """What the kernel lets this session do: "view", "operate" or "code"."""
+        """The right that the kernel gives this session: "view", "operate" or "code"."""
         return str(self.hello.get("right", ""))
 
     @property
     def silence(self) -> str:
-        """What is said where it does not answer."""
+        """The text for a kernel that does not answer."""
         busy = self._session.busy
         return f"no answer: its event loop has been busy for at least {busy:.1f} s" if busy else "no answer"
 
@@ -268,10 +268,11 @@ class Client:
     def _next(self, call: Call, timeout: float | None) -> Answer:
         """The next that comes for a call."""
         until = None if timeout is None else time.monotonic() + timeout
-        with self._news:
-            while not call:
-                self._receive(until)
-            return call.take()
+        if not call:
+            with self._news:
+                while not call:
+                    self._receive(until)
+        return call.take()
 
     def _receive(self, until: float | None) -> None:
         """Wait until something comes; `_news` is held. Raises what has ended the session."""
@@ -297,9 +298,10 @@ class Client:
         if not data:
             self._end(self._why_ended())
             return
+        heard = self._session.decode(data)
         with self._news:
-            greets = self._session.state is SessionState.GREETING
-            self._session.receive(data)
+            greets = self._session.state == "greeting"
+            self._session.hear(heard)
             if greets and self.hello:
                 process, entry = self.hello.get("pid"), self.entry
                 process = process if type(process) is int else entry.pid
@@ -331,6 +333,7 @@ class Stream:
     Attributes:
         began: what the operation said when it began.
         missed: items that were dropped so far, in the kernel or here, since this end was too slow.
+        ended: whether it is over: no item comes any more.
         result: what it said when it ended.
     """
 
@@ -340,7 +343,7 @@ class Stream:
         self.missed = 0
         self.result: Any = None
         self._call = call
-        self._ended = False
+        self.ended = False
 
     def __iter__(self) -> Iterator[Any]:
         while (item := self.next()) is not END:
@@ -357,18 +360,13 @@ class Stream:
                 return
             yield item
 
-    @property
-    def ended(self) -> bool:
-        """Whether the kernel has ended it: no item comes any more."""
-        return self._ended
-
     def next(self, timeout: float | None = None) -> Any:
         """The next item; END when there are no more.
 
         Raises:
             NoAnswerError: none came within `timeout` seconds.
         """
-        if self._ended:
+        if self.ended:
             return END
         try:
             answer = self.client._next(self._call, timeout)
@@ -376,9 +374,9 @@ class Stream:
             self.missed += self._call.missed_last()
             raise
         self.missed += answer.missed
-        if answer.said is Said.ITEM:
+        if answer.said == "item":
             return answer.value
-        self._ended = True
+        self.ended = True
         self.client._leave(self._call)
         self.result = answer.result()
         return END
@@ -395,8 +393,8 @@ class Stream:
 
     def close(self) -> None:
         """End the operation; idempotent."""
-        if not self._ended:
-            self._ended = True
+        if not self.ended:
+            self.ended = True
             self.client._cancel(self._call)
 
 

@@ -6,8 +6,8 @@ protocol that both speak, its address and its epoch. Then calls go `{"id": 1, "o
 streams goes on after its "ok" with `{"id": 1, "item": value, "missed": 0}` until `{"id": 1, "end": value}`, or until
 the client sends `{"id": 1, "cancel": true}`. Each call has one answer that is its last: an "error", an "end", or the
 "ok" of an operation that does not stream; one that is cancelled too. While the kernel's event loop is held up,
-`{"busy": seconds}` says so. A client that ends its session in order says `{"bye": true}` before it closes. Keys that
-are not known are passed over.
+`{"busy": seconds}` says so, before its hello, too. A client that ends its session in order says `{"bye": true}` before
+it closes. Keys that are not known are passed over, and so are answers to calls that have ended.
 """
 
 from __future__ import annotations

@@ -6,10 +6,10 @@ same one. Two tables say what it does: `SESSION` with each frame that comes, `CA
 
 from __future__ import annotations
 
+import sys
 from collections import deque
 from collections.abc import Mapping
-from enum import Enum
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from aiorts.errors import AiortsError, ClosedError, LimitError, WireError
 from aiorts.late import dataclass
@@ -32,114 +32,57 @@ BYTES: Final = 32 << 20
 """Bytes of them, as they came; one alone may be larger."""
 
 
-class SessionState(Enum):
-    """How far a session is."""
-
-    GREETING = "greeting"
-    """The kernel has not said hello; calls may be on their way all the same."""
-    OPEN = "open"
-    ENDED = "ended"
-    """By either end, or by what is no answer."""
-
-
-class Frame(Enum):
-    """What a frame of the kernel is."""
-
-    HELLO = "hello"
-    ANSWER = "answer"
-    """To the call whose number it has."""
-    REFUSAL = "refusal"
-    """An error of the session as a whole."""
-    BUSY = "busy"
-    OTHER = "other"
-    """What a newer kernel may say."""
+SessionState = Literal["greeting", "open", "ended"]
+"""While it is "greeting", the kernel has not said hello; calls may be on their way all the same."""
+Frame = Literal["hello", "answer", "refusal", "busy", "other"]
+"""The kinds of frames: a "refusal" is an error without a number; "other" is what a newer kernel may say."""
+CallState = Literal["opening", "open", "ending", "ended"]
+"""A call is "open" when it streams and has begun; "ending" when this end has given it up and its last answer is still
+to come; "ended" when that has come, taken or not."""
+Said = Literal["ok", "began", "item", "end", "error", "cancel", "leave"]
+"""The answers of a kernel ("began": the "ok" of a stream), and the ways in which this end gives a call up: "cancel" has
+the kernel end it, with "leave" the kernel carries it out."""
+Do = Literal["take", "skip", "send", "forget", "fault"]
+"""The effect: it is taken, or passed over; the kernel is told; the call's number is forgotten; the session ends, since
+it is no answer."""
+Table = Mapping[Any, Mapping[Any, tuple[Any, Do]]]
 
 
-class CallState(Enum):
-    """How far a call is."""
-
-    OPENING = "opening"
-    """Nothing has come for it."""
-    OPEN = "open"
-    """A stream that has begun."""
-    ENDING = "ending"
-    """Nobody waits for it, and its last answer is still to come."""
-    ENDED = "ended"
-    """Its last answer has come, and may be still to be taken."""
-
-
-class Said(Enum):
-    """What is said of a call: the answers of the kernel, and what this end does with it."""
-
-    OK = "ok"
-    """The one answer of a call that does not stream."""
-    BEGAN = "began"
-    """The first of one that does."""
-    ITEM = "item"
-    END = "end"
-    ERROR = "error"
-    CANCEL = "cancel"
-    """This end wants no more of it, and the kernel is to end it."""
-    LEAVE = "leave"
-    """This end waits for it no longer."""
-
-
-class Do(Enum):
-    """What is done with what is said."""
-
-    TAKE = "take"
-    SKIP = "skip"
-    """Nothing: it is passed over."""
-    SEND = "send"
-    """The kernel is told."""
-    FORGET = "forget"
-    """The call is given up, with its number."""
-    FAULT = "fault"
-    """It is no answer, and ends the session."""
-
-
-def _table(text: str, states: Any, columns: Any) -> Mapping[Any, Mapping[Any, tuple[Any, Do]]]:
-    """A table as it is written: a line for each state; in each column the next state, and what is done."""
+def _table(text: str) -> Table:
+    """A table as it is written: a line for each state; in each column the next state, and the effect."""
     head, *lines = (line.split() for line in text.strip().splitlines())
-    table = {}
+    rows: dict[str, Any] = {}
     for state, *cells in lines:
-        steps = (cell.split(":") for cell in cells)
-        table[states[state]] = {
-            columns[said]: (states[then], Do[do]) for said, (then, do) in zip(head, steps, strict=True)
-        }
-    return table
+        rows[state] = dict(zip(head, (tuple(map(sys.intern, cell.split(":"))) for cell in cells), strict=True))
+    return rows
 
 
-SESSION: Final[Mapping[SessionState, Mapping[Frame, tuple[SessionState, Do]]]] = _table(
+SESSION: Final = _table(
     """
-             HELLO      ANSWER      REFUSAL    BUSY          OTHER
-    GREETING OPEN:TAKE  ENDED:FAULT ENDED:TAKE GREETING:TAKE ENDED:FAULT
-    OPEN     OPEN:SKIP  OPEN:TAKE   ENDED:TAKE OPEN:TAKE     OPEN:SKIP
-    ENDED    ENDED:SKIP ENDED:SKIP  ENDED:SKIP ENDED:SKIP    ENDED:SKIP
-    """,
-    SessionState,
-    Frame,
+             hello      answer      refusal    busy          other
+    greeting open:take  ended:fault ended:take greeting:take ended:fault
+    open     open:skip  open:take   ended:take open:take     open:skip
+    ended    ended:skip ended:skip  ended:skip ended:skip    ended:skip
+    """
 )
-CALL: Final[Mapping[CallState, Mapping[Said, tuple[CallState, Do]]]] = _table(
+CALL: Final = _table(
     """
-            OK           BEGAN        ITEM         END          ERROR        CANCEL       LEAVE
-    OPENING ENDED:TAKE   OPEN:TAKE    ENDED:FAULT  ENDED:FAULT  ENDED:TAKE   ENDING:SEND  ENDING:SKIP
-    OPEN    ENDED:FAULT  ENDED:FAULT  OPEN:TAKE    ENDED:TAKE   ENDED:TAKE   ENDING:SEND  ENDING:SKIP
-    ENDING  ENDED:FORGET ENDING:SKIP  ENDING:SKIP  ENDED:FORGET ENDED:FORGET ENDING:SKIP  ENDING:SKIP
-    ENDED   ENDED:SKIP   ENDED:SKIP   ENDED:SKIP   ENDED:SKIP   ENDED:SKIP   ENDED:FORGET ENDED:FORGET
-    """,
-    CallState,
-    Said,
+            ok           began        item         end          error        cancel       leave
+    opening ended:take   open:take    ended:fault  ended:fault  ended:take   ending:send  ending:skip
+    open    ended:fault  ended:fault  open:take    ended:take   ended:take   ending:send  ending:skip
+    ending  ended:forget ending:skip  ending:skip  ended:forget ended:forget ending:skip  ending:skip
+    ended   ended:skip   ended:skip   ended:skip   ended:skip   ended:skip   ended:forget ended:forget
+    """
 )
 
 
 @dataclass(slots=True)
 class Answer:
-    """What a kernel says to a call."""
+    """One answer of the kernel to a call."""
 
     said: Said
     value: Any
-    """Of an ERROR the exception."""
+    """Of an "error" the exception."""
     missed: int
     """Items that are missing before it, dropped in the kernel or here."""
     size: int
@@ -147,22 +90,30 @@ class Answer:
 
     def result(self) -> Any:
         """The value; raises the error that it is."""
-        if self.said is Said.ERROR:
+        if self.said == "error":
             raise self.value
         return self.value
 
 
-class Call:
-    """One call: its state, and the answers that are not taken yet, in order."""
+@dataclass(slots=True)
+class Heard:
+    """Frames that came, each with its bytes, and what is wrong after them."""
 
-    __slots__ = ("_bytes", "_kept", "_missed", "number", "state", "streams")
+    frames: list[tuple[dict[Any, Any], int]]
+    fault: WireError | None = None
+
+
+class Call:
+    """One call: its state, and its answers that are not taken yet. One thread may take while another keeps."""
+
+    __slots__ = ("_came", "_kept", "_missed", "_taken", "number", "state", "streams")
 
     def __init__(self, number: int, *, streams: bool) -> None:
-        self.number = number
-        self.streams = streams
-        self.state = CallState.OPENING
+        self.number, self.streams = number, streams
+        self.state: CallState = "opening"
         self._kept: deque[Answer] = deque()
-        self._bytes = 0
+        self._came = self._taken = 0
+        """Bytes."""
         self._missed = 0
         """Items that are missing before the next answer."""
 
@@ -173,19 +124,19 @@ class Call:
         """Whether there is room for an answer: an item without credit is missing, and the next answer says so."""
         answer.missed += self._missed
         kept = len(self._kept)
-        full = credit is not None and (kept >= credit or (kept > 0 and self._bytes + answer.size > BYTES))
-        if full and answer.said is Said.ITEM:
+        full = credit is not None and (kept >= credit or (kept > 0 and self._came - self._taken + answer.size > BYTES))
+        if full and answer.said == "item":
             self._missed = answer.missed + 1
             return False
         self._missed = 0
-        self._bytes += answer.size
+        self._came += answer.size
         self._kept.append(answer)
         return True
 
     def take(self) -> Answer:
         """The next answer, whose credit is free again; IndexError where there is none."""
         answer = self._kept.popleft()
-        self._bytes -= answer.size
+        self._taken += answer.size
         return answer
 
     def missed_last(self) -> int:
@@ -194,13 +145,12 @@ class Call:
         return missed
 
     def clear(self) -> None:
-        """Nobody takes what is kept."""
+        """Drop the answers that are kept."""
         self._kept.clear()
-        self._bytes = 0
 
 
 class ClientSession:
-    """What a client says and hears in one session.
+    """The client's end of one session: its state, its calls, and the bytes of both ways.
 
     Attributes:
         state: how far it is.
@@ -217,7 +167,7 @@ class ClientSession:
 
     def __init__(self, address: str, epoch: str = "", *, longest: int = ANSWERS) -> None:
         self.address, self.epoch = address, epoch
-        self.state = SessionState.GREETING
+        self.state = "greeting"
         self.hello: Mapping[str, Any] = {}
         self.error: AiortsError | None = None
         self.busy = 0.0
@@ -232,7 +182,7 @@ class ClientSession:
     # -- out -------------------------------------------------------------------------------------------------------
 
     def greeting(self, who: str, *, carried: bool = False) -> bytes:
-        """What is sent first.
+        """The first bytes of a session: hello.
 
         Args:
             who: this end, for the kernel's log.
@@ -260,19 +210,19 @@ class ClientSession:
         return call, frame
 
     def cancel(self, call: Call) -> bytes:
-        """End a call for which nobody waits any more; the bytes for the kernel, or none where it has ended."""
-        do = self._step(call, Said.CANCEL)
-        return framed({"id": call.number, "cancel": True}) if do is Do.SEND and self.error is None else b""
+        """Give a call up and have the kernel end it; the bytes for the kernel, or none where it has ended."""
+        do = self._step(call, "cancel")
+        return framed({"id": call.number, "cancel": True}) if do == "send" and self.error is None else b""
 
     def leave(self, call: Call) -> None:
-        """Wait no longer for a call, which runs on in the kernel; what comes for it is passed over. Idempotent."""
-        self._step(call, Said.LEAVE)
+        """Give a call up, which the kernel carries out all the same: its answers are passed over. Idempotent."""
+        self._step(call, "leave")
 
     def _step(self, call: Call, said: Said) -> Do:
         call.state, do = CALL[call.state][said]
-        if said is Said.CANCEL or said is Said.LEAVE:
+        if said == "cancel" or said == "leave":
             call.clear()
-        if do is Do.FORGET:
+        if do == "forget":
             self.calls.pop(call.number, None)
         return do
 
@@ -288,7 +238,7 @@ class ClientSession:
 
     def end(self, error: AiortsError) -> None:
         """Nothing comes any more: say why. What was said first holds."""
-        self.state = SessionState.ENDED
+        self.state = "ended"
         self.error = self.error or error
         self._buffer.clear()
 
@@ -300,29 +250,43 @@ class ClientSession:
         Returns:
             The calls with answers to be taken, in the order in which these came; one for each answer.
         """
-        came: list[Call] = []
-        if self.state is SessionState.ENDED:
-            return came
+        return self.hear(self.decode(data))
+
+    def decode(self, data: bytes) -> Heard:
+        """The frames that are whole with these bytes; takes time, and changes nothing that another thread looks at."""
+        heard = Heard([])
         self._buffer += data
         try:
-            for frame in frames(self._buffer, self._longest):
-                self._take(answer_in(frame), len(frame), came)
+            heard.frames.extend((answer_in(frame), len(frame)) for frame in frames(self._buffer, self._longest))
+        except WireError as error:
+            heard.fault = error
+        return heard
+
+    def hear(self, heard: Heard) -> list[Call]:
+        """Take frames in the order in which they were decoded; returns what `receive` does."""
+        came: list[Call] = []
+        fault: AiortsError | None = heard.fault
+        try:
+            for frame, size in heard.frames:
+                self._take(frame, size, came)
         except AiortsError as error:
-            self.end(error)
+            fault = error
+        if fault is not None:
+            self.end(fault)
         return came
 
     def _take(self, frame: dict[Any, Any], size: int, came: list[Call]) -> None:
         kind = _kind(frame)
         self.state, do = SESSION[self.state][kind]
-        if do is Do.FAULT:
+        if do == "fault":
             raise self._no_hello()
-        if do is not Do.TAKE:
+        if do != "take":
             return
-        if kind is Frame.ANSWER:
+        if kind == "answer":
             self._answered(frame, size, came)
-        elif kind is Frame.BUSY:
+        elif kind == "busy":
             self.busy = float(frame["busy"])
-        elif kind is Frame.HELLO:
+        elif kind == "hello":
             self._greeted(frame["hello"])
         else:
             raise error_in(frame["error"], self.address)
@@ -338,35 +302,44 @@ class ClientSession:
 
     def _answered(self, frame: dict[Any, Any], size: int, came: list[Call]) -> None:
         call = self.calls.get(frame["id"])
-        key = next((key for key in _ANSWERS if key in frame), None)
-        if call is None or key is None:
-            return  # nobody waits for it; or a newer kernel says more than is known here
-        said, before = _ANSWERS[key], call.state
-        if said is Said.OK and call.streams:
-            said = Said.BEGAN
+        said = _said(frame)
+        if call is None or said is None:
+            return  # it has ended, and its answers were taken; or a newer kernel says more than is known here
+        if said == "ok" and call.streams:
+            said = "began"
+        before = call.state
         do = self._step(call, said)
-        if do is Do.FAULT:
+        if do == "fault":
             raise WireError(
-                f"{self.address}: says what is no answer: {said.value!r} to call {call.number}, which is {before.value}"
+                f"{self.address}: says what is no answer: {said!r} to call {call.number}, which is {before}"
             )
-        if do is Do.TAKE:
+        if do == "take":
             self.busy = 0.0
             missed = frame.get("missed")
             missed = missed if type(missed) is int and missed > 0 else 0
-            value = error_in(frame[key], self.address) if said is Said.ERROR else frame[key]
+            value = frame["ok" if said == "began" else said]
+            if said == "error":
+                value = error_in(value, self.address)
             if call.keep(Answer(said, value, missed, size), self.credit):
                 came.append(call)
 
 
-_ANSWERS: Final = {said.value: said for said in (Said.ERROR, Said.OK, Said.ITEM, Said.END)}
-"""The keys of answers; of several in one frame the first counts."""
+def _said(frame: Mapping[Any, Any]) -> Said | None:
+    """What a frame says of its call; of several the first counts."""
+    if "error" in frame:
+        return "error"
+    if "ok" in frame:
+        return "ok"
+    if "item" in frame:
+        return "item"
+    return "end" if "end" in frame else None
 
 
 def _kind(frame: Mapping[Any, Any]) -> Frame:
-    if "hello" in frame:
-        return Frame.HELLO
     if "id" in frame:
-        return Frame.ANSWER if type(frame["id"]) is int else Frame.OTHER
+        return "answer" if type(frame["id"]) is int else "other"
+    if "hello" in frame:
+        return "hello"
     if "error" in frame:
-        return Frame.REFUSAL
-    return Frame.BUSY if type(frame.get("busy")) in (int, float) else Frame.OTHER
+        return "refusal"
+    return "busy" if type(frame.get("busy")) in (int, float) else "other"

@@ -221,7 +221,7 @@ class Serving:
         self._engine.reply(query, cast("bytes", msgpack.packb(answer)), good=True, key=at)
 
     async def _call(self, branch: str, caller: str, operation: str, body: bytes) -> Any:
-        """What the kernel says to one call, in a session of its own; raises what it refuses it with."""
+        """The result of one call, in a session of its own. AiortsError: the kernel refuses it."""
         hello = self._control.hello
         if operation == HELLO:
             self._check(branch, caller)

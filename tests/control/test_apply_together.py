@@ -16,7 +16,8 @@ from aiorts import Kernel
 from aiorts.control import Control, Right
 from aiorts.errors import DeniedError, StateError
 from aiorts.model.wanted.carried import carried
-from aiorts.sessions import NEWEST, OLDEST, Client, Outcome, Running, answer_in, change_all, framed, frames, kernels
+from aiorts.sessions import Client, Outcome, Running, answer_in, change_all, framed, frames, kernels
+from aiorts.sessions.protocol import NEWEST, OLDEST
 from aiorts.system import build, load, wanted
 from control.test_apply_live import OTHER, SYSTEM, said
 from control_parts import WAIT, running

@@ -11,7 +11,8 @@ from anyio import fail_after
 
 from aiorts.errors import ClosedError, WireError
 from aiorts.remote.session import KernelSession
-from aiorts.sessions import NEWEST, framed
+from aiorts.sessions import framed
+from aiorts.sessions.protocol import NEWEST
 
 pytestmark = pytest.mark.anyio
 

@@ -20,7 +20,8 @@ from hypothesis import strategies as st
 
 from aiorts.errors import AiortsError, BusyError, ClosedError, LimitError, NoAnswerError, StateError, WireError
 from aiorts.remote.session import KernelSession
-from aiorts.sessions import END, NEWEST, Client, Entry, framed, frames
+from aiorts.sessions import END, Client, Entry, framed, frames
+from aiorts.sessions.protocol import NEWEST
 from campaign import cases
 from control_parts import WAIT, controlled, entry_of, until
 
