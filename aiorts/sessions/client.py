@@ -296,7 +296,8 @@ class Client:
             self._end(errors.ClosedError(f"{self.entry.address}: the session has ended ({error.strerror})"))
             return
         if not data:
-            self._end(self._why_ended())
+            if self._session.error is None:  # not by this end
+                self._end(self._why_ended())
             return
         heard = self._session.decode(data)
         with self._news:

@@ -31,7 +31,6 @@ ITEMS: Final = 4_096
 BYTES: Final = 32 << 20
 """Bytes of them, as they came; one alone may be larger."""
 
-
 SessionState = Literal["greeting", "open", "ended"]
 """While it is "greeting", the kernel has not said hello; calls may be on their way all the same."""
 Frame = Literal["hello", "answer", "refusal", "busy", "other"]
@@ -240,7 +239,6 @@ class ClientSession:
         """Nothing comes any more: say why. What was said first holds."""
         self.state = "ended"
         self.error = self.error or error
-        self._buffer.clear()
 
     # -- in --------------------------------------------------------------------------------------------------------
 

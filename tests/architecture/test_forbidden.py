@@ -104,7 +104,6 @@ BROAD_EXCEPT = {
     "aiorts/kernel/extensions/arguments.py:_refused",
     "aiorts/kernel/connections.py:contained",
     # Round what a client asked for, and round the thread that serves clients: the system goes on without them.
-    "aiorts/sessions/ahead.py:_run",
     "aiorts/control/session.py:begin",
     "aiorts/control/session.py:end",
     "aiorts/control/server/listener.py:_guarded",
