@@ -42,7 +42,7 @@ Said = Literal["ok", "began", "item", "end", "error", "cancel", "leave"]
 """The answers of a kernel ("began": the "ok" of a stream), and the ways in which this end gives a call up: "cancel" has
 the kernel end it, with "leave" the kernel carries it out."""
 Do = Literal["take", "skip", "send", "forget", "fault"]
-"""The effect: it is taken, or passed over; the kernel is told; the call's number is forgotten; the session ends, since
+"""The effect: it is taken, or passed over; the kernel is notified; the call's number is forgotten; the session ends, since
 it is no answer."""
 Table = Mapping[Any, Mapping[Any, tuple[Any, Do]]]
 
@@ -185,7 +185,7 @@ class ClientSession:
 
         Args:
             who: this end, for the kernel's log.
-            carried: whether the socket carries sessions with several kernels, and is to be told which is meant.
+            carried: whether the socket carries sessions with several kernels; hello then says which is meant.
         """
         hello: dict[str, object] = {"oldest": OLDEST, "newest": NEWEST, "who": who}
         if carried:
