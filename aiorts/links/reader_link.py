@@ -89,8 +89,6 @@ class ReaderLink:
 
     def connect(self, channel: Channel, number: int, peer_epoch: int) -> None:
         """Receive over this channel from now on the frames that carry `number`."""
-        if self._channel is not None:
-            self._channel.close()  # of an earlier offer, whose answer came too late
         self._channel, self.why = channel, ""
         self.end.renumber(number)
         now = self._now()
@@ -114,10 +112,19 @@ class ReaderLink:
     def on_state(self, up: bool, why: str) -> None:
         if up or self._channel is None:
             return
+        self._down(why)
+        self._lost(self, why)
+
+    def drop(self, why: str) -> None:
+        """Give the channel up, if there is one: there will be another."""
+        if self._channel is not None:
+            self._channel.close()
+            self._down(why)
+
+    def _down(self, why: str) -> None:
         self._channel, self.why = None, why
         self.on_clock(0, 0)
         self.end.channel_down(self._now())
-        self._lost(self, why)
 
     def on_clock(self, ahead_ns: int, within_ns: int) -> None:
         if isinstance(self.connector.out, FarOutPort):

@@ -11,7 +11,8 @@ import pytest
 
 from aiorts import Kernel
 from aiorts.errors import InterfaceMismatch, LinkError
-from aiorts.links import Caller, LinkOffer, Peer, connecting, versions
+from aiorts.links import Caller, LinkOffer, Peer, ends
+from aiorts.model.links import versions
 from aiorts.links.call_values import restored
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.messages import Answer, LinkRequest, fields
@@ -118,8 +119,8 @@ def _offer(link: str, writer: str) -> bytes:
 def test_another_kernel_makes_a_bounded_number_of_connectors_and_of_its_own_ports_alone(
     what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connecting, "_BY_ONE", 3)
-    monkeypatch.setattr(connecting, "_BY_ALL", 5)
+    monkeypatch.setattr(ends, "_BY_ONE", 3)
+    monkeypatch.setattr(ends, "_BY_ALL", 5)
 
     def bodies(kernel: str, count: int) -> list[bytes]:
         if what == "request":
