@@ -147,8 +147,7 @@ class LinkEnd(Generic[Side]):
         self.on(LinkEvent.LEFT)
 
     def _lost(self, _link: object, why: str) -> None:
-        _LOG.warning("W-LINK: %s: lost the link: %s", self.connector.name, why)
-        self.on(LinkEvent.LOST)
+        self.on(LinkEvent.LOST, why)
 
     def _silent(self, _link: object) -> None:
         self.on(LinkEvent.SILENT)
@@ -296,6 +295,7 @@ class LinkEnd(Generic[Side]):
             self.link.why = self._links.reach.absent(self.far)
 
     def _lose(self) -> None:
+        _LOG.warning("W-LINK: %s: lost the link: %s", self.connector.name, self.link.why)
         policy = self.connector.profile.on_link_lost
         if policy is OnLinkLost.DISCONNECT:
             self._end()
@@ -332,10 +332,11 @@ class LinkEnd(Generic[Side]):
             return
         try:
             kernel.service(Introspection).listening.add(connector, self._look_whether_read, ())
+            self.link.settled = self._look_whether_read
         except StateError:  # it is a tap, which the system does not know, or a real-time thread reads
             kernel.call_later(_READ_SECONDS, self._read_out)
 
-    def _look_whether_read(self, _event: object) -> None:
+    def _look_whether_read(self, _event: object = None) -> None:
         connector = self.connector
         if isinstance(self.link, ReaderLink) and not (connector.closed or self.link.busy or unread_of(connector)):
             self._end()
@@ -407,10 +408,11 @@ def reader_end(
     decode = codec.parts_decoder(kind)
     if shape is not None:
         decode = of_shape(decode, port_type(kind).check_shape, shape)
-    pulls = connector.profile.dataflow is Dataflow.PULL
+    side: Any = PullingReaderLink if connector.profile.dataflow is Dataflow.PULL else ReaderLink
 
     def link(*args: Any, unanswered: object, **given: Any) -> ReaderLink:
-        return (PullingReaderLink if pulls else ReaderLink)(*args, decode=decode, **given)
+        made: ReaderLink = side(*args, decode=decode, **given)
+        return made
 
     role = LinkRole.REQUESTS if own else LinkRole.ANSWERS
     return LinkEnd(links, connector, port.far, role, own=own, link=link, departures=departures)

@@ -63,6 +63,8 @@ class ReaderLink:
         """Samples that could not be decoded."""
         self.reported: ConnectorStatistics = connector.statistics
         """What its connector had counted when the writer's kernel last asked."""
+        self.settled: Callable[[], None] | None = None
+        """Called when a sample that waited for room is in the reader's buffer, or was refused."""
         self._waiting: Waiting | None = None
         self._ended = False
         self._ages = connector.profile.lifespan is not None
@@ -217,6 +219,8 @@ class ReaderLink:
             self.end.done(now, number, 1)
         self._deliver(now)
         self._poll(now)
+        if self.settled is not None:
+            self.settled()
 
 
 def _always_waits(_sample: Any) -> bool:

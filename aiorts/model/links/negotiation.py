@@ -167,8 +167,8 @@ offer        | !        | !        | !        | !        | !        | !       | 
 made         | !        | !        | connect  | !        | !        | !       | !
 unmade       | !        | !        | pause    | !        | !        | !       | !
 late         | -        | -        | -        | -        | -        | tell    | tell
-lost         | !        | !        | !        | !        | lose     | !       | !
-silent       | !        | !        | !        | !        | drop     | !       | !
+lost         | !        | !        | !        | !        | lose     | !       | -
+silent       | !        | !        | !        | !        | drop     | !       | -
 left         | read out | read out | read out | read out | read out | -       | -
 disconnected | depart   | depart   | depart   | depart   | close    | depart  | close
 """
@@ -189,7 +189,7 @@ offer        | open     | open     | open     | open     | open anew | !       |
 made         | !        | !        | connect  | !        | !         | !       | !
 unmade       | !        | !        | pause    | !        | !         | !       | !
 late         | -        | -        | -        | -        | -         | -       | -
-lost         | !        | !        | !        | !        | lose      | !       | !
+lost         | !        | !        | !        | !        | lose      | !       | -
 silent       | !        | !        | !        | !        | !         | !       | !
 left         | read out | read out | read out | read out | read out  | -       | -
 disconnected | depart   | depart   | depart   | depart   | close     | depart  | close
@@ -211,7 +211,7 @@ offer        | open     | !      | open     | open     | open anew  | !       | 
 made         | !        | !      | connect  | !        | !          | !       | !
 unmade       | !        | !      | heed     | !        | !          | !       | !
 late         | -        | -      | -        | -        | -          | -       | -
-lost         | !        | !      | !        | !        | lose, heed | !       | !
+lost         | !        | !      | !        | !        | lose, heed | !       | -
 silent       | !        | !      | !        | !        | !          | !       | !
 left         | read out | !      | read out | read out | read out   | !       | -
 disconnected | depart   | !      | depart   | depart   | close      | !       | close
