@@ -114,7 +114,8 @@ class Answering:
         end = self._ends.offered.get(key) or self._expected(offer, caller)
         if end is not None and not end.negotiation.takes_offers:
             end = None
-        if end is not None and end.negotiation.is_stale(offer.writer_epoch, offer.number):
+        epoch = 0 if caller.peer is None else caller.peer.epoch
+        if end is not None and end.negotiation.is_stale(epoch, offer.number):
             raise LinkError(f"{offer.link}: was offered again since")
         found: Any = None if end is None else self._awaits(end, caller)
         found = found or self._links.there(offer.reader, caller)
@@ -128,7 +129,7 @@ class Answering:
         if end is None or not _is_end(end.connector.in_, found):
             self._ends.check_made(offer.writer)
             end = self._new_reader(replace(offer, writer=writer), found)
-            end.negotiation.is_stale(offer.writer_epoch, offer.number)
+            end.negotiation.is_stale(epoch, offer.number)
         self._ends.offered.put(key, end)  # which may have had another name there
         self._number = self._number % 0xFFFFFFFF + 1
         return Answer(number=self._number, epoch=end.link.end.epoch), end

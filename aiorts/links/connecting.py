@@ -14,6 +14,7 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import LinkError, WiringError, format_error
@@ -78,6 +79,7 @@ class Links(KernelService):
         self._codec = MsgpackCodec(LINK)
         self._tasks: set[asyncio.Task[Any]] = set()
         self._turns: defaultdict[Peer, asyncio.Semaphore] = defaultdict(partial(asyncio.Semaphore, _AT_ONCE))
+        self.numbers = count(1)
         self.ends = Ends()
         """The ends of links in this kernel."""
         self.calls, self._serving = Calls(self), Serving(self)
@@ -259,13 +261,7 @@ class Links(KernelService):
             self._turns.pop(peer, None)
         for end in self.ends.all():
             if end.is_at(peer):
-                self._come_or_gone(end, peer, up)
-
-    def _come_or_gone(self, end: LinkEnd[Any], peer: Peer, up: bool) -> None:
-        if not up:
-            end.on(LinkEvent.GONE)
-        if (now := self.reach.peer_of(end.far)) is not None and (now == peer or not up):
-            end.on(LinkEvent.PRESENT)  # one that was started anew may be there before the other has gone
+                (end.present if up else end.gone)(peer)
 
     def peer_of(self, path: Path) -> Peer | None:
         """See `Kernels.peer_of`."""

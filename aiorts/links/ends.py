@@ -129,6 +129,32 @@ class LinkEnd(Generic[Side]):
         if step == self.negotiation.step:
             self.on(event, why)
 
+    def present(self, peer: Peer) -> None:
+        """A kernel of the name of the one at the other end has come."""
+        if self._links.peer_of(self.far) == peer:
+            self.on(LinkEvent.PRESENT)
+
+    def gone(self, peer: Peer) -> None:
+        """A kernel of that name has gone."""
+        # What is agreed with another one, or has a channel to it, has nothing to do with this one.
+        if self.negotiation.state is NegotiationState.UP:
+            if self._peer == peer:  # the transport may say in this moment how its channel was lost
+                self._links.kernel.loop.call_soon(self._left_alone, self.negotiation.step, peer)
+        elif self.negotiation.state is not NegotiationState.OFFERED or self._peer == peer:
+            self._gone("")
+
+    def _left_alone(self, step: int, peer: Peer) -> None:
+        now = self.negotiation
+        if now.step == step:
+            self._gone(f"{peer.kernel}: is gone")
+        elif now.step == step + 1 and now.state is NegotiationState.WAITING:  # lost
+            self._gone("")
+
+    def _gone(self, why: str) -> None:
+        self.on(LinkEvent.GONE, why)
+        if self._links.peer_of(self.far) is not None:
+            self.on(LinkEvent.PRESENT)  # one that was started anew may be there before the other has gone
+
     def refused(self, why: str) -> None:
         """The link will never be: whoever connects it gets this reason."""
         connector = self.connector
@@ -207,7 +233,8 @@ class LinkEnd(Generic[Side]):
 
     async def _make_offer(self, step: int, peer: Peer) -> None:
         assert isinstance(self.link, WriterLink)  # noqa: S101 - a reader's end requests
-        offer = replace(self.link.offer(self._links.path_of(self.connector.out, peer), self.far), number=step)
+        offer = self.link.offer(self._links.path_of(self.connector.out, peer), self.far)
+        offer = replace(offer, number=next(self._links.numbers))
         answer = await self._question(peer, "offer", offer.to_bytes())
         if step != self.negotiation.step:
             return self._came_late(peer, answer.epoch) if answer.number else None
@@ -280,7 +307,7 @@ class LinkEnd(Generic[Side]):
         self.link.connect(channel, offer.number, epoch)
 
     def _drop(self) -> None:
-        self.link.drop("it is offered anew")
+        self.link.drop(self.link.why or "it is offered anew")
 
     def _say_waits(self) -> None:
         if self.negotiation.state is NegotiationState.ABSENT:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection, Coroutine
+from collections.abc import Collection, Coroutine, Iterator
 from contextlib import AbstractAsyncContextManager
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -62,6 +62,8 @@ class Kernels(Protocol):
     """The links of one kernel, and through them the other kernels."""
 
     kernel: Microkernel
+    numbers: Iterator[int]
+    """Of the offers of this kernel: one that is overtaken on the way by a later one is known by its number."""
 
     @property
     def reach(self) -> Reached:

@@ -101,7 +101,7 @@ class LinkAction(Enum):
     ASK = "ask the other kernel, or say that it is missing"
     ABANDON = "end what the other kernel has connected and never had a channel for"
     REPORT = "log what the link waits for"
-    RETRY = "ask again after a pause, each time a longer one"
+    RETRY = "try again after a pause, each time a longer one"
     EXPECT = "ask again where the offer that was promised does not come"
     LINGER = "ask again much later"
     OPEN = "make the channel"
@@ -129,6 +129,7 @@ MOVES: Final[Mapping[str, Move]] = MappingProxyType(
         "ask anew": Move(_S.ASKING, (_A.DROP, _A.ASK)),
         "part": Move(_S.ABSENT, (_A.ABANDON,)),
         "miss": Move(_S.ABSENT, (_A.REPORT,)),
+        "leave": Move(_S.ABSENT, (_A.DROP, _A.LOSE)),
         "heed": Move(_S.WAITING, ()),
         "pause": Move(_S.WAITING, (_A.RETRY,)),
         "expect": Move(_S.WAITING, (_A.EXPECT,)),
@@ -153,7 +154,7 @@ IMPOSSIBLE: Final = "!"
 _OFFERS: Final = """
              | absent   | asking   | offered  | waiting  | up       | refused | ended
 present      | ask      | ask      | ask      | ask      | -        | -       | -
-gone         | -        | part     | part     | part     | -        | -       | -
+gone         | -        | part     | part     | part     | leave    | -       | -
 missing      | !        | miss     | !        | !        | !        | !       | !
 come         | -        | ask      | -        | ask      | -        | -       | -
 wanted       | -        | -        | -        | ask      | ask anew | -       | -
@@ -175,7 +176,7 @@ disconnected | depart   | depart   | depart   | depart   | close    | depart  | 
 _REQUESTS: Final = """
              | absent   | asking   | offered  | waiting  | up        | refused | ended
 present      | ask      | ask      | -        | ask      | -         | -       | -
-gone         | -        | part     | -        | part     | -         | -       | -
+gone         | -        | part     | part     | part     | leave     | -       | -
 missing      | !        | miss     | !        | !        | !         | !       | !
 come         | -        | ask      | -        | ask      | -         | -       | -
 wanted       | !        | !        | !        | !        | !         | !       | !
@@ -197,11 +198,11 @@ disconnected | depart   | depart   | depart   | depart   | close     | depart  |
 _ANSWERS: Final = """
              | absent   | asking | offered  | waiting  | up         | refused | ended
 present      | heed     | !      | -        | -        | -          | !       | -
-gone         | -        | !      | -        | part     | -          | !       | -
+gone         | -        | !      | part     | part     | leave      | !       | -
 missing      | !        | !      | !        | !        | !          | !       | !
 come         | -        | !      | -        | -        | -          | !       | -
 wanted       | !        | !      | !        | !        | !          | !       | !
-due          | !        | !      | !        | !        | !          | !       | !
+due          | !        | !      | !        | open     | !          | !       | !
 agreed       | !        | !      | !        | !        | !          | !       | !
 promised     | !        | !      | !        | !        | !          | !       | !
 lacking      | !        | !      | !        | !        | !          | !       | !
@@ -209,7 +210,7 @@ refused      | !        | !      | !        | !        | !          | !       | 
 unanswered   | !        | !      | !        | !        | !          | !       | !
 offer        | open     | !      | open     | open     | open anew  | !       | !
 made         | !        | !      | connect  | !        | !          | !       | !
-unmade       | !        | !      | heed     | !        | !          | !       | !
+unmade       | !        | !      | pause    | !        | !          | !       | !
 late         | -        | -      | -        | -        | -          | -       | -
 lost         | !        | !      | !        | !        | lose, heed | !       | -
 silent       | !        | !      | !        | !        | !          | !       | !
@@ -299,8 +300,8 @@ class Negotiation:
         return self.state is not NegotiationState.ASKING and self.pause != EXPECT
 
     def is_stale(self, epoch: int, number: int) -> bool:
-        """Whether an offer of the writer's end of this epoch was made before another that has come: 0 is of a kernel
-        that does not number them. Else it is the latest one."""
+        """Whether an offer of the kernel of this epoch was made before another that has come: 0 is of a kernel that
+        does not number them. Else it is the latest one."""
         if epoch == self._heard[0] and 0 < number < self._heard[1]:
             return True
         self._heard = epoch, number
