@@ -1,4 +1,4 @@
-"""A transport whose kernel is held up, killed, and heard late: at any step of finding, greeting, offering, answering."""
+"""A transport whose kernel is held up, killed and heard late: at any step of finding, greeting, offering, answering."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class ShakyTransport:
     """Another transport, behind which its kernel stands still or is dead, and whose messages take their time.
 
     While it is held nothing comes to the kernel and nothing that it does gets out. Each question and each answer is
-    under way for as long as `delay` says, whatever was sent before or after it, or for ever, as `lost` says. `step` hears
-    of each step.
+    under way for as long as `delay` says, whatever was sent before or after it; an answer is lost where `lost` says so.
+    `step` hears of each step.
     """
 
     def __init__(

@@ -12,11 +12,10 @@ import pytest
 from aiorts import Kernel
 from aiorts.errors import InterfaceMismatch, LinkError
 from aiorts.links import Caller, LinkOffer, Peer, ends
-from aiorts.model.links import versions
 from aiorts.links.call_values import restored
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.messages import Answer, LinkRequest, fields
-from aiorts.model.links import ReaderEnd, WriterEnd
+from aiorts.model.links import ReaderEnd, WriterEnd, versions
 from aiorts.model.links.frames import BATCH, BATCH_BYTES, acknowledgement, data, hello
 from aiorts.model.names import Path
 from aiorts.model.profile import ConnectorProfile
