@@ -58,7 +58,7 @@ def _is_end(port: Port[Any], found: Port[Any]) -> bool:
 
 
 class Answering:
-    """What one kernel answers to those that offer links, ask for offers, and say who has come or left.
+    """The answers of one kernel to those that offer links, ask for offers, and say who has come or left.
 
     Args:
         read_end: makes the reader's end of a connector.
@@ -73,7 +73,7 @@ class Answering:
         """Whether a connector is being made because another kernel wants it."""
 
     def handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
-        """What other kernels may ask."""
+        """The questions that other kernels may ask, and what answers them."""
         return {"offer": self._offered, "request": self._requested, "come": self._come, "left": self._left}
 
     @contextmanager

@@ -123,12 +123,12 @@ class Departure:
     connector: str
     """The name that the connector had."""
     epoch: int
-    """Of the other end."""
+    """The epoch of the other end."""
 
 
 class Departures:
-    """What other kernels are told of links that were disconnected while they were down; kernels that are away hear it
-    when they are back.
+    """The links that were disconnected while they were down, until the other kernel knows of it: now, or when it is
+    back.
 
     Args:
         connectors: the names of the connectors that there are now: of one that was made again nothing is told.

@@ -46,7 +46,7 @@ _ASK_SECONDS: Final = 2.0
 _OPEN_SECONDS: Final = 2.0
 """How long a transport may take to make a channel."""
 _READ_SECONDS: Final = 0.05
-"""How often it is looked whether a connector at which nobody may listen was read empty."""
+"""The interval in which a connector that takes no listener is looked at, until it was read empty."""
 _BY_ONE: Final = 10_000
 """Connectors of this kernel that another one may have made."""
 _BY_ALL: Final = 20_000
@@ -93,7 +93,7 @@ class LinkEnd(Generic[Side]):
         self._peer: Peer | None = None
         """The kernel that was asked last, or whose offer was taken last."""
         self._offer: LinkOffer | None = None
-        """What both ends have agreed on last."""
+        """The offer that both ends have agreed on last."""
         self._channel: Channel | None = None
         """One that was made and is not in use yet."""
         self._opening: asyncio.Task[Any] | None = None
@@ -102,7 +102,7 @@ class LinkEnd(Generic[Side]):
         self._timer: Cancellable | None = None
         self._watchers: list[asyncio.Future[None]] = []
         self._said = ""
-        """What it waits for, as was logged since it was up last."""
+        """The reason to wait that was logged last since it was up."""
 
     # -- what happens ----------------------------------------------------------------------------------------------
 
@@ -153,10 +153,10 @@ class LinkEnd(Generic[Side]):
     def _gone(self, why: str) -> None:
         self.on(LinkEvent.GONE, why)
         if self._links.peer_of(self.far) is not None:
-            self.on(LinkEvent.PRESENT)  # one that was started anew may be there before the other has gone
+            self.on(LinkEvent.PRESENT)  # a kernel may be back before its former process has gone
 
     def refused(self, why: str) -> None:
-        """The link will never be: whoever connects it gets this reason."""
+        """The link is refused: `connect` fails with this reason."""
         connector = self.connector
         self.answer_first(WiringError(f"{connector.out.path} -> {connector.in_.path}: {why}"))
         self.on(LinkEvent.REFUSED, why)
@@ -167,8 +167,8 @@ class LinkEnd(Generic[Side]):
         self.on(LinkEvent.OFFER)
 
     def left(self, _link: object = None) -> None:
-        """The other end was disconnected."""
-        tell = _LOG.warning if self.own else _LOG.info  # whoever connected it may well disconnect it
+        """A disconnection of the other end has come."""
+        tell = _LOG.warning if self.own else _LOG.info  # the kernel that connected it may well disconnect it
         tell("W-LINK: %s: was disconnected by %s", self.connector.name, self.far)
         self.on(LinkEvent.LEFT)
 
@@ -191,13 +191,13 @@ class LinkEnd(Generic[Side]):
         return self.far.kernel == peer.kernel and self.far.host.lower() in ("", "localhost", peer.host.lower())
 
     def answer_first(self, error: AiortsError | None) -> None:
-        """Whoever waits for the first answer has it."""
+        """The first answer is there: `connect` goes on, or fails with the error."""
         if not self.first.done():
             if error is None:
                 self.first.set_result(None)
             else:
                 self.first.set_exception(error)
-                self.first.exception()  # whoever did not wait for it has read it in the log
+                self.first.exception()  # a caller that did not wait has it in the log
 
     def up(self) -> asyncio.Future[None]:
         """Done when there is a channel, or never will be."""
@@ -224,7 +224,7 @@ class LinkEnd(Generic[Side]):
             peer = self._peer = self._links.reach.peer_of(self.far)
             if peer is None:
                 return self._on_step(step, LinkEvent.MISSING)
-            # Where somebody waits for the first answer, thousands of others that are offered anew hold nothing up.
+            # A call of `connect` waits for the first answer, and not for thousands of links that are offered again.
             async with self._links.turn(peer) if self.first.done() else nullcontext():
                 if step == self.negotiation.step:
                     await (self._make_offer if isinstance(self.link, WriterLink) else self._request)(step, peer)
@@ -369,7 +369,7 @@ class LinkEnd(Generic[Side]):
             self._end()
 
     def _close(self) -> None:
-        # The end of a kernel ends what it has connected; whoever connected from elsewhere waits for its return.
+        # The end of a kernel ends what it has connected; links that other kernels connected wait for its return.
         self.link.close(for_good=self.own or not self._links.kernel.closed)
 
     def _depart(self) -> None:
@@ -387,7 +387,7 @@ class LinkEnd(Generic[Side]):
     # -- its names -------------------------------------------------------------------------------------------------
 
     def reader_path(self, peer: Peer | None = None) -> str:
-        """What the kernel of the writer is told that the in-port is, which may stand for one of a third kernel."""
+        """The path of the in-port as the kernel of the writer knows it; it may stand for one of a third kernel."""
         port: InPort[Any] = self.connector.in_
         if isinstance(port, FarInPort) and "/" in port.path:
             name = f"{port.far.kernel}-{port.far.component}"[:MAX_NAME_LENGTH]
@@ -412,7 +412,7 @@ _CARRIED_OUT: Final[Mapping[LinkAction, Callable[[LinkEnd[Any]], None]]] = {
     LinkAction.DEPART: LinkEnd._depart,
     LinkAction.TELL: LinkEnd._tell_late,
 }
-"""What carries out each action; the pauses are set with every move."""
+"""The method that carries out each action; pauses are set with every move."""
 
 
 def writer_end(
@@ -516,7 +516,7 @@ class Ends:
         return [end for end in found if end is not None]
 
     def at(self, component: str) -> Collection[LinkEnd[Any]]:
-        """Those to a component of this name in any kernel, in the order in which they were added."""
+        """The ends of links to a component of this name in any kernel, in the order in which they were added."""
         return tuple(self._by_component.get(component, ()))
 
     def check_made(self, path: Path) -> None:

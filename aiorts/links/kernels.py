@@ -1,4 +1,4 @@
-"""What the ends of links, questions and calls between kernels need of the links of one kernel."""
+"""The interface of one kernel's links, for the ends of links and for questions and calls between kernels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Reached(Protocol):
-    """The other kernels that are there, and what carries links to them."""
+    """The kernels that are there, and the transports that carry links to them."""
 
     @property
     def carried(self) -> Collection[str]:
@@ -54,7 +54,7 @@ class Reached(Protocol):
         ...
 
     def carrier(self, peer: Peer | None) -> Transport:
-        """What carries links to a kernel. LinkError: it is gone."""
+        """The transport that carries links to a kernel. LinkError: the kernel is gone."""
         ...
 
 
@@ -63,11 +63,11 @@ class Kernels(Protocol):
 
     kernel: Microkernel
     numbers: Iterator[int]
-    """Of the offers of this kernel: one that is overtaken on the way by a later one is known by its number."""
+    """The numbers of this kernel's offers: an offer that is overtaken on the way is known by its number."""
 
     @property
     def reach(self) -> Reached:
-        """The other kernels, and the transports that reach them."""
+        """The kernels that can be reached, and the transports that reach them."""
         ...
 
     @property

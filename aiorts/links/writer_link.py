@@ -89,7 +89,7 @@ class WriterLink:
         self._unsendable = False
         self._ended = False
         self._idle: asyncio.Future[None] | None = None
-        """Awaited by whoever ends the kernel."""
+        """The future that the end of the kernel awaits."""
         self._transport().extra[LINK] = self
         receiver_of(connector.in_).add_callback(self._written)
 

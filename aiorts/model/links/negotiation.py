@@ -22,7 +22,7 @@ LINGER: Final = 10.0
 
 
 class LinkRole(StrEnum):
-    """What an end of a link does for it."""
+    """The part of an end in making the link."""
 
     OFFERS = "offers"
     """The writer's end."""
@@ -36,32 +36,32 @@ class NegotiationState(StrEnum):
     """How far the negotiation of one end is."""
 
     ABSENT = "absent"
-    """The other kernel is not there."""
+    """There is no such kernel."""
     ASKING = "asking"
     """A question to the other kernel is under way: an offer, or a request for one."""
     OFFERED = "offered"
     """An offer is agreed on, and the channel is being made."""
     WAITING = "waiting"
-    """The other kernel is there: it is asked when that is due, or makes its offer."""
+    """There is such a kernel: it is asked when that is due, or makes its offer."""
     UP = "up"
     """There is a channel."""
     REFUSED = "refused"
-    """The other kernel refuses the link: the connector ends."""
+    """The link is refused by either kernel: the connector ends."""
     ENDED = "ended"
     """Either end was disconnected."""
 
 
 class LinkEvent(StrEnum):
-    """What happens to one end of a link."""
+    """An event at one end of a link."""
 
     PRESENT = "present"
-    """The other kernel has come, or another one of its name."""
+    """A kernel of that name has come."""
     GONE = "gone"
-    """The other kernel has gone."""
+    """A kernel of that name has gone."""
     MISSING = "missing"
-    """It was to be asked, and there is no such kernel."""
+    """A question cannot be asked: there is no such kernel."""
     COME = "come"
-    """The other kernel says that the component is there."""
+    """The component has come, as its kernel says."""
     WANTED = "wanted"
     """The reader's kernel asks for an offer."""
     DUE = "due"
@@ -87,15 +87,15 @@ class LinkEvent(StrEnum):
     LOST = "lost"
     """The transport says that the channel is down."""
     SILENT = "silent"
-    """Nobody answers on the channel."""
+    """The channel is up, and no frame answers on it."""
     LEFT = "left"
-    """The other end was disconnected."""
+    """A disconnection of the other end has come."""
     DISCONNECTED = "disconnected"
     """The connector of this end has ended."""
 
 
 class LinkAction(Enum):
-    """What is to be carried out, in this order, after the state is another."""
+    """An action of the driver; the actions of a cell are carried out in order, in the state that follows."""
 
     DROP = "give the channel up"
     ASK = "ask the other kernel, or say that it is missing"
@@ -115,7 +115,7 @@ class LinkAction(Enum):
 
 
 class Move(NamedTuple):
-    """What an event does in one state."""
+    """A cell: the effect of an event in one state."""
 
     state: NegotiationState | None
     """The state that follows; None: the same."""
@@ -232,18 +232,18 @@ def _rows(text: str) -> dict[tuple[NegotiationState, LinkEvent], str]:
 TABLE: Final[Mapping[LinkRole, Mapping[tuple[NegotiationState, LinkEvent], str]]] = MappingProxyType(
     {role: _rows(text) for role, text in zip(LinkRole, (_OFFERS, _REQUESTS, _ANSWERS), strict=True)}
 )
-"""What each event does in each state, by role: a word of `MOVES`, `IGNORED` or `IMPOSSIBLE`."""
+"""The tables by role: each cell is a word of `MOVES`, `IGNORED` or `IMPOSSIBLE`."""
 
 
 class ImpossibleEvent(Exception):
-    """An event that cannot happen in this state: a fault of whoever drives the table."""
+    """An event cannot happen in this state: the driver of the table has a fault."""
 
 
 class Negotiation:
     """The state of one end of a link, and the rules by which it changes.
 
-    Whoever drives it says what happens (`on`) and carries out the actions. What was begun in an earlier step and comes
-    back later counts only while `step` is still the same.
+    The driver reports each event (`on`) and carries out the actions. The result of an action counts only while `step`
+    is still what it was when the action began.
     """
 
     state = NegotiationState.ABSENT
@@ -260,7 +260,7 @@ class Negotiation:
         self._heard = (0, 0)
 
     def on(self, event: LinkEvent) -> tuple[LinkAction, ...]:
-        """What is to be carried out now that this has happened.
+        """Take an event, and return the actions that are to be carried out now.
 
         Raises:
             ImpossibleEvent: it cannot happen in this state.
@@ -294,7 +294,7 @@ class Negotiation:
 
     @property
     def is_answered(self) -> bool:
-        """Whether there is nothing to wait for before whoever connected it goes on."""
+        """Whether `connect` has nothing more to wait for."""
         if self.state is NegotiationState.OFFERED:
             return self.role is not LinkRole.OFFERS
         return self.state is not NegotiationState.ASKING and self.pause != EXPECT
