@@ -182,7 +182,7 @@ async def schedule(seed: int) -> float:
     return took
 
 
-@pytest.mark.fault("E07")
+@pytest.mark.fault("E06")
 @pytest.mark.parametrize("part", range(5))
 def test_a_link_is_up_two_seconds_after_both_ends_can_talk_whatever_held_them_up(part: int) -> None:
     many = cases(5_000) // 5
