@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections import defaultdict
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
@@ -79,7 +79,8 @@ class Links(KernelService):
         self._codec = MsgpackCodec(LINK)
         self._tasks: set[asyncio.Task[Any]] = set()
         self._turns: defaultdict[Peer, asyncio.Semaphore] = defaultdict(partial(asyncio.Semaphore, _AT_ONCE))
-        self.numbers = count(1)
+        self.numbers: Iterator[int] = count(1)
+        """The numbers of this kernel's offers."""
         self.ends = Ends()
         """The ends of links in this kernel."""
         self.calls, self._serving = Calls(self), Serving(self)
