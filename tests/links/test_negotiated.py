@@ -13,7 +13,7 @@ from aiorts import Kernel
 from aiorts.errors import AiortsError
 from aiorts.links import Links
 from aiorts.testing import MemoryNetwork, simulate
-from campaign import cases
+from campaign import cases, time_limit
 from links.memory_kernels import Sink, Source, long
 from links.shaky_transport import ShakyTransport, delays
 
@@ -183,6 +183,7 @@ async def schedule(seed: int) -> float:
 
 
 @pytest.mark.fault("E06")
+@pytest.mark.timeout(time_limit(600))
 @pytest.mark.parametrize("part", range(5))
 def test_a_link_is_up_two_seconds_after_both_ends_can_talk_whatever_held_them_up(part: int) -> None:
     many = cases(5_000) // 5
