@@ -475,6 +475,24 @@ def _folded(text: str) -> str:
     return "\n".join(out)
 
 
+LINKS: Final = FOLDER.parent / "explanation" / "links.md"
+"""A page with a part that is written from the table of a link's negotiation."""
+_ROLES: Final = {
+    "offers": "The writer's end",
+    "requests": "The reader's end, connected by its own kernel",
+    "answers": "The reader's end, connected by the writer's kernel",
+}
+_PART: Final = re.compile(r"(?<=correct the table there\. -->\n).*(?=<!-- End of)", re.DOTALL)
+
+
+def links_page(text: str) -> str:
+    """The page of links as it ought to be now, with the diagrams of the table."""
+    from aiorts.model.links.negotiation import LinkRole, mermaid
+
+    parts = [f"\n## {_ROLES[role]}\n\n```mermaid\n{mermaid(role)}```\n" for role in LinkRole]
+    return _PART.sub("".join(parts) + "\n", text)
+
+
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).with_name("architecture")))
     os.environ.pop("AIORTS_PLUGINS", None)
@@ -482,3 +500,5 @@ if __name__ == "__main__":
     for name in sys.argv[1:] or PAGES:
         (FOLDER / f"{name}.md").write_text(page(name), encoding="utf-8")
         print(f"{FOLDER / name}.md")
+    LINKS.write_text(links_page(LINKS.read_text(encoding="utf-8")), encoding="utf-8")
+    print(LINKS)

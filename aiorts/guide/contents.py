@@ -57,7 +57,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "explanation": (
         "Explanation",
-        ("architecture", "model", "policies", "delivery", "limits", "measured", "releases"),
+        ("architecture", "model", "policies", "delivery", "links", "limits", "measured", "releases"),
     ),
     "coming-from": (
         "Coming from",

@@ -1,28 +1,33 @@
-"""Answers to what other kernels ask about links: with the versions that this kernel speaks; a refusal is logged.
-
-Also the tables in which it is found without a walk over all links which one they mean: there may be thousands.
-"""
+"""Answers to what other kernels ask about links: with the versions that this kernel speaks; a refusal is logged."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.errors import WiringError
+from aiorts.errors import AiortsError, LinkError, WiringError
 from aiorts.kernel.loop.guarded import KernelLog
-from aiorts.links import versions
-from aiorts.links.messages import Answer
+from aiorts.kernel.ports import InPort, OutPort
+from aiorts.kernel.ports.far import far_port
+from aiorts.links.layout import difference, layout_of
+from aiorts.links.messages import Answer, LinkRequest, fields, versions_of
+from aiorts.links.reader_link import ReaderLink, reader_options
+from aiorts.links.transport import LinkOffer
+from aiorts.links.writer_link import WriterLink
+from aiorts.model.links import versions
+from aiorts.model.links.negotiation import LinkEvent
+from aiorts.model.names import Path
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports import Port
-    from aiorts.links.arrivals import Link
-    from aiorts.links.reader_link import ReaderLink
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.links.ends import Ends, LinkEnd
+    from aiorts.links.kernels import Kernels
     from aiorts.links.transport import Caller
-    from aiorts.model.names import Path
 
 _LOG: Final = KernelLog()
-Name: TypeAlias = tuple[str, str]
 
 
 def name_of(caller: Caller) -> str:
@@ -41,62 +46,166 @@ def refusal(what: str, caller: Caller, error: WiringError) -> bytes:
     return sent(Answer(refused=str(error)))
 
 
-def check_theirs(path: Path, caller: Caller) -> None:
+def _check_theirs(path: Path, caller: Caller) -> None:
     """WiringError: the port is not one of the kernel that asks."""
     if caller.peer is None or path.kernel != caller.peer.kernel:
         raise WiringError(f"{path}: is no port of {name_of(caller)}, which asks")
 
 
-def is_end(port: Port[Any], found: Port[Any]) -> bool:
+def _is_end(port: Port[Any], found: Port[Any]) -> bool:
     """Whether this port of a connector is this one that was found, or stands for it."""
     return port is found or (found.elsewhere is not None and getattr(port, "far", None) == found.elsewhere)
 
 
-class NamedEnds:
-    """Reader's ends by a name of two parts. Each has one name, the last that it was given; so has each name."""
+class Answering:
+    """The answers of one kernel to those that offer links, ask for offers, and say who has come or left.
 
-    def __init__(self) -> None:
-        self._links: dict[Name, ReaderLink] = {}
-        self._names: dict[Link, Name] = {}
+    Args:
+        read_end: makes the reader's end of a connector.
+        start: what other kernels' numbers of channels begin with.
+    """
 
-    def get(self, name: Name) -> ReaderLink | None:
-        """The end of this name."""
-        return self._links.get(name)
+    def __init__(
+        self, links: Kernels, ends: Ends, read_end: Callable[[Connector], LinkEnd[ReaderLink]], start: int
+    ) -> None:
+        self._links, self._ends, self._read_end, self._number = links, ends, read_end, start
+        self.is_connecting = False
+        """Whether a connector is being made because another kernel wants it."""
 
-    def name_of(self, link: ReaderLink) -> Name | None:
-        """The name of this end."""
-        return self._names.get(link)
+    def handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
+        """The questions that other kernels may ask, and what answers them."""
+        return {"offer": self._offered, "request": self._requested, "come": self._come, "left": self._left}
 
-    def put(self, name: Name, link: ReaderLink) -> None:
-        """Give an end a name."""
-        self.forget(link)
-        if (before := self._links.get(name)) is not None:
-            del self._names[before]
-        self._links[name], self._names[link] = link, name
+    @contextmanager
+    def _connecting(self) -> Iterator[None]:
+        self.is_connecting = True
+        try:
+            yield
+        finally:
+            self.is_connecting = False
 
-    def forget(self, link: Link) -> None:
-        """It has no name any more."""
-        if (name := self._names.pop(link, None)) is not None:  # a writer's end has none
-            del self._links[name]
+    # -- offers ----------------------------------------------------------------------------------------------------
 
+    async def _offered(self, body: bytes, caller: Caller) -> bytes:
+        """The answer to an offer of another kernel."""
+        offer = None
+        try:
+            version = versions.agreed(name_of(caller), versions_of(body))
+            offer = replace(LinkOffer.from_bytes(body), protocol=(version, version))
+            answer, end = self._accept(offer, caller)
+        except WiringError as error:
+            expected = None if offer is None else self._expected(offer, caller)
+            if expected is not None and self._is_of(expected, caller):
+                expected.refused(str(error))
+            return refusal("an offer", caller, error)
+        if end is not None:
+            writer = replace(offer.writer, host="" if caller.peer is None else caller.peer.host)
+            agreed = replace(offer, writer=writer, reader_epoch=answer.epoch, number=answer.number)
+            end.offered(agreed, caller.peer)
+        elif (expected := self._expected(offer, caller)) is not None:
+            expected.answer_first(None)  # it has to come again, since the reader does not run yet
+        return sent(answer)
 
-class EndsByComponent:
-    """Links by the component at their other end, whatever kernel that is in."""
+    def _accept(self, offer: LinkOffer, caller: Caller) -> tuple[Answer, LinkEnd[ReaderLink] | None]:
+        _check_theirs(offer.writer, caller)
+        self._links.reach.carrier(caller.peer)  # LinkError: it is gone, or not found yet, and has to ask again
+        writer = replace(offer.writer, host=self._links.reach.host_of(caller.peer))
+        key = (f"{writer.host}/{writer.kernel}", offer.link)
+        end = self._ends.offered.get(key) or self._expected(offer, caller)
+        if end is not None and not end.negotiation.takes_offers:
+            end = None
+        epoch = 0 if caller.peer is None else caller.peer.epoch
+        if end is not None and end.negotiation.is_stale(epoch, offer.number):
+            raise LinkError(f"{offer.link}: was offered again since")
+        found: Any = None if end is None else self._awaits(end, caller)
+        found = found or self._links.there(offer.reader, caller)
+        if isinstance(found, Answer):
+            return found, None
+        if not isinstance(found, InPort):
+            raise WiringError(f"{offer.reader}: is no in-port")
+        schema, text = layout_of(found.type)
+        if offer.schema != schema:
+            raise WiringError(f"types differ: {difference(offer.type_text, text) or 'their hashes differ'}")
+        if end is None or not _is_end(end.connector.in_, found):
+            self._ends.check_made(offer.writer)
+            end = self._new_reader(replace(offer, writer=writer), found)
+            end.negotiation.is_stale(epoch, offer.number)
+        self._ends.offered.put(key, end)  # which may have had another name there
+        self._number = self._number % 0xFFFFFFFF + 1
+        return Answer(number=self._number, epoch=end.link.end.epoch), end
 
-    def __init__(self) -> None:
-        self._links: dict[str, dict[Link, None]] = {}
+    def _expected(self, offer: LinkOffer, caller: Caller) -> LinkEnd[ReaderLink] | None:
+        """The reader's end that expects this offer, with the writer's host in its path or without."""
+        hosts = ("",) if caller.peer is None else ("", caller.peer.host)
+        reader = str(replace(offer.reader, host="", kernel=self._links.reached_as))
+        names = [(str(replace(offer.writer, host=host)), reader) for host in hosts]
+        return next(filter(None, map(self._ends.expected.get, names)), None)
 
-    def add(self, far: Path, link: Link) -> None:
-        """There is a link; `far`: the port at its other end."""
-        self._links.setdefault(far.component, {})[link] = None
+    def _is_of(self, end: LinkEnd[Any], caller: Caller) -> bool:
+        """Whether the other end is in the kernel that asks."""
+        return self._links.peer_of(end.far) == caller.peer
 
-    def remove(self, far: Path, link: Link) -> None:
-        """It has ended."""
-        links = self._links[far.component]
-        del links[link]
-        if not links:
-            del self._links[far.component]
+    def _awaits(self, end: LinkEnd[ReaderLink], caller: Caller) -> InPort[Any] | None:
+        """The reader of a link that this kernel has asked this caller for, where no component has it."""
+        in_ = end.connector.in_
+        return in_ if (in_.is_tap or in_.is_far) and end.own and self._is_of(end, caller) else None
 
-    def at(self, component: str) -> Collection[Link]:
-        """Those to a component of this name, in the order in which they were added."""
-        return tuple(self._links.get(component, ()))
+    def _new_reader(self, offer: LinkOffer, in_: InPort[Any]) -> LinkEnd[ReaderLink]:
+        out = far_port(self._links.kernel, in_, offer.writer, offer.unit, offer.shape)
+        with self._connecting():
+            (connector,) = self._links.kernel.connections.make((out, in_), reader_options(offer.profile))
+        return self._ends.readers.get(connector) or self._read_end(connector)
+
+    # -- requests --------------------------------------------------------------------------------------------------
+
+    async def _requested(self, body: bytes, caller: Caller) -> bytes:
+        """The answer to another kernel that wants one of its in-ports to be connected with an out-port of this one."""
+        try:
+            versions.agreed(name_of(caller), versions_of(body))
+            return sent(self._connect(LinkRequest.from_bytes(body), caller))
+        except WiringError as error:
+            return refusal("a request", caller, error)
+
+    def _connect(self, request: LinkRequest, caller: Caller) -> Answer:
+        try:
+            reader = Path.parse(request.reader)
+        except AiortsError as error:
+            raise WiringError(str(error)) from None
+        _check_theirs(reader, caller)
+        found = self._links.there(Path.parse(request.writer), caller)
+        if isinstance(found, Answer):
+            return found
+        if not isinstance(found, OutPort):
+            raise WiringError(f"{request.writer}: is no out-port")
+        full = replace(reader, host=self._links.reach.host_of(caller.peer))
+        for end in self._ends.at(reader.component):
+            if isinstance(end.link, WriterLink) and _is_end(end.connector.out, found) and end.far in (reader, full):
+                end.on(LinkEvent.WANTED)
+                return Answer()
+        try:
+            self._ends.check_made(reader)
+            with self._connecting():
+                self._links.kernel.connections.make((found, str(full)), request.options)
+        except AiortsError as error:
+            raise WiringError(str(error)) from None
+        return Answer()
+
+    # -- who has come or left --------------------------------------------------------------------------------------
+
+    async def _come(self, body: bytes, caller: Caller) -> bytes:
+        """A component has come that links of this kernel waited for."""
+        component = body.decode(errors="replace")
+        for end in self._ends.at(component):
+            if caller.peer is not None and end.far.kernel == caller.peer.kernel:  # by whatever way
+                end.on(LinkEvent.COME)
+        self._links.come(component, caller.peer)
+        return b""
+
+    async def _left(self, body: bytes, caller: Caller) -> bytes:
+        """In the kernel that asks the other end of a link was disconnected."""
+        (epoch,) = fields(body, (int,), longer=True)
+        for end in self._ends.all():
+            is_meant = end.link.end.epoch == epoch and not end.own  # its own are connected again
+            if is_meant and self._is_of(end, caller):
+                end.left()
+        return b""

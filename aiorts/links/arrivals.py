@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import LinkError, LinkTimeout, WiringError
 from aiorts.kernel.loop.bus import StateChanged
 from aiorts.kernel.ports import InPort
-from aiorts.links.messages import Answer, fields, packed
+from aiorts.late import dataclass
+from aiorts.links.messages import Answer, packed
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.names import Path
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports import Port
     from aiorts.links.kernels import Kernels
-    from aiorts.links.reader_link import ReaderLink
     from aiorts.links.transport import Caller, Peer
-    from aiorts.links.writer_link import WriterLink
-    from aiorts.model.names import Path
 
-Link: TypeAlias = "WriterLink | ReaderLink"
 _AWAITED: Final = 10_000
 """Components that are not there whose coming other kernels are told of."""
 _UNTOLD: Final = 1_000
@@ -115,47 +114,49 @@ class Arrivals:
             return
 
 
+@dataclass(frozen=True, slots=True)
+class Departure:
+    """The end of a link of this kernel is no more, and its other end does not know it."""
+
+    far: Path
+    """The port at the other end."""
+    connector: str
+    """The name that the connector had."""
+    epoch: int
+    """The epoch of the other end."""
+
+
 class Departures:
-    """The links that one kernel has connected, and disconnected while they were down: the other one hears of them, when
-    it is back.
+    """The links that were disconnected while they were down, until the other kernel knows of it: now, or when it is
+    back.
 
     Args:
-        links: that there are now. own: those of them that this kernel has connected, and not the other one.
-        ended: called with one whose other end was disconnected.
+        connectors: the names of the connectors that there are now: of one that was made again nothing is told.
     """
 
-    def __init__(
-        self,
-        kernels: Kernels,
-        links: Callable[[], Iterable[Link]],
-        own: Container[Link],
-        ended: Callable[[Link], None],
-    ) -> None:
-        self._kernels, self._links, self._own, self._ended = kernels, links, own, ended
-        self._untold: dict[Link, Path] = {}
+    def __init__(self, kernels: Kernels, connectors: Callable[[], Container[str]]) -> None:
+        self._kernels, self._connectors = kernels, connectors
+        self._untold: deque[Departure] = deque(maxlen=_UNTOLD)
 
-    def add(self, link: Link, far: Path) -> None:
-        """One is being disconnected here; `far`: the port at its other end."""
-        is_known_there = link.end.peer_epoch and not link.end.peer_ended and not link.is_connected
-        if link not in self._own or not is_known_there or self._kernels.kernel.closed:
-            return
-        if (peer := self._kernels.peer_of(far)) is not None:  # it is back, and the link was not offered again yet
-            self._kernels.run(self._tell(peer, link, far), "aiorts link")
-        elif len(self._untold) < _UNTOLD:
-            self._untold[link] = far
+    def add(self, departure: Departure) -> None:
+        """One is being disconnected."""
+        if (peer := self._kernels.peer_of(departure.far)) is not None:
+            self._kernels.run(self._tell(peer, departure), "aiorts link")
+        else:
+            self._untold.append(departure)
 
     def back(self, peer: Peer) -> None:
-        """Another kernel has come back. Of a link that was connected again meanwhile it hears nothing."""
-        names = {one.connector.name for one in self._links()}
-        for link, far in tuple(self._untold.items()):
-            if self._kernels.peer_of(far) == peer:
-                del self._untold[link]
-                if link.connector.name not in names:
-                    self._kernels.run(self._tell(peer, link, far), "aiorts link")
+        """Another kernel has come back."""
+        connectors = self._connectors()
+        for departure in tuple(self._untold):
+            if self._kernels.peer_of(departure.far) == peer:
+                self._untold.remove(departure)
+                if departure.connector not in connectors:
+                    self._kernels.run(self._tell(peer, departure), "aiorts link")
 
-    async def _tell(self, peer: Peer, link: Link, far: Path) -> None:
-        if not await self.tell(peer, link.end.peer_epoch):
-            self._untold[link] = far
+    async def _tell(self, peer: Peer, departure: Departure) -> None:
+        if not await self.tell(peer, departure.epoch):
+            self._untold.append(departure)
 
     async def tell(self, peer: Peer, epoch: int) -> bool:
         """Tell another kernel that its end of a link has no other one any more; False: it has not answered."""
@@ -166,12 +167,3 @@ class Departures:
         except LinkError:
             return True  # it has gone, or knows no such question
         return True
-
-    async def left(self, body: bytes, caller: Caller) -> bytes:
-        """The answer to a kernel in which the other end of a link was disconnected."""
-        (epoch,) = fields(body, (int,), longer=True)
-        for link in tuple(self._links()):
-            is_meant = link.end.epoch == epoch and link not in self._own  # its own are connected again
-            if is_meant and self._kernels.peer_of(self._kernels.far_of(link)) == caller.peer:
-                self._ended(link)
-        return b""

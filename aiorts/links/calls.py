@@ -148,7 +148,7 @@ class Calls:
     def look(self, far: FarProvider) -> None:
         """Bind it, if its kernel is there."""
         if self._links.peer_of(far.path) is None:
-            far.waits(self._links.absent(far.path))
+            far.waits(self._links.reach.absent(far.path))
         else:
             self._links.run(far.bind(), f"aiorts bind {far.name}")
 

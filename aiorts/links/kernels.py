@@ -1,9 +1,10 @@
-"""What questions and calls between kernels need of the links of one kernel."""
+"""The interface of one kernel's links, for the ends of links and for questions and calls between kernels."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Collection, Coroutine, Iterator
+from contextlib import AbstractAsyncContextManager
 from typing import TYPE_CHECKING, Any, Protocol
 
 from aiorts.links.messages import Answer
@@ -11,19 +12,63 @@ from aiorts.links.messages import Answer
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports import Port
-    from aiorts.links.reaching import Reach
-    from aiorts.links.reader_link import ReaderLink
-    from aiorts.links.transport import Caller, Peer
-    from aiorts.links.writer_link import WriterLink
+    from aiorts.links.transport import Caller, Peer, Transport
     from aiorts.model.names import Path
+
+
+class Reached(Protocol):
+    """The kernels that are there, and the transports that carry links to them."""
+
+    @property
+    def carried(self) -> Collection[str]:
+        """The names of kernels that connect what this kernel tells them to."""
+        ...
+
+    @property
+    def is_opening(self) -> bool:
+        """Whether it is not known yet who is there."""
+        ...
+
+    def open_for(self, path: Path) -> None:
+        """Open what reaches the kernel of a path, if nothing has yet."""
+        ...
+
+    async def opened_for(self, path: Path) -> None:
+        """Wait until it is known whether the kernel of a path is there. LinkError: it cannot be."""
+        ...
+
+    def peer_of(self, path: Path) -> Peer | None:
+        """The kernel of a path, if it is there."""
+        ...
+
+    def host_of(self, peer: Peer | None) -> str:
+        """The host of a kernel that the general transport does not reach, where another may have its name; else ""."""
+        ...
+
+    def name_for(self, peer: Peer | None) -> str:
+        """The name by which a kernel knows this one."""
+        ...
+
+    def absent(self, path: Path) -> str:
+        """Why the kernel of a path is not there: nobody has its name, or no kernel can be reached."""
+        ...
+
+    def carrier(self, peer: Peer | None) -> Transport:
+        """The transport that carries links to a kernel. LinkError: the kernel is gone."""
+        ...
 
 
 class Kernels(Protocol):
     """The links of one kernel, and through them the other kernels."""
 
     kernel: Microkernel
-    reach: Reach
-    """The other kernels, and the transports that reach them."""
+    numbers: Iterator[int]
+    """The numbers of this kernel's offers: an offer that is overtaken on the way is known by its number."""
+
+    @property
+    def reach(self) -> Reached:
+        """The kernels that can be reached, and the transports that reach them."""
+        ...
 
     @property
     def reached_as(self) -> str:
@@ -34,16 +79,12 @@ class Kernels(Protocol):
         """The kernel of a path, if it is there."""
         ...
 
-    def absent(self, path: Path) -> str:
-        """Why the kernel of a path is not there: nobody has its name, or no kernel can be reached."""
-        ...
-
-    def far_of(self, link: WriterLink | ReaderLink) -> Path:
-        """The port at the other end of a link."""
-        ...
-
     async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:
         """The answer of another kernel; LinkError, LinkTimeout: there is none."""
+        ...
+
+    def turn(self, peer: Peer) -> AbstractAsyncContextManager[None]:
+        """A turn at offering to another kernel: so many links have one at the same time."""
         ...
 
     def run(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
@@ -56,4 +97,8 @@ class Kernels(Protocol):
 
     def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
         """The port of this kernel that another one means, or the answer that it is not there yet."""
+        ...
+
+    def come(self, component: str, peer: Peer | None) -> None:
+        """A component has come to another kernel."""
         ...

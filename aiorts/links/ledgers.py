@@ -18,8 +18,7 @@ from aiorts.links.messages import fields, packed
 from aiorts.links.writer_link import WriterLink
 
 if TYPE_CHECKING:
-    from aiorts.kernel.ports.connector import Connector
-    from aiorts.links.answering import NamedEnds
+    from aiorts.links.ends import Ends, LinkEnd
     from aiorts.links.kernels import Kernels
     from aiorts.links.reader_link import ReaderLink
     from aiorts.links.transport import Caller
@@ -88,52 +87,41 @@ class _Report:
 
 
 class Ledgers:
-    """Asks and answers what the links of one kernel count.
+    """Asks and answers what the links of one kernel count."""
 
-    Args:
-        writers: the writer's ends by connector.
-        readers: the reader's ends by the writer's host and kernel, and its name of the link.
-    """
-
-    def __init__(
-        self,
-        links: Kernels,
-        writers: Mapping[Connector, WriterLink],
-        readers: NamedEnds,
-    ) -> None:
-        self._links, self._writers, self._readers = links, writers, readers
+    def __init__(self, links: Kernels, ends: Ends) -> None:
+        self._links, self._ends = links, ends
 
     def handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
         """What other kernels may ask."""
         return {"ledger": self._reported, "joined": self._joined}
 
-    async def of(self, link: WriterLink | ReaderLink, within: float) -> LinkLedger:
+    async def of(self, end: LinkEnd[WriterLink | ReaderLink], within: float) -> LinkLedger:
         """The ledger of a link, asked for at either end.
 
         Raises:
             LinkError: the other kernel is not there or does not answer, or either end is another one now.
         """
-        connector = link.connector
-        far = self._links.far_of(link)
-        peer = self._links.peer_of(far)
+        connector, link = end.connector, end.link
+        peer = self._links.peer_of(end.far)
         if peer is None:
-            raise LinkError(f"{connector.name}: ledger: there is no kernel {far.kernel!r}")
+            raise LinkError(f"{connector.name}: ledger: there is no kernel {end.far.kernel!r}")
         if isinstance(link, WriterLink):
             body = await self._links.ask(peer, "ledger", packed([connector.name]), within)
             return _join(link, _Report.from_bytes(body))
-        name = self._readers.name_of(link)
+        name = self._ends.offered.name_of(end)
         if name is None:
             raise LinkError(f"{connector.name}: ledger: {link.why}")
         # The writer's kernel asks this one in turn.
         return _read(await self._links.ask(peer, "joined", packed([name[1]]), 2 * within))
 
-    async def through(self, reader: ReaderLink, writer: WriterLink, within: float) -> LinkLedger:
+    async def through(self, reader: LinkEnd[ReaderLink], writer: LinkEnd[WriterLink], within: float) -> LinkLedger:
         """The ledger of a connector whose both ends are in other kernels; errors as those of `of`.
 
         The ledgers of its two links both have the part of this kernel, which is taken out of one.
         """
         one = await self.of(reader, within)
-        here = reader.reported
+        here = reader.link.reported
         two = await self.of(writer, within)
         dropped = added(added(one.dropped, two.dropped), {reason: -count for reason, count in here.dropped.items()})
         return LinkLedger(
@@ -149,16 +137,16 @@ class Ledgers:
         (name,) = fields(body, (str,), longer=True)
         peer = caller.peer
         whose = "" if peer is None else f"{self._links.reach.host_of(peer)}/{peer.kernel}"
-        link = self._readers.get((whose, name))
-        if link is None:
+        end = self._ends.offered.get((whose, name))
+        if end is None:
             raise LinkError(f"has no link {name!r:.80}")
-        return _report(link).to_bytes()
+        return _report(end.link).to_bytes()
 
     async def _joined(self, body: bytes, caller: Caller) -> bytes:
         (name,) = fields(body, (str,), longer=True)
-        for connector, link in self._writers.items():
-            if connector.name == name and self._links.peer_of(self._links.far_of(link)) == caller.peer:
-                ledger = await self.of(link, _WITHIN)
+        for connector, end in self._ends.writers.items():
+            if connector.name == name and self._links.peer_of(end.far) == caller.peer:
+                ledger = await self.of(end, _WITHIN)
                 counts = [ledger.written, ledger.delivered, ledger.buffered, ledger.in_flight]
                 return packed([*counts, ledger.acknowledged_before, dict(ledger.dropped)])
         raise LinkError(f"has no link {name!r:.80}")

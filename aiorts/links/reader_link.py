@@ -63,6 +63,8 @@ class ReaderLink:
         """Samples that could not be decoded."""
         self.reported: ConnectorStatistics = connector.statistics
         """What its connector had counted when the writer's kernel last asked."""
+        self.settled: Callable[[], None] | None = None
+        """Called when a sample that waited for room is in the reader's buffer, or was refused."""
         self._waiting: Waiting | None = None
         self._ended = False
         self._ages = connector.profile.lifespan is not None
@@ -89,8 +91,6 @@ class ReaderLink:
 
     def connect(self, channel: Channel, number: int, peer_epoch: int) -> None:
         """Receive over this channel from now on the frames that carry `number`."""
-        if self._channel is not None:
-            self._channel.close()  # of an earlier offer, whose answer came too late
         self._channel, self.why = channel, ""
         self.end.renumber(number)
         now = self._now()
@@ -114,10 +114,19 @@ class ReaderLink:
     def on_state(self, up: bool, why: str) -> None:
         if up or self._channel is None:
             return
+        self._down(why)
+        self._lost(self, why)
+
+    def drop(self, why: str) -> None:
+        """Give the channel up, if there is one: there will be another."""
+        if self._channel is not None:
+            self._channel.close()
+            self._down(why)
+
+    def _down(self, why: str) -> None:
         self._channel, self.why = None, why
         self.on_clock(0, 0)
         self.end.channel_down(self._now())
-        self._lost(self, why)
 
     def on_clock(self, ahead_ns: int, within_ns: int) -> None:
         if isinstance(self.connector.out, FarOutPort):
@@ -210,6 +219,8 @@ class ReaderLink:
             self.end.done(now, number, 1)
         self._deliver(now)
         self._poll(now)
+        if self.settled is not None:
+            self.settled()
 
 
 def _always_waits(_sample: Any) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -13,12 +14,11 @@ from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.in_port import InPort, receiver_of
 from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
-from aiorts.links import versions
 from aiorts.links.layout import layout_of
 from aiorts.links.linked import LINK, Aged, Confirmation, Confirmed, Linked, added
 from aiorts.links.timing import Wakening
 from aiorts.links.transport import LinkOffer
-from aiorts.model.links import WriterEnd
+from aiorts.model.links import WriterEnd, versions
 from aiorts.model.policy import Push
 
 if TYPE_CHECKING:
@@ -88,6 +88,8 @@ class WriterLink:
         self._confirmations: deque[Confirmation] = deque()
         self._unsendable = False
         self._ended = False
+        self._idle: asyncio.Future[None] | None = None
+        """The future that the end of the kernel awaits."""
         self._transport().extra[LINK] = self
         receiver_of(connector.in_).add_callback(self._written)
 
@@ -237,12 +239,26 @@ class WriterLink:
         transport = self._transport()
         return self.end.ledger.in_flight > 0 or bool(transport.queue) or bool(transport.waiting)
 
+    def idle(self) -> asyncio.Future[None] | None:
+        """Done when nothing is on its way any more, or the channel is gone; None: that is so now."""
+        if self._channel is None or not self.busy:
+            return None
+        self._idle = self._kernel.loop.create_future()
+        return self._idle
+
+    def _look_idle(self) -> None:
+        idle = self._idle
+        if idle is not None and not idle.done() and (self._channel is None or not self.busy):
+            idle.set_result(None)
+
     def on_frames(self, frames: Sequence[tuple[Buffer, tuple[Buffer, ...]]]) -> None:
         now, end = self._now(), self.end
         for head, _ in frames:
             end.receive(now, head)
         self._settle()
         self.pump()
+        if self._idle is not None:
+            self._look_idle()
         if end.peer_ended and not self._ended:
             self._gone(self)
 
@@ -259,9 +275,16 @@ class WriterLink:
         self._down(why)
         self._lost(self, why)
 
+    def drop(self, why: str) -> None:
+        """Give the channel up, if there is one: there will be another."""
+        if self._channel is not None:
+            self._channel.close()
+            self._down(why)
+
     def _down(self, why: str) -> None:
         self._channel, self.why = None, why
         self.end.channel_down(self._now())
+        self._look_idle()
 
     def close(self, *, for_good: bool) -> None:
         """The connector has ended; `for_good`: say so to the reader's end. Whoever waits goes on. Idempotent."""
@@ -272,14 +295,14 @@ class WriterLink:
         channel, self._channel = self._channel, None
         self.end.end(self._now(), channel.send if channel is not None and for_good else _nowhere)
         self._settle()
+        self._look_idle()
         if channel is not None:
             channel.close()
 
     def _wake(self) -> None:
         now = self._now()
         if self._channel is not None and self.end.is_unanswered(now):
-            self._channel.close()
-            self._down("the reader's end has not answered")
+            self.drop("the reader's end has not answered")
             self._unanswered(self)
         else:
             self._poll(now)

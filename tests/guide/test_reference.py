@@ -18,7 +18,7 @@ from test_layers import PUBLIC, ROOT
 
 from aiorts import events
 from aiorts.cli.app import run_command
-from reference import FOLDER, HEADS, page
+from reference import FOLDER, HEADS, LINKS, links_page, page
 from reference_api import report_class
 
 GENERATED = ["exit-status", *sorted(HEADS.keys() - {"exit-status"})]
@@ -46,6 +46,12 @@ def sections(name: str) -> dict[str, str]:
 @pytest.mark.parametrize("name", GENERATED)
 def test_a_page_is_what_the_generator_gives_now(name: str) -> None:
     assert (FOLDER / f"{name}.md").read_text(encoding="utf-8") == page(name), "run: python tests/reference.py"
+
+
+def test_the_diagrams_of_links_are_those_of_the_table() -> None:
+    text = LINKS.read_text(encoding="utf-8")
+    assert text.count("stateDiagram-v2") == 3
+    assert text == links_page(text), "run: python tests/reference.py"
 
 
 def test_every_public_name_has_an_entry() -> None:

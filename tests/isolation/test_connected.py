@@ -43,7 +43,7 @@ async def test_a_tap_sees_every_sample_and_the_system_does_not_know() -> None:
         two = kernel.connections.tap(
             looker, scale.out, lambda port: other.extend(one.data for one in port.drain()), length=100
         )
-        await until(lambda: all(map(kernel.service(Links)._offers.name_of, _links(kernel, tap, two))))
+        await until(lambda: all(map(kernel.service(Links).ends.offered.name_of, _links(kernel, tap, two))))
         assert [await answer(source, sink, value) for value in range(20)] == list(range(0, 40, 2))
         await until(lambda: len(seen) == len(other) == 20)
         assert seen == other == list(range(0, 40, 2))
@@ -61,15 +61,15 @@ async def test_a_tap_sees_every_sample_and_the_system_does_not_know() -> None:
         tap.close()
         two.close()
         await answer(source, sink, 5)
-        assert (seen[-1], len(kernel.service(Links)._readers)) == (8, 1)
+        assert (seen[-1], len(kernel.service(Links).ends.readers)) == (8, 1)
 
 
 def _links(kernel: Kernel, *connectors: Any) -> list[Any]:
-    return [kernel.service(Links)._readers[one] for one in connectors]
+    return [kernel.service(Links).ends.readers[one] for one in connectors]
 
 
 def _up(kernel: Kernel, connector: Any) -> bool:
-    return all(link.is_connected for link in kernel.service(Links)._links_of(connector))
+    return all(end.link.is_connected for end in kernel.service(Links).ends.of(connector))
 
 
 async def test_an_injected_sample_arrives_there_and_takes_no_place() -> None:
@@ -84,7 +84,7 @@ async def test_an_injected_sample_arrives_there_and_takes_no_place() -> None:
         assert (len(scale.inp.connectors), one.statistics.balanced) == (1, True)
         one.close()
         two.close()
-        assert len(kernel.service(Links)._writers) == 1
+        assert len(kernel.service(Links).ends.writers) == 1
 
 
 async def test_what_it_sends_is_recorded_from_its_first_sample(tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ async def test_commands_print_and_measure_what_it_sends(capsys: pytest.CaptureFi
 
 
 def _taps(kernel: Kernel) -> list[Any]:
-    return [one for one in kernel.service(Links)._readers if one.in_.is_tap]
+    return [one for one in kernel.service(Links).ends.readers if one.in_.is_tap]
 
 
 @row("51")
@@ -142,7 +142,7 @@ async def test_two_in_processes_of_their_own_are_connected_and_survive_the_end_o
         assert (ledger.written, ledger.unexplained, between.statistics.balanced) == (3, 0, True), str(ledger)
         assert "up" in kernel.service(Links).report()[between.name]
         between.close()
-        await until(lambda: len(kernel.service(Links)._all()) == 2)
+        await until(lambda: len(kernel.service(Links).ends.all()) == 2)
         source.out.write_nowait(TimedLong(0, 1))
         await until(lambda: kernel.connectors["source.out-one.inp"].statistics.in_flight == 0)
         await kernel.connect(one.out, two.inp, name="again", length=4, full="reject")

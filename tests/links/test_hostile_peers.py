@@ -11,11 +11,11 @@ import pytest
 
 from aiorts import Kernel
 from aiorts.errors import InterfaceMismatch, LinkError
-from aiorts.links import Caller, LinkOffer, Peer, connecting, versions
+from aiorts.links import Caller, LinkOffer, Peer, ends
 from aiorts.links.call_values import restored
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.messages import Answer, LinkRequest, fields
-from aiorts.model.links import ReaderEnd, WriterEnd
+from aiorts.model.links import ReaderEnd, WriterEnd, versions
 from aiorts.model.links.frames import BATCH, BATCH_BYTES, acknowledgement, data, hello
 from aiorts.model.names import Path
 from aiorts.model.profile import ConnectorProfile
@@ -118,8 +118,8 @@ def _offer(link: str, writer: str) -> bytes:
 def test_another_kernel_makes_a_bounded_number_of_connectors_and_of_its_own_ports_alone(
     what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connecting, "_BY_ONE", 3)
-    monkeypatch.setattr(connecting, "_BY_ALL", 5)
+    monkeypatch.setattr(ends, "_BY_ONE", 3)
+    monkeypatch.setattr(ends, "_BY_ALL", 5)
 
     def bodies(kernel: str, count: int) -> list[bytes]:
         if what == "request":

@@ -21,9 +21,9 @@ from hypothesis import strategies as st
 
 from aiorts import Kernel
 from aiorts.errors import LinkError, WiringError
-from aiorts.links import Caller, LinkOffer, Links, Peer, versions
+from aiorts.links import Caller, LinkOffer, Links, Peer
 from aiorts.links.messages import Answer, LinkRequest
-from aiorts.model.links import LinkState, ReaderEnd, WriterEnd
+from aiorts.model.links import LinkState, ReaderEnd, WriterEnd, versions
 from aiorts.testing import MemoryNetwork, simulate
 from links.memory_kernels import Face, Sink, Source, kernel_of
 

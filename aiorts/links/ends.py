@@ -1,0 +1,525 @@
+"""The ends of links: each carries out what the table of its negotiation says, and tells the table what came of it.
+
+An end is kept by its names alone: by its connector, by the component at its other end, by what the offer calls it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping
+from contextlib import nullcontext
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar
+
+from aiorts.errors import AiortsError, LinkError, StateError, WiringError
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.kernel.ports.connector import unread_of
+from aiorts.kernel.ports.far import FarInPort, FarOutPort
+from aiorts.kernel.ports.port_types import port_type
+from aiorts.links.arrivals import Departure
+from aiorts.links.messages import Answer, LinkRequest
+from aiorts.links.pulling import PulledWriterLink, PullingReaderLink
+from aiorts.links.reaching import new_epoch
+from aiorts.links.reader_link import ReaderLink, of_shape
+from aiorts.links.writer_link import WriterLink
+from aiorts.model.links import versions
+from aiorts.model.links.negotiation import LinkAction, LinkEvent, LinkRole, Negotiation, NegotiationState
+from aiorts.model.names import MAX_NAME_LENGTH, Path
+from aiorts.model.options import chosen_options
+from aiorts.model.policy import Dataflow, OnLinkLost
+from aiorts.observe import Introspection
+
+if TYPE_CHECKING:
+    from aiorts.kernel.loop.timers import Cancellable
+    from aiorts.kernel.ports import InPort
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.links.arrivals import Departures
+    from aiorts.links.kernels import Kernels
+    from aiorts.links.transport import Channel, LinkOffer, Peer
+    from aiorts.wire import MsgpackCodec
+
+_LOG: Final = KernelLog()
+_report: Final = partial(_LOG.warning, "W-LINK: %s")
+_ASK_SECONDS: Final = 2.0
+_OPEN_SECONDS: Final = 2.0
+"""How long a transport may take to make a channel."""
+_READ_SECONDS: Final = 0.05
+"""The interval in which a connector that takes no listener is looked at, until it was read empty."""
+_BY_ONE: Final = 10_000
+"""Connectors of this kernel that another one may have made."""
+_BY_ALL: Final = 20_000
+"""Connectors of this kernel that others may have made, all together."""
+Name: TypeAlias = tuple[str, str]
+Side = TypeVar("Side", bound="WriterLink | ReaderLink", covariant=True)
+
+
+class LinkEnd(Generic[Side]):
+    """One end of a link in its kernel: its connector, its state, and what it is called elsewhere.
+
+    Args:
+        far: the port at the other end.
+        own: whether this kernel has connected it, and not the other one.
+        link: makes what carries the samples.
+        departures: the ends of other kernels that are to be told that they have no other one.
+    """
+
+    def __init__(
+        self,
+        links: Kernels,
+        connector: Connector,
+        far: Path,
+        role: LinkRole,
+        *,
+        own: bool,
+        link: Callable[..., Side],
+        departures: Departures,
+    ) -> None:
+        self.connector, self.far, self.own = connector, far, own
+        self.negotiation = Negotiation(role)
+        self.link: Side = link(
+            links.kernel,
+            connector,
+            new_epoch(),
+            lost=self._lost,
+            unanswered=self._silent,
+            ended=self.left,
+            report=_report,
+        )
+        self.first: asyncio.Future[None] = links.kernel.loop.create_future()
+        """Done with the first answer, or with what refused it."""
+        self._links, self._departures = links, departures
+        self._peer: Peer | None = None
+        """The kernel that was asked last, or whose offer was taken last."""
+        self._offer: LinkOffer | None = None
+        """The offer that both ends have agreed on last."""
+        self._channel: Channel | None = None
+        """One that was made and is not in use yet."""
+        self._opening: asyncio.Task[Any] | None = None
+        self._late: tuple[Peer, int] | None = None
+        """The kernel that was late, and the epoch of its end."""
+        self._timer: Cancellable | None = None
+        self._watchers: list[asyncio.Future[None]] = []
+        self._said = ""
+        """The reason to wait that was logged last since it was up."""
+
+    # -- what happens ----------------------------------------------------------------------------------------------
+
+    def on(self, event: LinkEvent, why: str = "") -> None:
+        """This happened; `why`: the reason that the link is not up."""
+        if why:
+            self.link.why = why
+        step = self.negotiation.step
+        actions = self.negotiation.on(event)
+        if step != self.negotiation.step:
+            self._set_timer()
+        for action in actions:
+            _CARRIED_OUT[action](self)
+        if self.negotiation.is_answered:
+            self.answer_first(None)
+        if self._watchers and self.negotiation.state in (NegotiationState.UP, NegotiationState.ENDED):
+            watchers, self._watchers = self._watchers, []
+            for one in watchers:
+                if not one.done():
+                    one.set_result(None)
+
+    def _on_step(self, step: int, event: LinkEvent, why: str = "") -> None:
+        """This came of what was begun in a step; it counts while that is the last one."""
+        if step == self.negotiation.step:
+            self.on(event, why)
+
+    def present(self, peer: Peer) -> None:
+        """A kernel of the name of the one at the other end has come."""
+        if self._links.peer_of(self.far) == peer:
+            self.on(LinkEvent.PRESENT)
+
+    def gone(self, peer: Peer) -> None:
+        """A kernel of that name has gone."""
+        # What is agreed with another one, or has a channel to it, has nothing to do with this one.
+        if self.negotiation.state is NegotiationState.UP:
+            if self._peer == peer:  # the transport may say in this moment how its channel was lost
+                self._links.kernel.loop.call_soon(self._left_alone, self.negotiation.step, peer)
+        elif self.negotiation.state is not NegotiationState.OFFERED or self._peer == peer:
+            self._gone("")
+
+    def _left_alone(self, step: int, peer: Peer) -> None:
+        now = self.negotiation
+        if now.step == step:
+            self._gone(f"{peer.kernel}: is gone")
+        elif now.step == step + 1 and now.state is NegotiationState.WAITING:  # lost
+            self._gone("")
+
+    def _gone(self, why: str) -> None:
+        self.on(LinkEvent.GONE, why)
+        if self._links.peer_of(self.far) is not None:
+            self.on(LinkEvent.PRESENT)  # a kernel may be back before its former process has gone
+
+    def refused(self, why: str) -> None:
+        """The link is refused: `connect` fails with this reason."""
+        connector = self.connector
+        self.answer_first(WiringError(f"{connector.out.path} -> {connector.in_.path}: {why}"))
+        self.on(LinkEvent.REFUSED, why)
+
+    def offered(self, offer: LinkOffer, peer: Peer | None) -> None:
+        """An offer has come and was taken, as is said in the answer."""
+        self._offer, self._peer = offer, peer
+        self.on(LinkEvent.OFFER)
+
+    def left(self, _link: object = None) -> None:
+        """A disconnection of the other end has come."""
+        tell = _LOG.warning if self.own else _LOG.info  # the kernel that connected it may well disconnect it
+        tell("W-LINK: %s: was disconnected by %s", self.connector.name, self.far)
+        self.on(LinkEvent.LEFT)
+
+    def _lost(self, _link: object, why: str) -> None:
+        self.on(LinkEvent.LOST, why)
+
+    def _silent(self, _link: object) -> None:
+        self.on(LinkEvent.SILENT)
+
+    def _set_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if (pause := self.negotiation.pause) is not None:
+            due = partial(self._on_step, self.negotiation.step, LinkEvent.DUE)
+            self._timer = self._links.kernel.call_later(pause, due)
+
+    def is_at(self, peer: Peer) -> bool:
+        """Whether a kernel has the name of the one at the other end."""
+        return self.far.kernel == peer.kernel and self.far.host.lower() in ("", "localhost", peer.host.lower())
+
+    def answer_first(self, error: AiortsError | None) -> None:
+        """The first answer is there: `connect` goes on, or fails with the error."""
+        if not self.first.done():
+            if error is None:
+                self.first.set_result(None)
+            else:
+                self.first.set_exception(error)
+                self.first.exception()  # a caller that did not wait has it in the log
+
+    def up(self) -> asyncio.Future[None]:
+        """Done when there is a channel, or never will be."""
+        found: asyncio.Future[None] = self._links.kernel.loop.create_future()
+        if self.negotiation.state in (NegotiationState.UP, NegotiationState.ENDED):
+            found.set_result(None)
+        else:
+            self._watchers.append(found)
+        return found
+
+    # -- what is carried out ---------------------------------------------------------------------------------------
+
+    def _ask(self) -> None:
+        reach = self._links.reach
+        reach.open_for(self.far)
+        if reach.peer_of(self.far) is None and not reach.is_opening:
+            self.on(LinkEvent.MISSING)
+        else:
+            self._links.run(self._asked(self.negotiation.step), f"aiorts link {self.connector.name}")
+
+    async def _asked(self, step: int) -> None:
+        try:
+            await self._links.reach.opened_for(self.far)
+            peer = self._peer = self._links.reach.peer_of(self.far)
+            if peer is None:
+                return self._on_step(step, LinkEvent.MISSING)
+            # A call of `connect` waits for the first answer, and not for thousands of links that are offered again.
+            async with self._links.turn(peer) if self.first.done() else nullcontext():
+                if step == self.negotiation.step:
+                    await (self._make_offer if isinstance(self.link, WriterLink) else self._request)(step, peer)
+        except LinkError as error:
+            self._on_step(step, LinkEvent.UNANSWERED, str(error))
+
+    async def _make_offer(self, step: int, peer: Peer) -> None:
+        assert isinstance(self.link, WriterLink)  # noqa: S101 - a reader's end requests
+        offer = self.link.offer(self._links.path_of(self.connector.out, peer), self.far)
+        offer = replace(offer, number=next(self._links.numbers))
+        answer = await self._question(peer, "offer", offer.to_bytes())
+        if step != self.negotiation.step:
+            return self._came_late(peer, answer.epoch) if answer.number else None
+        if not answer.number:
+            return self._not_now(step, answer)
+        version = versions.agreed(peer.kernel, answer.protocol)
+        agreed = replace(offer, protocol=(version, version), reader_epoch=answer.epoch, number=answer.number)
+        self._offer = replace(agreed, reader=replace(offer.reader, host=peer.host))
+        self.on(LinkEvent.AGREED)
+        if self._opening is not None:
+            await asyncio.wait((self._opening,))  # it is this link's turn until then
+        return None
+
+    async def _request(self, step: int, peer: Peer) -> None:
+        options = chosen_options(self.connector.profile)
+        request = LinkRequest(str(self.far), self.reader_path(peer), options, versions.SPOKEN)
+        answer = await self._question(peer, "request", request.to_bytes())
+        if answer.absent or answer.refused:
+            self._not_now(step, answer)
+        else:
+            self._on_step(step, LinkEvent.PROMISED)
+
+    async def _question(self, peer: Peer, what: str, body: bytes) -> Answer:
+        """The answer of another kernel; where it speaks no version of this one, that is why it is refused."""
+        answer = Answer.from_bytes(await self._links.ask(peer, what, body, _ASK_SECONDS))
+        try:
+            versions.agreed(peer.kernel, answer.protocol)
+        except WiringError as error:
+            return Answer(refused=str(error))
+        return answer
+
+    def _not_now(self, step: int, answer: Answer) -> None:
+        if step != self.negotiation.step:
+            return
+        if answer.absent:
+            self.on(LinkEvent.LACKING, answer.absent)
+        else:
+            self.refused(answer.refused)
+
+    def _came_late(self, peer: Peer, epoch: int) -> None:
+        self._late = peer, epoch
+        self.on(LinkEvent.LATE)
+
+    def _open(self) -> None:
+        name = f"aiorts link {self.connector.name}"
+        self._opening = self._links.run(self._opened(self.negotiation.step, self._peer, self._offer), name)
+
+    async def _opened(self, step: int, peer: Peer | None, offer: LinkOffer | None) -> None:
+        assert offer is not None  # noqa: S101 - both ends have agreed on it
+        try:
+            async with asyncio.timeout(_OPEN_SECONDS):
+                channel = await self._links.reach.carrier(peer).channel(offer, self.link)
+        except LinkError as error:
+            return self._on_step(step, LinkEvent.UNMADE, str(error))
+        except TimeoutError:
+            return self._on_step(step, LinkEvent.UNMADE, f"{self.far.kernel}: no channel within {_OPEN_SECONDS:g} s")
+        if step != self.negotiation.step:
+            channel.close()
+            if peer is not None:
+                self._came_late(peer, offer.reader_epoch)
+            return None
+        self._channel = channel
+        return self.on(LinkEvent.MADE)
+
+    def _connect(self) -> None:
+        offer, channel = self._offer, self._channel
+        self._channel, self._said = None, ""
+        assert offer is not None and channel is not None  # noqa: S101, PT018 - they were made
+        epoch = offer.reader_epoch if isinstance(self.link, WriterLink) else offer.writer_epoch
+        self.link.connect(channel, offer.number, epoch)
+
+    def _drop(self) -> None:
+        self.link.drop(self.link.why or "it is offered anew")
+
+    def _say_waits(self) -> None:
+        if self.negotiation.state is NegotiationState.ABSENT:
+            self.link.why = self._links.reach.absent(self.far)
+        if self.link.why != self._said:
+            self._said = self.link.why
+            _LOG.warning("W-LINK: %s: waits: %s", self.connector.name, self._said)
+
+    def say_absent(self) -> None:
+        """Other kernels can be reached at last: where this one is not among them, that is why the link waits."""
+        if self.own and self.negotiation.state is NegotiationState.ABSENT:
+            self.link.why = self._links.reach.absent(self.far)
+
+    def _lose(self) -> None:
+        _LOG.warning("W-LINK: %s: lost the link: %s", self.connector.name, self.link.why)
+        policy = self.connector.profile.on_link_lost
+        if policy is OnLinkLost.DISCONNECT:
+            self._end()
+        elif policy is OnLinkLost.ERROR:
+            self._fail()
+
+    def _fail(self) -> None:
+        """Move the component at this end to error."""
+        connector, kernel = self.connector, self._links.kernel
+        port = connector.out if isinstance(self.link, WriterLink) else connector.in_
+        component = kernel.components.get(port.path.partition(".")[0])
+        if component is not None:
+            error = LinkError(f"{connector.name}: lost the link: {self.link.why}")
+            kernel.registry.task_failed(component, connector.name, error)
+
+    def _refuse(self) -> None:
+        _LOG.error("%s: refused by %s: %s", self.connector.name, self.far.kernel, self.link.why)
+        self._end()
+
+    def _abandon(self) -> None:
+        if not self.own and not self.link.end.peer_epoch:
+            self._end()
+
+    def _end(self) -> None:
+        self._links.kernel.connections.end(self.connector)
+
+    def _read_out(self) -> None:
+        """End the connector; one of a reader stays until what has come is read."""
+        connector, kernel = self.connector, self._links.kernel
+        if connector.closed or kernel.closed:
+            return
+        if not isinstance(self.link, ReaderLink) or not (self.link.busy or unread_of(connector)):
+            self._end()
+            return
+        try:
+            kernel.service(Introspection).listening.add(connector, self._look_whether_read, ())
+            self.link.settled = self._look_whether_read
+        except StateError:  # it is a tap, which the system does not know, or a real-time thread reads
+            kernel.call_later(_READ_SECONDS, self._read_out)
+
+    def _look_whether_read(self, _event: object = None) -> None:
+        connector = self.connector
+        if isinstance(self.link, ReaderLink) and not (connector.closed or self.link.busy or unread_of(connector)):
+            self._end()
+
+    def _close(self) -> None:
+        # The end of a kernel ends what it has connected; links that other kernels connected wait for its return.
+        self.link.close(for_good=self.own or not self._links.kernel.closed)
+
+    def _depart(self) -> None:
+        end = self.link.end
+        epoch = end.peer_epoch
+        if not epoch and self._offer is not None and isinstance(self.link, ReaderLink):
+            epoch = self._offer.writer_epoch  # it has the answer to its offer, or will have it
+        if self.own and epoch and not end.peer_ended and not self._links.kernel.closed:
+            self._departures.add(Departure(self.far, self.connector.name, epoch))
+
+    def _tell_late(self) -> None:
+        if self._late is not None:
+            self._links.run(self._departures.tell(*self._late), "aiorts link")
+
+    # -- its names -------------------------------------------------------------------------------------------------
+
+    def reader_path(self, peer: Peer | None = None) -> str:
+        """The path of the in-port as the kernel of the writer knows it; it may stand for one of a third kernel."""
+        port: InPort[Any] = self.connector.in_
+        if isinstance(port, FarInPort) and "/" in port.path:
+            name = f"{port.far.kernel}-{port.far.component}"[:MAX_NAME_LENGTH]
+            return str(replace(port.far, host="", kernel=self._links.reach.name_for(peer), component=name))
+        return str(self._links.path_of(port, peer))
+
+
+_CARRIED_OUT: Final[Mapping[LinkAction, Callable[[LinkEnd[Any]], None]]] = {
+    LinkAction.DROP: LinkEnd._drop,
+    LinkAction.ASK: LinkEnd._ask,
+    LinkAction.ABANDON: LinkEnd._abandon,
+    LinkAction.REPORT: LinkEnd._say_waits,
+    LinkAction.RETRY: lambda _: None,
+    LinkAction.EXPECT: lambda _: None,
+    LinkAction.LINGER: lambda _: None,
+    LinkAction.OPEN: LinkEnd._open,
+    LinkAction.CONNECT: LinkEnd._connect,
+    LinkAction.LOSE: LinkEnd._lose,
+    LinkAction.REFUSE: LinkEnd._refuse,
+    LinkAction.READ_OUT: LinkEnd._read_out,
+    LinkAction.CLOSE: LinkEnd._close,
+    LinkAction.DEPART: LinkEnd._depart,
+    LinkAction.TELL: LinkEnd._tell_late,
+}
+"""The method that carries out each action; pauses are set with every move."""
+
+
+def writer_end(
+    links: Kernels, connector: Connector, codec: MsgpackCodec, departures: Departures, *, own: bool
+) -> LinkEnd[WriterLink]:
+    """The writer's end of a link."""
+    port = connector.in_
+    assert isinstance(port, FarInPort)  # noqa: S101 - it is one of a link
+    kind = PulledWriterLink if connector.profile.dataflow is Dataflow.PULL else WriterLink
+    link = partial(kind, encode=codec.parts_encoder(connector.out.type))
+    return LinkEnd(links, connector, port.far, LinkRole.OFFERS, own=own, link=link, departures=departures)
+
+
+def reader_end(
+    links: Kernels, connector: Connector, codec: MsgpackCodec, departures: Departures, *, own: bool
+) -> LinkEnd[ReaderLink]:
+    """The reader's end of a link."""
+    port, kind, shape = connector.out, connector.in_.type, connector.in_.shape
+    assert isinstance(port, FarOutPort)  # noqa: S101 - it is one of a link
+    decode = codec.parts_decoder(kind)
+    if shape is not None:
+        decode = of_shape(decode, port_type(kind).check_shape, shape)
+    side: Any = PullingReaderLink if connector.profile.dataflow is Dataflow.PULL else ReaderLink
+
+    def link(*args: Any, unanswered: object, **given: Any) -> ReaderLink:
+        made: ReaderLink = side(*args, decode=decode, **given)
+        return made
+
+    role = LinkRole.REQUESTS if own else LinkRole.ANSWERS
+    return LinkEnd(links, connector, port.far, role, own=own, link=link, departures=departures)
+
+
+class NamedEnds:
+    """Reader's ends by a name of two parts. Each has one name, the last that it was given; so has each name."""
+
+    def __init__(self) -> None:
+        self._ends: dict[Name, LinkEnd[ReaderLink]] = {}
+        self._names: dict[Connector, Name] = {}
+
+    def get(self, name: Name) -> LinkEnd[ReaderLink] | None:
+        """The end of this name."""
+        return self._ends.get(name)
+
+    def name_of(self, end: LinkEnd[Any]) -> Name | None:
+        """The name of this end."""
+        return self._names.get(end.connector)
+
+    def put(self, name: Name, end: LinkEnd[ReaderLink]) -> None:
+        """Give an end a name."""
+        self.forget(end)
+        if (before := self._ends.get(name)) is not None:
+            del self._names[before.connector]
+        self._ends[name], self._names[end.connector] = end, name
+
+    def forget(self, end: LinkEnd[Any]) -> None:
+        """It has no name any more."""
+        if (name := self._names.get(end.connector)) is not None and self._ends[name] is end:
+            del self._names[end.connector], self._ends[name]
+
+
+class Ends:
+    """The ends of one kernel, by what they are looked up by; none of it says how far one is."""
+
+    def __init__(self) -> None:
+        self.writers: dict[Connector, LinkEnd[WriterLink]] = {}
+        self.readers: dict[Connector, LinkEnd[ReaderLink]] = {}
+        self.expected = NamedEnds()
+        """Reader's ends whose writer is asked to offer, by writer and reader."""
+        self.offered = NamedEnds()
+        """Reader's ends by the writer's host and kernel, and its name of the link."""
+        self._by_component: dict[str, dict[LinkEnd[Any], None]] = {}
+        self._made: Counter[str] = Counter()
+        """How many each of the other kernels has connected, by its name."""
+
+    def add(self, end: LinkEnd[Any]) -> None:
+        """There is an end."""
+        (self.writers if isinstance(end.link, WriterLink) else self.readers)[end.connector] = end
+        self._by_component.setdefault(end.far.component, {})[end] = None
+        if not end.own:
+            self._made[end.far.kernel] += 1
+
+    def remove(self, end: LinkEnd[Any]) -> None:
+        """It has ended."""
+        del (self.writers if isinstance(end.link, WriterLink) else self.readers)[end.connector]
+        there = self._by_component[end.far.component]
+        del there[end]
+        if not there:
+            del self._by_component[end.far.component]
+        if not end.own:
+            self._made -= Counter((end.far.kernel,))
+        self.expected.forget(end)
+        self.offered.forget(end)
+
+    def all(self) -> list[LinkEnd[Any]]:
+        """All ends."""
+        return [*self.writers.values(), *self.readers.values()]
+
+    def of(self, connector: Connector) -> list[LinkEnd[Any]]:
+        """Two where both ends of the connector are in other kernels."""
+        found = self.writers.get(connector), self.readers.get(connector)
+        return [end for end in found if end is not None]
+
+    def at(self, component: str) -> Collection[LinkEnd[Any]]:
+        """The ends of links to a component of this name in any kernel, in the order in which they were added."""
+        return tuple(self._by_component.get(component, ()))
+
+    def check_made(self, path: Path) -> None:
+        """WiringError: another kernel has connected too many ports here to connect this one, too."""
+        if self._made[path.kernel] >= _BY_ONE or self._made.total() >= _BY_ALL:
+            raise WiringError(f"{path}: other kernels have made {self._made.total():,} connectors; no more are made")
