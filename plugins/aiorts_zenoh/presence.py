@@ -7,7 +7,7 @@ import hashlib
 import os
 import time
 import uuid
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -19,10 +19,10 @@ from aiorts_zenoh.engine import Engine, in_thread
 from aiorts_zenoh.keys import Keys, claim_of, teller_in
 from aiorts_zenoh.names import Claim, Name, Standing, free_name
 
-_TURN: Final = 0.001
-"""Seconds of the loop for tokens that have come, and as many for names to look at, until others have their turn."""
-_PAUSE: Final = 0.004
-"""Seconds until the next turn: so what others claim takes a third of the loop's time at the most."""
+_TURN: Final = 0.0005
+"""Seconds of the loop for each of: tokens that have come, those to tell of some, names to look at."""
+_PAUSE: Final = 0.006
+"""Seconds until the next turn: so what others claim takes a fifth of the loop's time at the most."""
 _REST: Final = 50e-6
 """Where several machines claim a host name: seconds, for each claim, until all of them are looked at again."""
 _TICK: Final = 0.1
@@ -94,6 +94,8 @@ class Presence:
         self._shown: dict[str, dict[str, Peer]] = {}
         """By the scope of claims, and the kernel's name."""
         self._told_others = Told()
+        self._to_tell: deque[tuple[Claim, str]] = deque()
+        """Those that were told of a token which is gone."""
         self._heard_of: set[Claim] = set()
         """Claims that others have told of, whose tokens this kernel may not see itself."""
         self._came_last: OrderedDict[tuple[Claim, bool], tuple[bool, bool]] = OrderedDict()
@@ -163,11 +165,11 @@ class Presence:
         try:
             self._work_off()
         finally:  # whatever a listener of kernels raises
-            left = (self._came_last or self._due) and not self._closed
+            left = (self._came_last or self._to_tell or self._due) and not self._closed
             self._works = self._loop.call_later(_PAUSE, self._work) if left else None
 
     def _work_off(self) -> None:
-        """Look at what has come and at names that are due, each for a bounded time."""
+        """Look at what has come, tell of what is gone, and look at names that are due, each for a bounded time."""
         until = time.perf_counter() + _TURN
         while self._came_last and time.perf_counter() < until:
             (claim, owned), (was_gone, is_up) = self._came_last.popitem(last=False)
@@ -175,6 +177,11 @@ class Presence:
                 self._put(claim, owned=owned, up=False)
             if is_up and self._trust.admits(claim.kernel):
                 self._put(claim, owned=owned, up=True)
+        until = time.perf_counter() + _TURN
+        while self._to_tell and time.perf_counter() < until:
+            other, token = self._to_tell.popleft()
+            self._tell_of_first(other)  # before: else it would claim its name anew
+            self._send("-", token, other)
         until = time.perf_counter() + _TURN
         while self._due and time.perf_counter() < until and not self._closed:
             scope, kernel = self._due.popitem(last=False)[0]
@@ -211,9 +218,7 @@ class Presence:
             self._set(scope, {claim.kernel: None})
         if was_shared:  # and it may be no more
             self._look_at_all(scope)
-        for other, token in self._told_others.ended(claim):
-            self._tell_of_first(other)  # before: else it would claim its name anew
-            self._send("-", token, other)
+        self._to_tell.extend(self._told_others.ended(claim))
 
     # -- telling rivals of each other ------------------------------------------------------------------------------
 
