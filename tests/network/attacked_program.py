@@ -65,7 +65,6 @@ class Victim:
 
     async def begin(self) -> None:
         await self.kernel.add(self.drive)
-        sys.path.insert(0,'/tmp'); import h3_dbg; h3_dbg.watch(self.drive)
         await self.kernel.start(PeriodicContext(RATE, name="fast"), self.drive, activate=True)
 
     async def connect(self, to: str) -> None:
