@@ -1,6 +1,6 @@
 """The claims of names that are known, in order, and who was told of which. It has no engine and no clock.
 
-What one claim costs when it comes or goes does not grow with the claims that are there, but for moving a list in memory.
+The work for a claim that comes or goes does not grow with the claims that are there, but for moving a list in memory.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Final
 from aiorts_zenoh.names import Claim, Rank, first_seen, gives_way
 
 LOOKED_AT: Final = 16
-"""Rivals of one claim that are looked at, at the most."""
+"""The most rivals of one claim that are compared with it."""
 TOLD: Final = 4_000
 """Kernels of which it is kept that they were told of another; beyond it those of longest ago are forgotten."""
 
@@ -24,7 +24,7 @@ class _Scope:
 
     def __init__(self) -> None:
         self.tokens: dict[Claim, set[bool]] = {}
-        """Of each claim the tokens that are there: of the claim, of its owner."""
+        """The tokens of each claim that are there: whether each is that of the owner."""
         self.order: list[Rank] = []
         self.of_kernel: dict[str, list[Rank]] = {}
         self.machines: Counter[int] = Counter()
@@ -67,7 +67,7 @@ class Claims:
 
     @property
     def scopes(self) -> tuple[str, ...]:
-        """Those that have claims."""
+        """All scopes that have claims."""
         return tuple(self._scopes)
 
     def __contains__(self, claim: Claim) -> bool:
@@ -112,12 +112,12 @@ class Claims:
         return scope in self._scopes and len(self._scopes[scope].machines) > 1
 
     def first(self, scope: str, kernel: str) -> Claim | None:
-        """The one that is seen of a kernel's name, where no other machine claims any of the scope."""
+        """The claim of a kernel's name that is seen, where no other machine claims any of the scope."""
         order = self._scopes[scope].of_kernel.get(kernel) if scope in self._scopes else None
         return order[0][1] if order else None
 
     def seen(self, scope: str) -> dict[str, Claim]:
-        """Those that are seen, by the kernels' names."""
+        """The claims of a scope that are seen, by the kernels' names."""
         return first_seen(self._scopes[scope].order) if scope in self._scopes else {}
 
     def kernels(self, scope: str) -> tuple[str, ...]:
@@ -130,14 +130,16 @@ class Claims:
         return [claim for order in found for _, claim in order]
 
     def rivals(self, claim: Claim) -> Iterator[Claim]:
-        """Those that cannot be seen beside a claim, which need not be there itself; who goes before others comes first.
+        """The claims that cannot be seen beside this one, which need not be there itself, in their order.
 
-        Of those of other machines `LOOKED_AT` at the most.
+        No more than the first `LOOKED_AT` of a scope are compared.
         """
         scope = self._scopes.get(self.scope_of(claim))
         if scope is None:
             return
-        among = scope.order if len(scope.machines.keys() | {claim.machine}) > 1 else scope.of_kernel.get(claim.kernel, ())
+        among = (
+            scope.order if len(scope.machines.keys() | {claim.machine}) > 1 else scope.of_kernel.get(claim.kernel, ())
+        )
         for _, other in islice(among, LOOKED_AT):
             if other != claim and claim.meets(other):
                 yield other
@@ -152,7 +154,7 @@ class Claims:
 
 
 class Told:
-    """Who was told of which claim; each of one at a time, until that is gone."""
+    """Which kernel was told of which claim; each of one at a time, until that is gone."""
 
     def __init__(self) -> None:
         self._of: OrderedDict[Claim, tuple[Claim, str]] = OrderedDict()
@@ -175,7 +177,7 @@ class Told:
             self._forget(next(iter(self._of)))
 
     def ended(self, of: Claim) -> list[tuple[Claim, str]]:
-        """Those that were told of a claim which is gone, and of which of its tokens."""
+        """The kernels that were told of a claim which is gone, and the token of it that each was told of."""
         return [(who, self._forget(who)) for who in tuple(self._by.get(of, ()))]
 
     def _forget(self, who: Claim) -> str:

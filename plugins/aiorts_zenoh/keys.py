@@ -66,12 +66,12 @@ class Keys:
         return f"{_VERSION}/{self.domain}/live/{claim.host}/{claim.kernel}/{start}"
 
     def told(self, peer: Peer) -> str:
-        """What this kernel tells another of tokens that the other may not see: + or -, and the token."""
+        """The key at which this kernel tells another of tokens that the other may not see: + or -, and the token."""
         return f"{_heard(self.domain, peer)}/{self.own.kernel}"
 
     @property
     def heard(self) -> str:
-        """What others tell this kernel; the last part is who tells."""
+        """The keys at which others tell this kernel of tokens; the last part is who tells."""
         return f"{_heard(self.domain, self.own)}/*"
 
     @property
@@ -164,7 +164,7 @@ def _heard(domain: str, peer: Peer) -> str:
 
 
 def teller_in(key: str) -> str:
-    """Who tells by this key."""
+    """The kernel that tells something by this key."""
     return key.rpartition("/")[2]
 
 

@@ -100,7 +100,7 @@ class Names:
     def __init__(self) -> None:
         self._known: set[str] = set()
         self._counts: Counter[tuple[str, str]] = Counter()
-        """Of each host, ("host", its name), and of each kernel's name."""
+        """Tokens of each host, ("host", its name), and of each kernel's name, ("kernel", the name)."""
         self._full: set[tuple[str, str]] = set()
 
     def admits(self, host: str, kernel: str, token: str, *, up: bool) -> bool:
@@ -121,7 +121,7 @@ class Names:
         return up or is_known
 
     def beyond(self, host: str, kernel: str) -> tuple[str, str] | None:
-        """Which of both has as many tokens as it may: what it is, and its name."""
+        """The host or the kernel's name, whichever has as many tokens as it may; None: neither."""
         return next((one for one in _both(host, kernel) if self._counts[one] >= MOST[one[0]]), None)
 
     def is_first(self, one: tuple[str, str]) -> bool:

@@ -49,7 +49,7 @@ class Standing(Enum):
 
 
 Rank = tuple[bool, Claim]
-"""Who goes before whom: not owned, and the claim; the lower goes first."""
+"""The place of a claim in the order: not owned, and the claim; the lower goes first."""
 
 
 def seen(claims: Mapping[Claim, bool]) -> dict[str, Claim]:
@@ -62,7 +62,7 @@ def seen(claims: Mapping[Claim, bool]) -> dict[str, Claim]:
 
 
 def first_seen(order: Sequence[Rank]) -> dict[str, Claim]:
-    """The same, of claims that are in order."""
+    """The kernels that others see of claims that are in order (see `seen`)."""
     if not order or (order[0][0] and any(claim.machine != order[0][1].machine for _, claim in order)):
         return {}
     found: dict[str, Claim] = {}

@@ -22,17 +22,17 @@ from aiorts_zenoh.names import Claim, Name, Standing, free_name
 _TURN: Final = 0.0005
 """Seconds of the loop for each of: tokens that have come, those to tell of some, names to look at."""
 _PAUSE: Final = 0.006
-"""Seconds until the next turn: so what others claim takes a fifth of the loop's time at the most."""
+"""Seconds until the next turn: what others claim takes no more than a fifth of the loop's time."""
 _REST: Final = 50e-6
 """Where several machines claim a host name: seconds, for each claim, until all of them are looked at again."""
 _TICK: Final = 0.1
 """Seconds between two looks whether a name is owned by now, or free again."""
 _SAID: Final = 100
-"""Different lines in the log about others that claim the same, at the most."""
+"""The most lines in the log about others that claim the same, until this kernel stands otherwise."""
 
 
 class Trust(Protocol):
-    """Which kernels may be there, and who may say so."""
+    """The rules of which kernels may be there, and which may tell of others."""
 
     @property
     def is_bound(self) -> bool:
@@ -90,19 +90,19 @@ class Presence:
         self._loop = asyncio.get_running_loop()
         self._name, self._first = Name(keys.claim, self._loop.time()), keys.own.kernel
         self._claims = Claims(bound=trust.is_bound)
-        """Those of others, and that of this kernel while it is to be seen."""
+        """The claims of others, and that of this kernel while it is to be seen."""
         self._shown: dict[str, dict[str, Peer]] = {}
         """By the scope of claims, and the kernel's name."""
         self._told_others = Told()
         self._to_tell: deque[tuple[Claim, str]] = deque()
-        """Those that were told of a token which is gone."""
+        """The kernels that were told of a token which is gone."""
         self._heard_of: set[Claim] = set()
         """Claims that others have told of, whose tokens this kernel may not see itself."""
         self._came_last: OrderedDict[tuple[Claim, bool], tuple[bool, bool]] = OrderedDict()
         """Tokens to look at: whether each was gone at any time since, and whether it is there now."""
         self._due: OrderedDict[tuple[str, str], None] = OrderedDict()
         self._due_scopes: set[str] = set()
-        """Names to look at anew, and whole scopes."""
+        """Names to look at again, and whole scopes."""
         self._works: asyncio.Handle | None = None
         self._said: set[str] = set()
         self._renamed, self._declared = renamed, keys
@@ -152,7 +152,7 @@ class Presence:
         claim, owned = found
         was_gone, is_up = self._came_last.get(found, (False, False))
         if is_up and not up and not was_gone and not self._claims.has(claim, owned=owned):
-            del self._came_last[found]  # it is gone before anybody has looked
+            del self._came_last[found]  # it went before it was looked at
             return
         self._came_last[found] = was_gone or not up, up
         self._work_soon()
@@ -180,7 +180,7 @@ class Presence:
         until = time.perf_counter() + _TURN
         while self._to_tell and time.perf_counter() < until:
             other, token = self._to_tell.popleft()
-            self._tell_of_first(other)  # before: else it would claim its name anew
+            self._tell_of_first(other)  # first: else it would claim its name again
             self._send("-", token, other)
         until = time.perf_counter() + _TURN
         while self._due and time.perf_counter() < until and not self._closed:
@@ -303,7 +303,7 @@ class Presence:
         self._set(scope, {kernel: found.get(kernel) for kernel in {*self._shown.get(scope, ()), *found}})
 
     def _set(self, scope: str, kernels: Mapping[str, Claim | None]) -> None:
-        """Of these names of a scope, these are to be seen."""
+        """Show these claims of a scope, and no others of the same names."""
         if self._closed:
             return
         shown, own = self._shown.setdefault(scope, {}), self._name.own

@@ -117,7 +117,7 @@ class ZenohTransport:
         self.sessions_denied = ""
         """Why this kernel may not ask others for operations; "" where it may."""
         self.trust: Trust = AnyName()
-        """Which kernels may be there, and who may say so."""
+        """The rules of which kernels may be there, and which may tell of others."""
         self.kernel: KernelFace
         self.loop: asyncio.AbstractEventLoop
         self.keys: Keys

@@ -40,7 +40,12 @@ CLAIMING = Path(__file__).with_name("claims_program.py")
 # -- the order of claims, against the rule -----------------------------------------------------------------------------
 
 CLAIM = st.builds(
-    Claim, st.integers(0, 3), st.integers(0, 2), st.integers(1, 2), st.sampled_from("xy"), st.sampled_from(("arm", "leg"))
+    Claim,
+    st.integers(0, 3),
+    st.integers(0, 2),
+    st.integers(1, 2),
+    st.sampled_from("xy"),
+    st.sampled_from(("arm", "leg")),
 )
 STEPS = st.lists(st.tuples(CLAIM, st.booleans(), st.booleans()), max_size=60)
 
@@ -244,7 +249,7 @@ def test_what_another_certificate_claims_takes_nothing_from_a_kernel(
                 attack = await asyncio.to_thread(Attack, made, address, forged(cell, keys))
                 try:
                     await asyncio.sleep(0.5)
-                    assert (standing(victim), names(reader)) == ("owns", ["victim"] + attack.seen_by(reader))
+                    assert (standing(victim), names(reader)) == ("owns", ["victim", *attack.seen_by(reader)])
                     assert names(victim)[:1] == ["reader"]
                     await starts_anew(victim, attack)
                 finally:

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.anyio
 
 FEW, FACTOR = 1_000, 8
 GROWS = 3.0
-"""How much more each of many may cost than each of few: 8 where each searches for itself, and about 1 where none does."""
+"""How much more each of many may cost than each of few: 8 where each searches, about 1 where none does."""
 
 
 async def here(stack: AsyncExitStack, **options: Any) -> Any:

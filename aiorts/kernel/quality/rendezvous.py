@@ -30,7 +30,7 @@ class _Offered(Waiting):
     arrived_at: int = 0
     """As `Transport.arrived_at`."""
     turn: int = 0
-    """Who waits longer has the lower one: by it an entry is found among thousands that give up at once."""
+    """The place in the order of coming: an entry is found by it among thousands that give up at once."""
 
 
 class Rendezvous(FeaturedTransport):
@@ -38,7 +38,7 @@ class Rendezvous(FeaturedTransport):
 
     __slots__ = ()
     waiting: Any
-    """A deque, or None: each stands where its sample stands in the queue; those that are done stand before the others."""
+    """A deque, or None: each stands where its sample stands in the queue, those that are done before the others."""
 
     @property
     def buffered(self) -> int:
