@@ -6,7 +6,7 @@ a peer that begins with many questions, such as a kernel with a thousand connect
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Collection, Mapping
 from typing import Final, NamedTuple
 
@@ -51,10 +51,10 @@ class Limits:
     """What peers have asked, and who is cut off."""
 
     def __init__(self) -> None:
-        self._levels: dict[tuple[str, str], tuple[float, float]] = {}
-        """By peer and what is counted: how much, and when."""
-        self._until: dict[str, float] = {}
-        self._said: dict[str, float] = {}
+        self._levels: OrderedDict[tuple[str, str], tuple[float, float]] = OrderedDict()
+        """By peer and what is counted: how much, and when. The first of a dict would be looked for among those gone."""
+        self._until: OrderedDict[str, float] = OrderedDict()
+        self._said: OrderedDict[str, float] = OrderedDict()
 
     def admits(self, who: str, now: float) -> bool:
         """Whether anything of this peer is heard."""
@@ -79,16 +79,16 @@ class Limits:
         if level <= limit.most:
             self._levels[who, what] = level, now  # the last is the one that was heard last
             if len(self._levels) > _PEERS:
-                del self._levels[next(iter(self._levels))]
+                self._levels.popitem(last=False)
             return ""
         self._levels[who, what] = 0.0, now + CUT_OFF
         self._until[who] = now + CUT_OFF
         if len(self._until) > _PEERS:
-            del self._until[next(iter(self._until))]
+            self._until.popitem(last=False)
         before = self._said.pop(who, None)
         self._said[who] = now
         if len(self._said) > _PEERS:
-            del self._said[next(iter(self._said))]
+            self._said.popitem(last=False)
         if before is not None and now - before < _SAID:
             return ""
         return f"{who} is beyond {limit.text}, and is not heard for {CUT_OFF:g} s"

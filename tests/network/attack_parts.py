@@ -127,8 +127,8 @@ class Outcome:
     def __str__(self) -> str:
         lines = [
             f"{'attacked' if one.attacked else 'alone':8} {one.rate:6.2f} cycles/s, "
-            f"longest gap {one.gap * 1e3:.0f} ms, {one.written} written, {one.read} read, {one.lost} lost, answers up to "
-            f"{max(one.answers, default=float('inf')) * 1e3:.0f} ms {one.faults or ''}, "
+            f"longest gap {one.gap * 1e3:.0f} ms, {one.written} written, {one.read} read, {one.lost} lost, "
+            f"answers up to {max(one.answers, default=float('inf')) * 1e3:.0f} ms {one.faults or ''}, "
             f"{one.memory >> 10} KiB, {one.standing}; {one.said}"
             for one in self.rounds
         ]
