@@ -13,7 +13,7 @@ from typing import Final
 
 from aiorts_zenoh.names import Claim, Rank, first_seen, gives_way
 
-LOOKED_AT: Final = 16
+LOOKED_AT: Final = 8
 """The most rivals of one claim that are compared with it."""
 TOLD: Final = 4_000
 """Kernels of which it is kept that they were told of another; beyond it those of longest ago are forgotten."""
@@ -137,9 +137,8 @@ class Claims:
         scope = self._scopes.get(self.scope_of(claim))
         if scope is None:
             return
-        among = (
-            scope.order if len(scope.machines.keys() | {claim.machine}) > 1 else scope.of_kernel.get(claim.kernel, ())
-        )
+        shared = len(scope.machines) > 1 or claim.machine not in scope.machines
+        among = scope.order if shared else scope.of_kernel.get(claim.kernel, ())
         for _, other in islice(among, LOOKED_AT):
             if other != claim and claim.meets(other):
                 yield other

@@ -224,13 +224,14 @@ class Presence:
 
     def _tell_rivals(self, claim: Claim) -> None:
         """Tell this claim, or those that have to give way to it, of the other; each of one at a time."""
+        is_shared = self._claims.is_shared(self._claims.scope_of(claim))
         for other in self._claims.rivals(claim):
             if other == self._name.own:  # whose tokens all that connect here see themselves
                 continue
             for one, two in ((claim, other), (other, claim)):
                 if one not in self._told_others and self._claims.gives_way(one, two):
                     self._tell_of(one, two)
-            if not self._claims.is_shared(self._claims.scope_of(claim)):
+            if not is_shared:
                 return  # the others were told of that one
 
     def _tell_of_first(self, claim: Claim) -> None:
