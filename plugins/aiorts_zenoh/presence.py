@@ -17,6 +17,7 @@ from aiorts.links import KernelFace, Peer
 from aiorts_zenoh.claims import LOOKED_AT, Claims, Told
 from aiorts_zenoh.engine import Engine, in_thread
 from aiorts_zenoh.keys import Keys, claim_of, teller_in
+from aiorts_zenoh.limits import OF_KERNEL
 from aiorts_zenoh.names import Claim, Name, Standing, free_name
 
 _TURN: Final = 0.0005
@@ -98,8 +99,8 @@ class Presence:
         """The kernels that were told of a token which is gone."""
         self._heard_of: set[Claim] = set()
         """Claims that others have told of, whose tokens this kernel may not see itself."""
-        self._came_last: OrderedDict[tuple[Claim, bool], tuple[bool, bool]] = OrderedDict()
-        """Tokens to look at: whether each was gone at any time since, and whether it is there now."""
+        self._came_last: OrderedDict[tuple[Claim, bool], tuple[bool, ...]] = OrderedDict()
+        """Tokens to look at, and whether each came or went: the last change, and the one before."""
         self._due: OrderedDict[tuple[str, str], None] = OrderedDict()
         self._due_scopes: set[str] = set()
         """Names to look at again, and whole scopes."""
@@ -150,12 +151,18 @@ class Presence:
         if self._closed or found is None or found[0] == self._name.own:
             return
         claim, owned = found
-        was_gone, is_up = self._came_last.get(found, (False, False))
-        if is_up and not up and not was_gone and not self._claims.has(claim, owned=owned):
+        before = self._came_last.get(found, ())
+        if before == (True,) and not up and not self._is_of_note(claim, owned=owned):
             del self._came_last[found]  # it went before it was looked at
-            return
-        self._came_last[found] = was_gone or not up, up
-        self._work_soon()
+        elif before[-1:] != (up,):
+            self._came_last[found] = (*before, up)[-2:]
+            self._work_soon()
+
+    def _is_of_note(self, claim: Claim, *, owned: bool) -> bool:
+        """Whether it matters that a token was there which is gone: it was seen, or this kernel has to give way to it."""
+        return self._claims.has(claim, owned=owned) or (
+            len(self._came_last) < OF_KERNEL and self._claims.meets(claim, self._name.own)
+        )
 
     def _work_soon(self) -> None:
         if self._works is None and not self._closed:
@@ -172,11 +179,10 @@ class Presence:
         """Look at what has come, tell of what is gone, and look at names that are due, each for a bounded time."""
         until = time.perf_counter() + _TURN
         while self._came_last and time.perf_counter() < until:
-            (claim, owned), (was_gone, is_up) = self._came_last.popitem(last=False)
-            if was_gone:
-                self._put(claim, owned=owned, up=False)
-            if is_up and self._trust.admits(claim.kernel):
-                self._put(claim, owned=owned, up=True)
+            (claim, owned), changes = self._came_last.popitem(last=False)
+            for up in changes:
+                if not up or self._trust.admits(claim.kernel):
+                    self._put(claim, owned=owned, up=up)
         until = time.perf_counter() + _TURN
         while self._to_tell and time.perf_counter() < until:
             other, token = self._to_tell.popleft()
@@ -199,7 +205,9 @@ class Presence:
             self._ended(claim, scope, was_shared=was_shared)
         elif up:
             if scope == self._claims.scope_of(self._name.own):
-                self._meets(claim, owned=owned, is_new=is_new)
+                # Both tokens of an owner come one after the other to who connects late.
+                owns = self._claims.has(claim, owned=True) or self._came_last.get((claim, True), ())[-1:] == (True,)
+                self._meets(claim, owned=owns, is_new=is_new)
             if self._listens:
                 self._tell_rivals(claim)
         self._look_at(scope, claim.kernel)
