@@ -159,7 +159,7 @@ class Presence:
             self._work_soon()
 
     def _is_of_note(self, claim: Claim, *, owned: bool) -> bool:
-        """Whether it matters that a token was there which is gone: it was seen, or this kernel has to give way to it."""
+        """Whether a token that is gone mattered: it was seen, or is a rival that this kernel has to give way to."""
         return self._claims.has(claim, owned=owned) or (
             len(self._came_last) < OF_KERNEL and self._claims.meets(claim, self._name.own)
         )
