@@ -144,10 +144,8 @@ class Transport:
         """Tokens that such a receiver still has for samples that were overwritten: `length` at the most, or as many as
         are unread."""
         self.waiting: OrderedDict[Waiting, None] | None = None
-        """The writers that wait for room, in order; the buffer is full as long as there is one. None before the first.
-
-        It is no deque: thousands that give up at once would each search it.
-        """
+        """The writers that wait for room; the buffer is full as long as there is one. None before the first."""
+        # No deque: thousands that give up at once would each search it.
         self.clock = kernel.clock
         self.times = ConnectorTimes(profile.measure, kernel.clock.monotonic_ns()) if profile.measure else None
         self.losses: LossListener | Literal[False] | None = None
