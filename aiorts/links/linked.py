@@ -7,7 +7,7 @@ reader's end has acknowledged its sample; these samples go past the queue, behin
 from __future__ import annotations
 
 import asyncio
-from collections import deque
+from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
@@ -101,8 +101,8 @@ class Confirmed(Linked):
     def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
         entry = Confirmation(self.connector, self.stamp_in(sample), future)
         if self.waiting is None:
-            self.waiting = deque()
-        self.waiting.append(entry)
+            self.waiting = OrderedDict()
+        self.waiting[entry] = None
         self.receiver.on_loop(self._pump)
         return entry
 
@@ -110,7 +110,7 @@ class Confirmed(Linked):
         """The oldest sample that waits to be sent, where nothing lies in the queue before it; it is taken."""
         if self.queue or not self.waiting:
             return None
-        entry = self.waiting.popleft()
+        entry, _ = self.waiting.popitem(last=False)
         assert isinstance(entry, Confirmation)  # noqa: S101 - `queue_up` makes no others
         self.written += 1
         if not self.waiting:
@@ -130,8 +130,7 @@ class Confirmed(Linked):
                 return now.give_up(entry)
             if entry.done:
                 return False
-            if self.waiting and entry in self.waiting:
-                self.waiting.remove(entry)
+            self.leave_line(entry)
             return True  # sent: it stays in flight, and nobody waits for it any more
 
     def time_out(self, entry: Waiting) -> None:

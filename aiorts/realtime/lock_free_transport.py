@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Iterator, Mapping
 from itertools import count
 from operator import methodcaller
@@ -87,7 +87,7 @@ class LockFreeTransport(Transport):
     def take_over(self, old: Transport, receiver: Receiver) -> None:
         super().take_over(old, receiver)
         self.dropped = dict(self.dropped)
-        self.waiting = self.waiting or deque()
+        self.waiting = deque(self.waiting or ())
         self.extra = _Sides()
         self.extra.wanted = bool(self.waiting)
         self.extra.places.extend(receiver.extra.unread.pop(old, ()))
@@ -104,6 +104,14 @@ class LockFreeTransport(Transport):
         for side in (sides.by_reader, sides.by_loop):
             for reason, number in side.items():
                 self.drop(reason, number)
+        self.waiting = OrderedDict.fromkeys(self.waiting)
+
+    def leave_line(self, entry: Waiting) -> bool:
+        try:
+            self.waiting.remove(entry)  # a deque: both sides use it without a lock
+        except ValueError:
+            return False
+        return True
 
     def change(self, profile: ConnectorProfile) -> None:
         raise StateError(

@@ -17,7 +17,7 @@ from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read
 from aiorts_zenoh.gate import Gate
 from aiorts_zenoh.keys import BY_READER, BY_WRITER, ClientKeys, Keys, asked
-from aiorts_zenoh.presence import Presence, this_machine
+from aiorts_zenoh.presence import AnyName, Presence, Trust, this_machine
 from aiorts_zenoh.sending import Budget, Receiver, Sender
 from aiorts_zenoh.sessions import Sessions
 
@@ -116,8 +116,8 @@ class ZenohTransport:
         """Called before the session ends, in a thread; each may wait a moment."""
         self.sessions_denied = ""
         """Why this kernel may not ask others for operations; "" where it may."""
-        self.admits: Callable[[str], bool] = lambda name: True
-        """Whether a kernel of this name may be there."""
+        self.trust: Trust = AnyName()
+        """The rules of which kernels may be there, and which may tell of others."""
         self.kernel: KernelFace
         self.loop: asyncio.AbstractEventLoop
         self.keys: Keys
@@ -144,7 +144,7 @@ class ZenohTransport:
             self._present,
             connects=connects,
             listens=listens,
-            admits=self.admits,
+            trust=self.trust,
             renamed=self._renamed if self._renames else None,
         )
         try:

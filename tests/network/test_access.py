@@ -103,7 +103,10 @@ def test_what_is_revoked_hears_that_it_is_and_nothing_else() -> None:
     table = access_control("arm", Access.of_names(ROLES, ["base"]), BASE)
     rules = {one["id"]: one["key_exprs"] for one in table["rules"]}
     (policy,) = [one for one in table["policies"] if one["subjects"] == ["base"]]
-    assert {key for name in policy["rules"] for key in rules[name]} == {f"{BASE}/denied/base"}
+    assert {key for name in policy["rules"] for key in rules[name]} == {
+        f"{BASE}/denied/base/*",
+        f"{BASE}/denied/base/arm",
+    }
     assert table["default_permission"] == "deny"
 
 

@@ -22,7 +22,7 @@ from aiorts.links import Links
 from aiorts.types import TimedLong
 from aiorts_zenoh import Network
 from aiorts_zenoh.gate import Gate
-from aiorts_zenoh.limits import CUT_OFF, LIMITS, NAMES, SLOW_NS, SLOW_NS_PER_BYTE, Limits, Names
+from aiorts_zenoh.limits import CUT_OFF, LIMITS, NAMES, OF_KERNEL, SLOW_NS, SLOW_NS_PER_BYTE, Limits, Names
 from network.network_parts import free_port
 
 HOSTILE = Path(__file__).with_name("hostile_program.py")
@@ -58,14 +58,15 @@ def test_the_guide_names_these_limits() -> None:
     (said,) = re.findall(
         r"is not heard for (\d+) seconds.* are (\d+) questions a second, over ten seconds, and ([\d,]+) more once; "
         r"(\d+) messages a minute that are none; and (\d+) messages a minute that take the processor longer than "
-        r"(\d+) ms, and (\d+) ms more for each megabyte\. Of a host ([\d,]+) names are seen\.",
+        r"(\d+) ms, and (\d+) ms more for each megabyte\. Of a host ([\d,]+) tokens are seen, of which "
+        r"a kernel has two, and of one kernel's name ([\d,]+) on all hosts together\.",
         text,
     )
     question, bad, slow = (LIMITS[what] for what in ("question", "bad", "slow"))
     assert (question.seconds, bad.seconds, slow.seconds) == (10.0, 60.0, 60.0)
     assert [int(one.replace(",", "")) for one in said] == [
         *(CUT_OFF, question.most / 10, question.at_first, bad.most, slow.most),
-        *(SLOW_NS / 1e6, SLOW_NS_PER_BYTE, NAMES),
+        *(SLOW_NS / 1e6, SLOW_NS_PER_BYTE, NAMES, OF_KERNEL),
     ]
 
 
@@ -92,19 +93,43 @@ def test_a_table_of_peers_that_are_made_up_has_a_bound() -> None:
 def test_names_that_are_taken_are_those_that_are_there(steps: list[tuple[int, bool]]) -> None:
     names, there = Names(), set()
     for number, up in steps:
-        taken = names.admits("host", f"token{number}", up=up)
+        taken = names.admits("host", "robot", f"token{number}", up=up)
         assert taken == (up or number in there)
         (there.add if up else there.discard)(number)
 
 
 def test_of_more_names_than_one_host_may_have_the_rest_is_left_out_and_others_are_not() -> None:
     names = Names()
-    taken = [names.admits("evil", f"token{number}", up=True) for number in range(NAMES + 5)]
+    taken = [names.admits("evil", f"k{number}", f"token{number}", up=True) for number in range(NAMES + 5)]
     assert taken == [True] * NAMES + [False] * 5
-    assert names.admits("good", "token", up=True)
-    assert not names.admits("evil", f"token{NAMES + 1}", up=False)
-    assert names.admits("evil", "token0", up=False)
-    assert names.admits("evil", f"token{NAMES + 1}", up=True)
+    assert names.beyond("evil", "k") == ("host", "evil")
+    assert names.admits("good", "k", "token", up=True)
+    assert not names.admits("evil", "k", f"token{NAMES + 1}", up=False)
+    assert names.admits("evil", "k0", "token0", up=False)
+    assert names.admits("evil", "k", f"token{NAMES + 1}", up=True)
+
+
+def test_of_one_kernels_name_only_so_many_tokens_are_seen_on_all_hosts_and_others_as_ever() -> None:
+    names = Names()
+    taken = [names.admits(f"host{number}", "evil", f"token{number}", up=True) for number in range(OF_KERNEL + 5)]
+    assert taken == [True] * OF_KERNEL + [False] * 5
+    assert names.beyond("host0", "evil") == ("kernel", "evil")
+    assert names.admits("host0", "good", "token", up=True)
+    assert [names.admits(f"host{number}", "evil", f"token{number}", up=False) for number in range(OF_KERNEL)] == taken[
+        :OF_KERNEL
+    ]
+    assert names.beyond("host0", "evil") is None
+
+
+def test_what_has_too_many_tokens_is_said_once_and_again_when_it_had_none() -> None:
+    said: list[str] = []
+    gate, base = Gate(lambda name: False, said.append), "aiorts/1/default/live/host"
+    for _ in range(2):
+        for number in range(OF_KERNEL + 5):
+            gate.token(f"{base}/evil/{number}", up=True)
+        for number in range(OF_KERNEL):
+            gate.token(f"{base}/evil/{number}", up=False)
+    assert said == [f"zenoh: the kernel evil has {OF_KERNEL} tokens and more; the rest is not seen"] * 2
 
 
 def test_kernels_of_one_name_on_several_hosts_are_limited_each() -> None:

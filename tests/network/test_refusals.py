@@ -10,9 +10,11 @@ import socket
 import ssl
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -209,7 +211,7 @@ def test_who_is_refused_sees_nothing_whatever_its_own_end_checks(tmp_path: Path,
     ("cause", "at", "said"),
     [
         (another_authority, "127.0.0.1", "the certificate there is of another authority"),
-        (revoked, "127.0.0.1", "the name 'writer' was revoked: others take nothing from this kernel"),
+        (revoked, "127.0.0.1", "'reader' says that the name 'writer' was revoked: it takes nothing from this kernel"),
         (nothing_wrong, "127.0.0.2", "the certificate there is for other addresses; issue it with --address"),
     ],
 )
@@ -313,9 +315,69 @@ def received(connected: socket.socket) -> bytes:
     return got
 
 
-def test_the_probe_says_what_does_not_answer_and_what_is_no_tls(tmp_path: Path) -> None:
-    ours = folder(tmp_path, **NAMES)
-    own = unchecked(ours, "writer")
+def test_the_probe_says_what_does_not_answer_and_what_is_busy(tmp_path: Path) -> None:
+    own = unchecked(folder(tmp_path, **NAMES), "writer")
     assert probe("127.0.0.1", free_port(), own) == "is not reached: Connection refused"
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        assert probe("127.0.0.1", silent.getsockname()[1], own, within=0.2).startswith("does not speak TLS")
+    for shown in (own, None):
+        with socket.create_server(("127.0.0.1", 0)) as silent:
+            said = probe("127.0.0.1", silent.getsockname()[1], shown, within=0.2)
+            assert said == "is busy: it did not answer a handshake within 0.2 s"
+
+
+@pytest.mark.parametrize("answer", [b"", b"220 mail\r\n", b"HTTP/1.1 400 Bad Request\r\n\r\n"])
+def test_the_probe_says_what_is_no_tls(tmp_path: Path, answer: bytes) -> None:
+    """A port of plain TCP: what is there ends the connection, or answers in words of its own."""
+    own = unchecked(folder(tmp_path, **NAMES), "writer")
+    with socket.create_server(("127.0.0.1", 0)) as plain:
+
+        def serve() -> None:
+            connected, _ = plain.accept()
+            with connected:
+                connected.recv(4096)
+                connected.sendall(answer)
+
+        serving = threading.Thread(target=serve)
+        serving.start()
+        said = probe("127.0.0.1", plain.getsockname()[1], own)
+        serving.join(10.0)
+    assert said == "does not speak TLS: it may be a kernel without certificates"
+
+
+@pytest.mark.fault("E12")
+def test_a_port_that_is_busy_with_bad_handshakes_is_called_busy_and_then_answers(tmp_path: Path) -> None:
+    made, port, ended = folder(tmp_path, **NAMES), free_port(), threading.Event()
+    own = unchecked(made, "writer")
+
+    def flood() -> None:
+        """Four times as many as the engine takes in a second."""
+        while not ended.wait(0.02):
+            with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0) as one:
+                one.sendall(b"\x20\x00" + bytes(32))
+
+    with session(made, "reader", guarded=True, listen=f"127.0.0.1:{port}"):
+        assert probe("127.0.0.1", port, own) == ""
+        flooding = threading.Thread(target=flood)
+        flooding.start()
+        try:
+            said = [probe("127.0.0.1", port, own, within=1.0) for _ in range(3)]
+        finally:
+            ended.set()
+            flooding.join(10.0)
+        assert said[-1] == "is busy: it did not answer a handshake within 1 s", said
+        assert not any("TLS" in one for one in said)
+        until = time.monotonic() + 60.0
+        while probe("127.0.0.1", port, own):
+            assert time.monotonic() < until
+
+
+def test_a_kernel_in_plain_tcp_is_said_to_speak_no_tls(tmp_path: Path) -> None:
+    own = unchecked(folder(tmp_path, **NAMES), "writer")
+
+    async def main() -> str:
+        port = free_port()
+        services = {"zenoh": {"listen": f"127.0.0.1:{port}", "host": "far", "insecure": True}}
+        async with Kernel("reader", services=services) as kernel:
+            await kernel.service(Network).opened()
+            return await asyncio.to_thread(probe, "127.0.0.1", port, own)
+
+    assert asyncio.run(main()) == "does not speak TLS: it may be a kernel without certificates"

@@ -544,7 +544,7 @@ def _give_up(entry: Waiting, written: bool) -> bool:
     transport = entry.connector._transport
     with transport.guard():
         missed = transport.missed == transport.position
-        newest = transport.waiting and transport.waiting[-1] is entry
+        newest = transport.waiting and next(reversed(transport.waiting)) is entry
         if not transport.give_up(entry):
             return False
         if missed:

@@ -14,7 +14,7 @@ method that has waited for the lock asks whether this is still the connector's t
 from __future__ import annotations
 
 import asyncio
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import AbstractContextManager
 from types import MappingProxyType
@@ -143,8 +143,9 @@ class Transport:
         self.dead = 0
         """Tokens that such a receiver still has for samples that were overwritten: `length` at the most, or as many as
         are unread."""
-        self.waiting: deque[Waiting] | None = None
+        self.waiting: OrderedDict[Waiting, None] | None = None
         """The writers that wait for room; the buffer is full as long as there is one. None before the first."""
+        # No deque: thousands that give up at once would each search it.
         self.clock = kernel.clock
         self.times = ConnectorTimes(profile.measure, kernel.clock.monotonic_ns()) if profile.measure else None
         self.losses: LossListener | Literal[False] | None = None
@@ -471,8 +472,8 @@ class Transport:
         """Queue up for room that there is known not to be; across threads the caller holds the lock."""
         entry = Waiting(self.connector, sample, future)
         if self.waiting is None:
-            self.waiting = deque()
-        self.waiting.append(entry)
+            self.waiting = OrderedDict()
+        self.waiting[entry] = None
         self.connector.in_._fast = OFF
         return entry
 
@@ -485,13 +486,18 @@ class Transport:
         with self.guard():
             if (now := self.connector._transport) is not self:
                 return now.give_up(entry)
-            waiting = self.waiting
-            if entry.done or not waiting or entry not in waiting:
+            if entry.done or not self.leave_line(entry):
                 return False
-            waiting.remove(entry)
-            if not waiting:
+            if not self.waiting:
                 self.connector.in_._fast = self.receiver.direct
             return True
+
+    def leave_line(self, entry: Waiting) -> bool:
+        """Take a writer out of those that wait, wherever it stands; False: it is not one of them."""
+        if self.waiting is None or entry not in self.waiting:
+            return False
+        del self.waiting[entry]
+        return True
 
     def admit_waiting(self) -> None:
         """Move in who waits, as far as there is room. A sample has its number when it comes in, not when it queued up:
@@ -510,7 +516,7 @@ class Transport:
         if plain:
             while waiting and len(queue) < self.length:
                 # Written out: the writer and the reader of a full buffer do this once for each sample.
-                entry = waiting.popleft()
+                entry, _ = waiting.popitem(False)
                 self.written += 1
                 queue.append(entry.sample)
                 receiver.arrived(self, False)
@@ -530,13 +536,13 @@ class Transport:
             self.admit_waiting()
             self.length = length
 
-    def _admit_each(self, waiting: deque[Waiting]) -> None:
+    def _admit_each(self, waiting: OrderedDict[Waiting, None]) -> None:
         """Move in who waits, as far as there is room; those that the push policy leaves out need none."""
         while waiting:
             sent = self.admits_next()
             if sent and len(self.queue) >= self.length:
                 break
-            entry = waiting.popleft()
+            entry, _ = waiting.popitem(False)
             self.written += 1
             if sent:
                 self.push_in(self.stamp_in(entry.sample))
@@ -569,7 +575,7 @@ class Transport:
                 return now.held()
             if self.missed == self.position:
                 return NOTHING
-            return self.waiting[-1].sample if self.waiting else self.newest_here()
+            return next(reversed(self.waiting)).sample if self.waiting else self.newest_here()
 
     def newest_here(self) -> Any:
         """The newest sample that came in, read or unread; NOTHING if there was none."""

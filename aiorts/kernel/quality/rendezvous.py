@@ -8,9 +8,10 @@ Its sample counts as written once it is taken, or lost; `waiting` has one entry 
 from __future__ import annotations
 
 import asyncio
+from bisect import bisect_left
 from collections import deque
-from itertools import islice
-from typing import Any
+from itertools import count, islice
+from typing import Any, Final
 
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.features import FeaturedTransport
@@ -19,6 +20,8 @@ from aiorts.kernel.ports.transport import Transport, Waiting
 from aiorts.kernel.ports.waiting import Looking
 from aiorts.late import dataclass
 
+_turns: Final = count()
+
 
 @dataclass(eq=False, slots=True)
 class _Offered(Waiting):
@@ -26,21 +29,24 @@ class _Offered(Waiting):
 
     arrived_at: int = 0
     """As `Transport.arrived_at`."""
+    turn: int = 0
+    """The place in the order of coming: an entry is found by it among thousands that give up at once."""
 
 
 class Rendezvous(FeaturedTransport):
     """A transport without a buffer: the reader takes each sample from a write that waits. See `Transport`."""
 
     __slots__ = ()
-    waiting: deque[Any] | None
+    waiting: Any
+    """A deque, or None: each stands where its sample stands in the queue, those that are done before the others."""
 
     @property
     def buffered(self) -> int:
-        return sum(entry.done for entry in self.waiting or ())
+        return bisect_left(self.waiting or (), True, key=lambda entry: not entry.done)
 
     @property
     def position(self) -> int:
-        return self.total() + sum(not entry.done for entry in self.waiting or ())
+        return self.total() + len(self.waiting or ()) - self.buffered
 
     @property
     def is_awaited(self) -> bool:
@@ -60,6 +66,7 @@ class Rendezvous(FeaturedTransport):
     def _hold_out(self, entry: _Offered) -> Waiting:
         if self.waiting is None:
             self.waiting = deque()
+        entry.turn = next(_turns)
         self.waiting.append(entry)
         self.connector.in_._fast = OFF
         self.push_in(entry.sample)
@@ -71,9 +78,11 @@ class Rendezvous(FeaturedTransport):
             if (now := transport_of(self.connector)) is not self:
                 return now.give_up(entry)
             waiting = self.waiting
-            if entry.done or not waiting or entry not in waiting:
+            if entry.done or not waiting or not isinstance(entry, _Offered):
                 return False
-            place = waiting.index(entry)
+            place = bisect_left(waiting, entry.turn, key=lambda one: one.turn)
+            if place == len(waiting) or waiting[place] is not entry:
+                return False
             del waiting[place]
             self.take_out(place)
             tokens = self.receiver.tokens

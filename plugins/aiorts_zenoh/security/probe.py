@@ -18,6 +18,8 @@ _ALERT_WITHIN: Final = 0.5
 """Seconds that the other end has, after the handshake, to refuse what this one has shown."""
 _SILENT: Final = 0.9
 """Seconds after which an end of aiorts closes a connection on which nothing is said: that is no refusal."""
+_BUSY: Final = "is busy: it did not answer a handshake within {:g} s"
+"""An end of aiorts, with certificates or without, answers or ends what it does not understand within a second."""
 _ENDS: Final = "it ends the connection"
 _THEIRS: Final = {
     7: "the certificate there is of another authority",
@@ -51,14 +53,14 @@ def probe(host: str, port: int, identity: Identity | None, within: float = _WITH
     """
     try:
         with socket.create_connection((host, port), within) as connected:
-            return _handshake(connected, host, identity)
+            return _handshake(connected, host, identity, within)
     except TimeoutError:
         return "does not answer"
     except OSError as error:
         return f"is not reached: {error.strerror or error}"
 
 
-def _handshake(connected: socket.socket, host: str, identity: Identity | None) -> str:
+def _handshake(connected: socket.socket, host: str, identity: Identity | None, within: float) -> str:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     if identity is None:
         context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
@@ -79,7 +81,9 @@ def _handshake(connected: socket.socket, host: str, identity: Identity | None) -
         return _THEIRS.get(error.verify_code, f"the certificate there is not taken: {error.verify_message}")
     except ssl.SSLError as error:
         said = error.reason or "it ends the handshake"
-    except (TimeoutError, OSError):
+    except TimeoutError:
+        return _BUSY.format(within)
+    except OSError:
         said = "no TLS"
     return _meaning(said, identity)
 

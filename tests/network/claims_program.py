@@ -1,0 +1,33 @@
+"""An attacker that claims names: `python claims_program.py HOST:PORT FOLDER NAME HOST COUNT HOW`.
+
+It has the certificate of NAME and goes by no table of its own. It declares COUNT tokens of kernels on HOST, until its
+standard input ends; HOW: `one` name from many machines, `kernels` of many names, `owns` one name from many machines, or
+`comes`, and goes again and again.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from pathlib import Path
+
+from engine_parts import BASE, session  # its folder is the first where this program looks
+
+from aiorts_zenoh.security.folder import Folder
+
+address, certificates, name, host, count, how = sys.argv[1:]
+ended = threading.Event()
+with session(Folder(Path(certificates)), name, guarded=False, mode="client", connect=address) as opened:
+    print("begins", flush=True)
+    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    began, tokens, number = time.monotonic(), [], 0
+    while number < int(count) and not ended.is_set():
+        kernel = f"{name}-{number}" if how == "kernels" else name
+        token = f"{BASE}/live/{host}/{kernel}/1-{number:016x}-{number:016x}"
+        tokens += [opened.liveliness().declare_token(one) for one in (token, f"{token}/own")[: 1 + (how == "owns")]]
+        if how == "comes":
+            tokens.pop().undeclare()
+        number += 1
+    print(f"{number} claims in {time.monotonic() - began:.2f} s", flush=True)
+    ended.wait()
