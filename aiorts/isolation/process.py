@@ -128,7 +128,7 @@ class Process:
         for limit, why in self._child.denied.items():
             self._line(logging.WARNING, f"limits.{limit} is not kept: {why}")
         self._links.reach.carried.add(self.kernel)
-        connection = self._transport.take(ours, greets_within=_COMES_UP)
+        connection = self._transport.take(ours)
         self._child.ended.add_done_callback(self._over)
         try:
             async with asyncio.timeout(_COMES_UP):

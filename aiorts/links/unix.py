@@ -1,8 +1,10 @@
 """The transport of one host: kernels of one user find each other by their sockets in the run-time folder.
 
-Each kernel listens at a socket of its own. One that opens connects to all that are there, so nobody has to look again;
-the end of a connection is the end of that kernel. A socket that nobody listens at was left by a kernel that is gone:
-the next that opens removes it. Who connects must be of the same user, which the system says.
+Each kernel listens at a socket of its own. One that opens connects to all that are there, so nobody has to look again.
+Who has connected waits for the greeting as long as the other kernel is there, and connects again when the connection
+ends, until nobody listens there. Who accepts ends a connection that is silent for a second: it may be of anybody.
+A socket that nobody listens at was left by a kernel that is gone: the next that connects to it removes it. Who connects
+must be of the same user, which the system says.
 """
 
 from __future__ import annotations
@@ -35,7 +37,15 @@ _IN_RING: Final = 4
 _RINGED: Final = (_BY_WRITER + _IN_RING, _BY_READER + _IN_RING)
 _SUFFIX: Final = ".link"
 _GREETING_SECONDS: Final = 1.0
+"""How long a connection that was accepted may be silent, and how long `open` waits for the greetings of others."""
+_SILENT: Final = 256
+"""Connections that were accepted and are silent, at the most: then the oldest is ended. Its kernel connects again."""
 _ACCEPT_AGAIN_SECONDS: Final = 0.2
+_CONNECT_AGAIN: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+"""Seconds until a kernel is connected to again."""
+_FOR_NOW: Final = (errno.EAGAIN, errno.EINTR, errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+"""Why a kernel that is there cannot be connected to now: its queue is full, as while it stands still, or this process
+or the system has no descriptors or memory left."""
 _ASKED: Final = 1_000
 """Questions of one peer that are being answered at the same time, at the most."""
 _LONGEST: Final = 2_000
@@ -69,6 +79,10 @@ class UnixTransport:
         self._connections: set[_Connection] = set()
         self._channels: dict[tuple[Peer, int, int], _UnixChannel] = {}
         """By peer, what its end of the link is (`_BY_WRITER` or `_BY_READER`), and number."""
+        self._silent: dict[_Connection, asyncio.TimerHandle] = {}
+        """Connections that were accepted and have not said whose they are, the oldest first; what ends each."""
+        self._due: dict[Path, asyncio.TimerHandle] = {}
+        """Sockets that are connected to again, and when."""
         self._listener: socket.socket | None = None
         self._path = Path()
         self.kernel: KernelFace
@@ -120,18 +134,31 @@ class UnixTransport:
         self._path, self._listener = path, listener
         self.loop.add_reader(listener.fileno(), self._accept)
 
-    def _connect(self, path: Path) -> _Connection | None:
-        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    def _connect(self, path: Path, tried: int = 0) -> _Connection | None:
+        """Connect to the kernel at a socket, and again when that connection has ended, until nobody listens there."""
+        self._due.pop(path, None)
         try:
-            sock.setblocking(False)
-            sock.connect(str(path))
+            sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            try:
+                sock.setblocking(False)
+                sock.connect(str(path))
+            except OSError:
+                sock.close()
+                raise
         except OSError as error:
-            sock.close()
             if isinstance(error, ConnectionRefusedError):
                 with contextlib.suppress(OSError):
                     path.unlink()
+            elif error.errno in _FOR_NOW:
+                self._connect_soon(path, tried)
             return None
-        return self.take(sock)
+        connection = self.take(sock)
+        connection.lost = lambda: self._connect_soon(path, tried if connection.peer is None else 0)
+        return connection
+
+    def _connect_soon(self, path: Path, tried: int) -> None:
+        seconds = _CONNECT_AGAIN[min(tried, len(_CONNECT_AGAIN) - 1)]
+        self._due[path] = self.loop.call_later(seconds, self._connect, path, tried + 1)
 
     def _accept(self) -> None:
         assert self._listener is not None  # noqa: S101 - it listens
@@ -146,19 +173,24 @@ class UnixTransport:
         if _owner_of(sock)[1] != os.geteuid():
             sock.close()
             return
-        self.take(sock)
+        if len(self._silent) >= _SILENT:
+            next(iter(self._silent)).close()
+        connection = self.take(sock)
+        self._silent[connection] = self.loop.call_later(_GREETING_SECONDS, connection.close)
+        connection.greeted.add_done_callback(lambda _: self._heard(connection))
+
+    def _heard(self, connection: _Connection) -> None:
+        """A connection that was accepted is silent no more, or is over."""
+        if (timer := self._silent.pop(connection, None)) is not None:
+            timer.cancel()
 
     def _accept_again(self) -> None:
         if self._listener is not None:
             self.loop.add_reader(self._listener.fileno(), self._accept)
 
-    def take(self, sock: socket.socket, *, greets_within: float = _GREETING_SECONDS) -> _Connection:
-        """Use a connected socket, at whose other end is another kernel; its end is the end of that kernel.
-
-        Args:
-            greets_within: seconds until it must have said who it is.
-        """
-        connection = _Connection(self, sock, greets_within)
+    def take(self, sock: socket.socket) -> _Connection:
+        """Use a connected socket, at whose other end is another kernel; its end is the end of that kernel."""
+        connection = _Connection(self, sock)
         self._connections.add(connection)
         return connection
 
@@ -172,6 +204,8 @@ class UnixTransport:
                 self._path.unlink()
         self._tells.clear()
         self._channels.clear()
+        for timer in self._due.values():
+            timer.cancel()
         for connection in tuple(self._connections):
             connection.close()
         self._connections.clear()
@@ -200,9 +234,10 @@ class UnixTransport:
         peer = connection.peer
         if peer is None or connection not in self._peers.get(peer, ()):
             return
-        self._peers[peer].remove(connection)
-        if self._peers[peer]:
-            return
+        there = self._peers[peer]
+        there.remove(connection)
+        if there:
+            return self._move(connection, there[0])
         del self._peers[peer]
         lost = [key for key in self._channels if key[0] == peer]
         for tell in tuple(self._tells):
@@ -210,6 +245,12 @@ class UnixTransport:
         for key in lost:
             if (channel := self._channels.pop(key, None)) is not None:
                 channel.events.on_state(False, f"{peer.kernel}: {why}")
+
+    def _move(self, over: _Connection, to: _Connection) -> None:
+        """Of two connections with one kernel, which opened at the same time, one is over: the other has its channels."""
+        for channel in [one for one in self._channels.values() if one.connection is over]:
+            channel.connection = to
+            self.loop.call_soon(channel.on_room)
 
     def _to(self, peer: Peer) -> _Connection:
         there = self._peers.get(peer)
@@ -253,7 +294,7 @@ class UnixTransport:
         for key, channel in tuple(self._channels.items()):
             # What is called for one may close another.
             if channel.connection is connection and self._channels.get(key) is channel:
-                channel.events.on_room()
+                channel.on_room()
 
     # -- questions -------------------------------------------------------------------------------------------------
 
@@ -288,23 +329,31 @@ class _UnixChannel:
     ) -> None:
         self.connection, self.events = connection, events
         self._kind, self._number, self._closed = kind, number, closed
-        self._send = connection.stream.send
+        self._is_open = True
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if parts and self.connection.rings is not None:
             return self.connection.send_parts(self._kind, self._number, head, parts)
-        return self._send(self._kind, self._number, head, parts)
+        return self.connection.stream.send(self._kind, self._number, head, parts)
+
+    def on_room(self) -> None:
+        """It takes frames again."""
+        if self._is_open:
+            self.events.on_room()
 
     def close(self) -> None:
+        self._is_open = False
         self._closed(self)
 
 
 class _Connection:
     """A connection with another kernel: its greeting, questions, and the frames of all channels."""
 
-    def __init__(self, transport: UnixTransport, sock: socket.socket, greets_within: float) -> None:
+    def __init__(self, transport: UnixTransport, sock: socket.socket) -> None:
         self._transport = transport
         self.peer: Peer | None = None
+        self.lost: Callable[[], object] = _nothing
+        """Called when the other end has ended it."""
         self.greeted: asyncio.Future[None] = transport.loop.create_future()
         """Done when it has said whose it is, or is over."""
         self._asked: dict[int, asyncio.Future[bytes]] = {}
@@ -317,11 +366,11 @@ class _Connection:
         self._greeting = b""
         """What the other end said first, byte for byte."""
         self.stream = Stream(transport.loop, sock, self._arrived, self._drained, self._over)
-        self._silent = transport.loop.call_later(greets_within, self._never_greeted)
         self.stream.send(_HELLO, 0, transport.greeting)
 
     def close(self) -> None:
         """End it."""
+        self.lost = _nothing
         self.stream.close()
         self._over("this kernel ends")
 
@@ -337,12 +386,7 @@ class _Connection:
             rings.take_back(places)
         return sent
 
-    def _never_greeted(self) -> None:
-        if self.peer is None:
-            self.close()
-
     def _over(self, why: str) -> None:
-        self._silent.cancel()
         if not self.greeted.done():
             self.greeted.set_result(None)
         name = self.peer.kernel if self.peer is not None else "another kernel"
@@ -353,6 +397,7 @@ class _Connection:
         if self.rings is not None:
             self.rings.close()
         self._transport.ended(self, why)
+        self.lost()
 
     def _drained(self) -> None:
         if self.rings is not None:
@@ -384,7 +429,6 @@ class _Connection:
         if kind == _HELLO:
             if self.peer is None:
                 self.peer = _peer_of(body)
-                self._silent.cancel()
                 self._prove(body)
                 self._transport.greeted(self, self.peer)
                 if not self.greeted.done():
@@ -486,6 +530,10 @@ class _Connection:
         finally:
             self._answering -= 1
         self.stream.send(kind, number, body)
+
+
+def _nothing() -> None:
+    """Nobody connects again."""
 
 
 def _peer_of(greeting: bytes) -> Peer:
