@@ -71,7 +71,7 @@ class _Queue:
     def takes(self, *, last: bool = False) -> bool:
         """Whether one more is taken; a refusal is remembered. `last`: twice as many, of any size."""
         count = len(self.messages)
-        if self._size < self._full and count < self._most or last and count < 2 * self._most:
+        if (self._size < self._full and count < self._most) or (last and count < 2 * self._most):
             return True
         self._refused = True
         return False

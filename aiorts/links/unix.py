@@ -330,8 +330,10 @@ class _Connection:
         rings = self.rings
         put = None if rings is None else rings.put(parts)
         if rings is None or put is None:
-            return self.stream.send(kind, number, head, parts)
+            return False
         places, beside = put
+        if not places:
+            return self.stream.send(kind, number, head, beside)
         sent = self.stream.send(kind + _IN_RING, number, rings.frame(places, head), beside)
         if not sent:
             rings.take_back(places)
@@ -432,6 +434,7 @@ class _Connection:
                 stream.expect_descriptor,
                 stream.take_descriptor,
                 lambda text: transport.kernel.report(f"{self._name}: {text}"),
+                self._drained,
             )
 
     def _meet(self, said: bytes) -> None:
