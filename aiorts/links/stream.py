@@ -3,6 +3,9 @@
 A message is a head of 12 bytes (bytes that follow, kind, parts, zeros behind the body, a number), the length of each
 part, its body, its parts. Each part begins at a multiple of 8 bytes of the message, so that arrays on it are aligned. A
 message of 64 KiB or more is received straight into a buffer of its own, and not copied.
+
+Messages wait in two queues, each with a bound of its own. Control goes first: it waits for the rest of the message that
+is partly sent, and for what the socket holds, which is 208 KiB on Linux; never for the samples behind that.
 """
 
 from __future__ import annotations
@@ -14,19 +17,23 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 from typing import Final, TypeAlias
 
-from aiorts.model.links import Buffer
+from aiorts.model.links import Buffer, Turn
 from aiorts.wire import sealed_bytes
 
 _HEAD: Final = struct.Struct("<IBBHI")
 _LARGE: Final = 65_536
 _AT_ONCE: Final = 65_536
 """Bytes that are received at once. Above 128 KiB memory of its own is asked of the system each time: 14 us."""
+_ONE_TURN: Final = 1 << 20
+"""Bytes after which a turn of the loop receives no more. With 64 KiB a loop whose turns take 0.1 s needed four of them
+to come to a question behind the 208 KiB that a socket holds."""
+_ONE_TURN_SECONDS: Final = 0.005
+"""Seconds after which a turn of the loop receives no more: small messages take longer than their bytes."""
 _LARGEST: Final = 80 << 20
 """Bytes of one message at the most."""
-_FULL: Final = 4 << 20
-"""Bytes that wait to be sent beyond which no more is taken."""
 _DESCRIPTOR: Final = struct.Struct("i")
 _ONE: Final = 20
 """Bytes in which the system tells of one descriptor (CMSG_LEN); in CMSG_SPACE, which is rounded up, are two."""
@@ -36,6 +43,53 @@ _VECTORS: Final = 64
 
 Message: TypeAlias = tuple[int, int, memoryview, tuple[memoryview, ...]]
 """A message that has arrived: kind, number, body and parts, which are views that nothing writes to any more."""
+
+
+class _Outgoing:
+    """A message, or the rest of one, that waits."""
+
+    __slots__ = ("descriptor", "size", "vectors")
+
+    def __init__(self, vectors: list[memoryview], descriptor: int = -1) -> None:
+        self.vectors, self.size, self.descriptor = vectors, sum(map(len, vectors)), descriptor
+
+
+class _Queue:
+    """Messages that wait for their turn.
+
+    Args:
+        full: bytes beyond which none is taken.
+        most: messages beyond which none is taken.
+    """
+
+    def __init__(self, full: int, most: int) -> None:
+        self.messages: deque[_Outgoing] = deque()
+        self._full, self._most = full, most
+        self._size = 0
+        self._refused = False
+
+    def takes(self, *, last: bool = False) -> bool:
+        """Whether one more is taken; a refusal is remembered. `last`: twice as many, of any size."""
+        count = len(self.messages)
+        if (self._size < self._full and count < self._most) or (last and count < 2 * self._most):
+            return True
+        self._refused = True
+        return False
+
+    def append(self, message: _Outgoing) -> None:
+        self.messages.append(message)
+        self._size += message.size
+
+    def popleft(self) -> _Outgoing:
+        message = self.messages.popleft()
+        self._size -= message.size
+        return message
+
+    def room_made(self) -> bool:
+        """Whether it has room again after a refusal: once for each."""
+        made = self._refused and self._size < self._full // 2 and len(self.messages) < self._most // 2
+        self._refused = self._refused and not made
+        return made
 
 
 class Stream:
@@ -60,10 +114,11 @@ class Stream:
         self._rest = b""
         self._large: memoryview | None = None
         self._filled = 0
-        self._waiting: deque[memoryview] = deque()
-        self._waits = 0
-        """Bytes in `_waiting`."""
-        self._refused = self._broken = self._reset = False
+        self._begun: _Outgoing | None = None
+        """What is left of a message that is partly sent."""
+        self._control = _Queue(16 << 20, 16_384)
+        self._samples = _Queue(4 << 20, 65_536)
+        self._broken = self._reset = False
         self._expects = False
         """Whether a descriptor may come."""
         self._descriptor = -1
@@ -74,12 +129,14 @@ class Stream:
 
     # -- sending ---------------------------------------------------------------------------------------------------
 
-    def send(self, kind: int, number: int, body: Buffer, parts: Sequence[memoryview] = ()) -> bool:
+    def send(
+        self, kind: int, number: int, body: Buffer, parts: Sequence[memoryview] = (), turn: Turn = Turn.SAMPLE
+    ) -> bool:
         """Send a message; False: it was not taken, since too much waits or the connection is over."""
         if self.closed or self._broken:
             return False
-        if self._waits >= _FULL:
-            self._refused = True
+        queue = self._control if turn is Turn.CONTROL else self._samples
+        if not queue.takes(last=turn is Turn.LAST):
             return False
         if parts:
             flat = [part.cast("B") if part.format != "B" or part.ndim != 1 else part for part in parts]
@@ -92,71 +149,118 @@ class Stream:
             vectors = [memoryview(head), memoryview(body), *_aligned(flat, pad)]
         else:
             vectors = [memoryview(_HEAD.pack(len(body), kind, 0, 0, number) + body)]
-        if not self._waiting:
-            vectors = self._send_now(vectors)
-            if not vectors:
-                return not self._broken
-            self._loop.add_writer(self._socket.fileno(), self._writable)
-        self._waiting.extend(vectors)
-        self._waits += sum(map(len, vectors))
+        if self._waits:
+            queue.append(_Outgoing(vectors))
+            return True
+        left = self._send_now(vectors)
+        if left is vectors:
+            queue.append(_Outgoing(vectors))
+        elif left:
+            self._begun = _Outgoing(left)
+        else:
+            return not self._broken
+        self._loop.add_writer(self._socket.fileno(), self._writable)
         return True
+
+    def control(self, kind: int, number: int, body: Buffer) -> bool:
+        """Send a message before all samples that wait. See `send`."""
+        return self.send(kind, number, body, (), Turn.CONTROL)
 
     def send_descriptor(self, kind: int, number: int, body: bytes, descriptor: int) -> bool:
-        """Send a short message with a descriptor; False: it was not taken, since others wait."""
-        if self.closed or self._broken or self._waiting:
+        """Send a short message with a descriptor, which stays the caller's; False: the connection is over.
+
+        It goes after the samples that wait: what they say of rings is of those before.
+        """
+        if self.closed or self._broken or not self._samples.takes(last=True):
             return False
-        data = _HEAD.pack(len(body), kind, 0, 0, number) + body
-        try:
-            # All of it or nothing: so short a message is never cut.
-            self._socket.sendmsg([data], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, struct.pack("i", descriptor))])
-        except (BlockingIOError, InterruptedError):
-            return False
-        except OSError:
-            self._broken = True
-            return False
+        if not self._waits:
+            self._loop.add_writer(self._socket.fileno(), self._writable)
+        data = memoryview(_HEAD.pack(len(body), kind, 0, 0, number) + body)
+        self._samples.append(_Outgoing([data], os.dup(descriptor)))
         return True
 
+    @property
+    def _waits(self) -> bool:
+        return self._begun is not None or bool(self._control.messages or self._samples.messages)
+
     def _send_now(self, vectors: list[memoryview]) -> list[memoryview]:
-        """Send what the socket takes; returns what is left."""
+        """Send what the socket takes; returns what is left: the same list, where it takes nothing."""
         while vectors:
-            try:
-                sock = self._socket
-                sent = sock.send(vectors[0]) if len(vectors) == 1 else sock.sendmsg(vectors[:_VECTORS])
-            except (BlockingIOError, InterruptedError):
-                return vectors
-            except OSError:
-                # What the other end said last may still be read, and that it has ended.
-                self._broken = True
+            sent = self._put(vectors)
+            if self._broken:
                 return []
-            place = 0
-            while place < len(vectors) and sent >= len(vectors[place]):
-                sent -= len(vectors[place])
-                place += 1
-            vectors = vectors[place:]
-            if sent:
-                vectors[0] = vectors[0][sent:]
+            if not sent:
+                return vectors
+            vectors = _after(vectors, sent)
         return vectors
 
+    def _put(self, vectors: list[memoryview], descriptor: int = -1) -> int:
+        """Give the socket as much as it takes in one call; returns how many bytes."""
+        try:
+            if descriptor >= 0:
+                rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, _DESCRIPTOR.pack(descriptor))]
+                return self._socket.sendmsg(vectors, rights)
+            return self._socket.send(vectors[0]) if len(vectors) == 1 else self._socket.sendmsg(vectors[:_VECTORS])
+        except (BlockingIOError, InterruptedError):
+            return 0
+        except OSError:
+            # What the other end said last may still be read, and that it has ended.
+            self._broken = True
+            return 0
+
     def _writable(self) -> None:
-        waiting = self._waiting
-        while waiting:
-            vectors = [waiting.popleft() for _ in range(min(_VECTORS, len(waiting)))]
-            left = self._send_now(vectors)
-            if self._broken:
-                waiting.clear()
-            waiting.extendleft(reversed(left))
-            if left:
-                break
-        self._waits = sum(map(len, waiting))
-        if not waiting:
+        while self._waits and self._send_next():
+            pass
+        if self._broken:
+            self._forget()
+        if not self._waits:
             self._loop.remove_writer(self._socket.fileno())
-        if self._refused and self._waits < _FULL // 2:
-            self._refused = False
+        if self._control.room_made() | self._samples.room_made():
             self._drained()
+
+    def _send_next(self) -> bool:
+        """Send what is next, as many messages as go in one call; False: the socket takes no more."""
+        if self._begun is not None:
+            left = self._send_now(self._begun.vectors)
+            self._begun = _Outgoing(left) if left else None
+            return not left
+        batch: list[_Outgoing] = []
+        vectors: list[memoryview] = []
+        for message in chain(self._control.messages, self._samples.messages):
+            if batch and (message.descriptor >= 0 or len(vectors) + len(message.vectors) > _VECTORS):
+                break
+            batch.append(message)
+            vectors += message.vectors
+            if message.descriptor >= 0:
+                break
+        sent = self._put(vectors, batch[0].descriptor)
+        for message in batch:
+            if not sent:
+                return False
+            (self._control if self._control.messages else self._samples).popleft()
+            _close(message.descriptor)
+            if sent < message.size:
+                self._begun = _Outgoing(_after(message.vectors, sent))
+            sent -= min(sent, message.size)
+        return True
+
+    def _forget(self) -> None:
+        """Send nothing of what waits."""
+        self._begun = None
+        for queue in (self._control, self._samples):
+            while queue.messages:
+                _close(queue.popleft().descriptor)
 
     # -- receiving -------------------------------------------------------------------------------------------------
 
     def _readable(self) -> None:
+        until, left = self._loop.time() + _ONE_TURN_SECONDS, _ONE_TURN
+        while (count := self._receive()) and left > count and self._loop.time() < until:
+            left -= count
+
+    def _receive(self) -> int:
+        """Receive once; how many bytes, where there may be more; 0: there is no more, or the connection is over."""
+        asked = _AT_ONCE if self._large is None else len(self._large) - self._filled
         try:
             if self._expects:
                 data, count = self._receive_descriptor()
@@ -167,13 +271,13 @@ class Stream:
                 data = self._socket.recv(_AT_ONCE)
                 count = len(data)
         except (BlockingIOError, InterruptedError):
-            return self._end("it has ended") if self._reset else None
+            return self._end("it has ended") if self._reset else 0
         except ConnectionResetError:
             if self._reset:
                 return self._end("it has ended")
             # It ended with something unread, and what it said before that is still there. Not every loop calls again.
             self._reset = True
-            return self._readable()
+            return self._receive()
         except OSError as error:
             return self._end(error.strerror or "broken")
         except ValueError as error:
@@ -193,7 +297,9 @@ class Stream:
             return self._end(f"it does not speak this protocol: {error}")
         if messages:
             self._arrived(messages)
-        return self._readable() if self._reset and not self.closed else None
+        if self.closed:
+            return 0
+        return self._receive() if self._reset else count * (count == asked)
 
     def expect_descriptor(self) -> None:
         """Receive one descriptor, which comes with any message from now on.
@@ -263,14 +369,32 @@ class Stream:
             with contextlib.suppress(ValueError, OSError, RuntimeError):
                 remove(self._socket.fileno())
         self._socket.close()
-        self._waiting.clear()
+        self._forget()
         if (descriptor := self.take_descriptor()) is not None:
             os.close(descriptor)
 
-    def _end(self, why: str) -> None:
+    def _end(self, why: str) -> int:
         if not self.closed:
             self.close()
             self._ended(why)
+        return 0
+
+
+def _after(vectors: Sequence[memoryview], sent: int) -> list[memoryview]:
+    """What is left of these behind so many bytes."""
+    place = 0
+    while place < len(vectors) and sent >= len(vectors[place]):
+        sent -= len(vectors[place])
+        place += 1
+    left = [*vectors[place:]]
+    if sent:
+        left[0] = left[0][sent:]
+    return left
+
+
+def _close(descriptor: int) -> None:
+    if descriptor >= 0:
+        os.close(descriptor)
 
 
 def _message(view: memoryview) -> Message:

@@ -28,7 +28,7 @@ from aiorts.errors import AiortsError, LinkError, LinkTimeout
 from aiorts.links.messages import LARGEST, fields, packed
 from aiorts.links.stream import Message, Stream
 from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of, checked_peer
-from aiorts.model.links import Buffer
+from aiorts.model.links import Buffer, turn_of
 from aiorts.rings import OFFERED, REFUSAL, Rings, proof, proves
 
 _HELLO, _ASK, _ANSWER, _REFUSAL, _BY_WRITER, _BY_READER, _PROOF, _RING = range(1, 9)
@@ -334,7 +334,7 @@ class _UnixChannel:
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if parts and self.connection.rings is not None:
             return self.connection.send_parts(self._kind, self._number, head, parts)
-        return self.connection.stream.send(self._kind, self._number, head, parts)
+        return self.connection.stream.send(self._kind, self._number, head, parts, turn_of(head))
 
     def on_room(self) -> None:
         """It takes frames again."""
@@ -366,7 +366,7 @@ class _Connection:
         self._greeting = b""
         """What the other end said first, byte for byte."""
         self.stream = Stream(transport.loop, sock, self._arrived, self._drained, self._over)
-        self.stream.send(_HELLO, 0, transport.greeting)
+        self.stream.control(_HELLO, 0, transport.greeting)
 
     def close(self) -> None:
         """End it."""
@@ -379,8 +379,10 @@ class _Connection:
         rings = self.rings
         put = None if rings is None else rings.put(parts)
         if rings is None or put is None:
-            return self.stream.send(kind, number, head, parts)
+            return False
         places, beside = put
+        if not places:
+            return self.stream.send(kind, number, head, beside)
         sent = self.stream.send(kind + _IN_RING, number, rings.frame(places, head), beside)
         if not sent:
             rings.take_back(places)
@@ -444,7 +446,7 @@ class _Connection:
         elif kind == _ASK:
             what, question = fields(body, (str, bytes), largest=self._transport.largest)
             if self._answering >= _ASKED:
-                self.stream.send(_REFUSAL, number, b"too many questions at the same time")
+                self.stream.control(_REFUSAL, number, b"too many questions at the same time")
                 return
             self._answering += 1
             self._transport.kernel.run_in_background(self._answer(number, what, question), f"aiorts answer {what:.20}")
@@ -468,7 +470,7 @@ class _Connection:
         self._greeting = greeting
         transport, stream = self._transport, self.stream
         if transport.program:
-            stream.send(_PROOF, 0, proof(transport.program, transport.greeting, greeting))
+            stream.control(_PROOF, 0, proof(transport.program, transport.greeting, greeting))
         if Rings.available:
             self.rings = Rings(
                 transport.loop,
@@ -476,6 +478,7 @@ class _Connection:
                 stream.expect_descriptor,
                 stream.take_descriptor,
                 lambda text: transport.kernel.report(f"{self._name}: {text}"),
+                self._drained,
             )
 
     def _meet(self, said: bytes) -> None:
@@ -487,7 +490,7 @@ class _Connection:
 
     def _say(self, body: bytes, descriptor: int | None) -> bool:
         if descriptor is None:
-            return self.stream.send(_RING, 0, body)
+            return self.stream.control(_RING, 0, body)
         return self.stream.send_descriptor(_RING, 0, body, descriptor)
 
     def _hear(self, body: bytes) -> None:
@@ -507,7 +510,7 @@ class _Connection:
         future: asyncio.Future[bytes] = self._transport.loop.create_future()
         self._asked[number] = future
         try:
-            if not self.stream.send(_ASK, number, question):
+            if not self.stream.control(_ASK, number, question):
                 raise LinkError(f"{self._name}: takes nothing any more")
             async with asyncio.timeout(within):
                 return await future
@@ -529,7 +532,7 @@ class _Connection:
             kind, body = _REFUSAL, str(error).encode()[:_LONGEST]
         finally:
             self._answering -= 1
-        self.stream.send(kind, number, body)
+        self.stream.control(kind, number, body)
 
 
 def _nothing() -> None:
