@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
+    from aiorts.links.base_transport import BaseChannel, BaseTransport
     from aiorts.links.calls import FarProvider
     from aiorts.links.connecting import Links, LinksSettings
     from aiorts.links.ledgers import LinkLedger
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from aiorts.links.unix import UnixTransport
 
 __all__ = (
+    "BaseChannel",
+    "BaseTransport",
     "Caller",
     "Channel",
     "ChannelEvents",
@@ -45,6 +48,7 @@ __all__ = (
 _late(
     globals(),
     {
+        "aiorts.links.base_transport": "BaseChannel BaseTransport",
         "aiorts.links.calls": "FarProvider",
         "aiorts.links.connecting": "Links LinksSettings",
         "aiorts.links.ledgers": "LinkLedger",

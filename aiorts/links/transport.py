@@ -150,6 +150,8 @@ class KernelFace(Protocol):
     name: str
     """By which others reach it."""
     epoch: int
+    host: str
+    """The name of this machine, as other hosts know it."""
 
     def run_in_background(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
         """Run a coroutine as a task of the kernel."""

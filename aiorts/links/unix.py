@@ -14,20 +14,21 @@ import contextlib
 import errno
 import hashlib
 import os
-import platform
 import socket
 import struct
 import sys
-from collections.abc import Awaitable, Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from aiorts.control import private_folder
-from aiorts.errors import AiortsError, LinkError, LinkTimeout
+from aiorts.errors import AiortsError, LinkError
+from aiorts.links.base_transport import BaseChannel, BaseTransport
 from aiorts.links.messages import LARGEST, fields, packed
 from aiorts.links.stream import Message, Stream
-from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of, checked_peer
+from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, checked_peer
 from aiorts.model.links import Buffer, turn_of
 from aiorts.rings import OFFERED, REFUSAL, Rings, proof, proves
 
@@ -48,14 +49,11 @@ _FOR_NOW: Final = (errno.EAGAIN, errno.EINTR, errno.EMFILE, errno.ENFILE, errno.
 or the system has no descriptors or memory left."""
 _ASKED: Final = 1_000
 """Questions of one peer that are being answered at the same time, at the most."""
-_LONGEST: Final = 2_000
 _OF_ONE_PROGRAM: Final = 64 << 20
 """Bytes of a question between kernels of one program: the state of a component that moves is one."""
 
-Handler = Callable[[bytes, Caller], Awaitable[bytes]]
 
-
-class UnixTransport:
+class UnixTransport(BaseTransport["_UnixChannel"]):
     """Carries links between kernels of one user on one host. See `Transport`.
 
     Large arrays go through memory that both kernels share. Where they are of one program readers look into it, although
@@ -70,23 +68,19 @@ class UnixTransport:
     """A secret of 16 random bytes or more that all kernels of one program are given; b"": this one is of none."""
 
     def __init__(self, *, listens: bool = True) -> None:
+        super().__init__()
         self._listens = listens
         self.largest = LARGEST if listens else _OF_ONE_PROGRAM
         """Bytes of a question, at the most."""
-        self._handlers: dict[str, Handler] = {}
-        self._tells: list[Callable[[Peer, bool], None]] = []
-        self._peers: dict[Peer, list[_Connection]] = {}
         self._connections: set[_Connection] = set()
-        self._channels: dict[tuple[Peer, int, int], _UnixChannel] = {}
-        """By peer, what its end of the link is (`_BY_WRITER` or `_BY_READER`), and number."""
+        self._ways: dict[Peer, list[_Connection]] = {}
+        """Connections with each peer: one, or two where both have opened at the same time. The first one is used."""
         self._silent: dict[_Connection, asyncio.TimerHandle] = {}
         """Connections that were accepted and have not said whose they are, the oldest first; what ends each."""
         self._due: dict[Path, asyncio.TimerHandle] = {}
         """Sockets that are connected to again, and when."""
         self._listener: socket.socket | None = None
         self._path = Path()
-        self.kernel: KernelFace
-        self.loop: asyncio.AbstractEventLoop
         self.greeting = b""
 
     async def open(self, kernel: KernelFace) -> None:
@@ -95,8 +89,9 @@ class UnixTransport:
         Raises:
             LinkError: a kernel of that name is there already, or the socket cannot be made.
         """
-        self.kernel, self.loop = kernel, asyncio.get_running_loop()
-        self.greeting = packed([_host(), kernel.name, kernel.epoch])
+        self.begin(kernel)
+        own = self.own
+        self.greeting = packed([own.host, own.kernel, own.epoch])
         if not self._listens:
             return
         taken = LinkError(f"a kernel named {kernel.name!r} runs already; give this one another name")
@@ -177,10 +172,9 @@ class UnixTransport:
             next(iter(self._silent)).close()
         connection = self.take(sock)
         self._silent[connection] = self.loop.call_later(_GREETING_SECONDS, connection.close)
-        connection.greeted.add_done_callback(lambda _: self._heard(connection))
 
-    def _heard(self, connection: _Connection) -> None:
-        """A connection that was accepted is silent no more, or is over."""
+    def _is_heard(self, connection: _Connection) -> None:
+        """A connection is silent no more, or is over."""
         if (timer := self._silent.pop(connection, None)) is not None:
             timer.cancel()
 
@@ -202,61 +196,40 @@ class UnixTransport:
             self._listener = None
             with contextlib.suppress(OSError):
                 self._path.unlink()
-        self._tells.clear()
-        self._channels.clear()
         for timer in self._due.values():
             timer.cancel()
+        self._due.clear()
+        self.end_all()
         for connection in tuple(self._connections):
             connection.close()
-        self._connections.clear()
-        self._peers.clear()
 
     # -- other kernels ---------------------------------------------------------------------------------------------
 
-    def presence(self, tell: Callable[[Peer, bool], None]) -> Callable[[], None]:
-        """Tell of each kernel that is there or comes, and of each that goes; until the returned function is called."""
-        self._tells.append(tell)
-        for peer in tuple(self._peers):
-            tell(peer, True)
-        return lambda: self._tells.remove(tell)
-
     def greeted(self, connection: _Connection, peer: Peer) -> None:
         """A connection has said whose it is."""
-        there = self._peers.setdefault(peer, [])
-        there.append(connection)
-        if len(there) == 1:
-            for tell in tuple(self._tells):
-                tell(peer, True)
+        self._is_heard(connection)
+        ways = self._ways.setdefault(peer, [])
+        ways.append(connection)
+        if len(ways) == 1:
+            self.found(peer)
 
     def ended(self, connection: _Connection, why: str) -> None:
-        """A connection is over."""
+        """A connection is over. Of two with one kernel the other one has its channels from now on."""
         self._connections.discard(connection)
+        self._is_heard(connection)
         peer = connection.peer
-        if peer is None or connection not in self._peers.get(peer, ()):
+        if peer is None or connection not in (ways := self._ways.get(peer, [])):
             return
-        there = self._peers[peer]
-        there.remove(connection)
-        if there:
-            return self._move(connection, there[0])
-        del self._peers[peer]
-        lost = [key for key in self._channels if key[0] == peer]
-        for tell in tuple(self._tells):
-            tell(peer, False)
-        for key in lost:
-            if (channel := self._channels.pop(key, None)) is not None:
-                channel.events.on_state(False, f"{peer.kernel}: {why}")
-
-    def _move(self, over: _Connection, to: _Connection) -> None:
-        """Of two connections with one kernel, which opened at the same time, one is over: the other has its channels."""
-        for channel in [one for one in self._channels.values() if one.connection is over]:
-            channel.connection = to
-            self.loop.call_soon(channel.on_room)
-
-    def _to(self, peer: Peer) -> _Connection:
-        there = self._peers.get(peer)
-        if not there:
-            raise LinkError(f"{peer.kernel}: is gone")
-        return there[0]
+        was_used = ways[0] is connection
+        ways.remove(connection)
+        if not ways:
+            del self._ways[peer]
+            self.lost(peer, why)
+        elif was_used:
+            self.fail(peer, why)
+            for channel in [one for one in self.channels.values() if one.connection is connection]:
+                channel.connection = ways[0]
+                self.loop.call_soon(channel.on_room)
 
     # -- channels --------------------------------------------------------------------------------------------------
 
@@ -266,34 +239,21 @@ class UnixTransport:
         Raises:
             LinkError: the other kernel is gone.
         """
-        writes = offer.writer.kernel == self.kernel.name
-        far = offer.reader if writes else offer.writer
-        peer = next((one for one in self._peers if one.kernel == far.kernel), None)
-        if peer is None:
-            raise LinkError(f"{far.kernel}: is gone")
-        key = (peer, _BY_READER if writes else _BY_WRITER, offer.number)
-        kind = _BY_WRITER if writes else _BY_READER
-        channel = self._channels[key] = _UnixChannel(
-            self._to(peer), kind, offer.number, events, partial(self._forget, key)
-        )
-        return channel
-
-    def _forget(self, key: tuple[Peer, int, int], channel: _UnixChannel) -> None:
-        if self._channels.get(key) is channel:
-            del self._channels[key]
+        peer, writes = self.far_end(offer)
+        mine, theirs = (_BY_WRITER, _BY_READER) if writes else (_BY_READER, _BY_WRITER)
+        key = (peer, theirs, offer.number)
+        return self.keep(key, _UnixChannel(self._ways[peer][0], mine, offer.number, events, partial(self.forget, key)))
 
     def arrived(self, peer: Peer, frames: dict[tuple[int, int], list[tuple[Buffer, tuple[Buffer, ...]]]]) -> None:
         """Frames of channels have come from a peer."""
         for (kind, number), those in frames.items():
-            channel = self._channels.get((peer, kind, number))
-            if channel is not None:
+            if (channel := self.channels.get((peer, kind, number))) is not None:
                 channel.events.on_frames(those)
 
     def drained(self, connection: _Connection) -> None:
         """A connection takes frames again."""
-        for key, channel in tuple(self._channels.items()):
-            # What is called for one may close another.
-            if channel.connection is connection and self._channels.get(key) is channel:
+        for channel in tuple(self.channels.values()):
+            if channel.connection is connection:
                 channel.on_room()
 
     # -- questions -------------------------------------------------------------------------------------------------
@@ -305,45 +265,27 @@ class UnixTransport:
             LinkTimeout: there was none within so many seconds.
             LinkError: the kernel is gone, or refuses to answer.
         """
-        return await self._to(peer).ask(what, body, within)
-
-    def answer(self, what: str, handler: Handler) -> None:
-        """Answer such questions with `handler` from now on."""
-        self._handlers[what] = handler
-
-    def handler(self, what: str) -> Handler | None:
-        """Who answers such questions."""
-        return self._handlers.get(what)
+        question = packed([what, body])
+        if len(question) > self.largest:
+            raise LinkError(f"{what}: {len(question)} bytes; a question has {self.largest} at the most")
+        return await self.asked(peer, within, lambda number: self._ways[peer][0].ask(number, question))
 
 
-class _UnixChannel:
+class _UnixChannel(BaseChannel):
     """One end of a link over the connection of its kernels."""
 
     def __init__(
-        self,
-        connection: _Connection,
-        kind: int,
-        number: int,
-        events: ChannelEvents,
-        closed: Callable[[_UnixChannel], None],
+        self, connection: _Connection, kind: int, number: int, events: ChannelEvents, closed: Callable[[], object]
     ) -> None:
-        self.connection, self.events = connection, events
-        self._kind, self._number, self._closed = kind, number, closed
-        self._is_open = True
+        assert connection.peer is not None  # noqa: S101 - it has greeted
+        super().__init__(connection.peer, events, closed)
+        self.connection = connection
+        self._kind, self._number = kind, number
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if parts and self.connection.rings is not None:
             return self.connection.send_parts(self._kind, self._number, head, parts)
         return self.connection.stream.send(self._kind, self._number, head, parts, turn_of(head))
-
-    def on_room(self) -> None:
-        """It takes frames again."""
-        if self._is_open:
-            self.events.on_room()
-
-    def close(self) -> None:
-        self._is_open = False
-        self._closed(self)
 
 
 class _Connection:
@@ -356,9 +298,10 @@ class _Connection:
         """Called when the other end has ended it."""
         self.greeted: asyncio.Future[None] = transport.loop.create_future()
         """Done when it has said whose it is, or is over."""
-        self._asked: dict[int, asyncio.Future[bytes]] = {}
-        self._last = 0
         self._answering = 0
+        """Questions of the other end whose answer was not sent yet."""
+        self._unsent: deque[tuple[int, int, bytes]] = deque()
+        """Answers that wait until the stream takes them."""
         self._process, user = _owner_of(sock)
         self._identity = f"user {user}"
         self.rings: Rings | None = None
@@ -391,11 +334,6 @@ class _Connection:
     def _over(self, why: str) -> None:
         if not self.greeted.done():
             self.greeted.set_result(None)
-        name = self.peer.kernel if self.peer is not None else "another kernel"
-        for future in self._asked.values():
-            if not future.done():
-                future.set_exception(LinkError(f"{name}: {why}"))
-        self._asked.clear()
         if self.rings is not None:
             self.rings.close()
         self._transport.ended(self, why)
@@ -404,6 +342,9 @@ class _Connection:
     def _drained(self) -> None:
         if self.rings is not None:
             self.rings.flush()
+        while self._unsent and self.stream.control(*self._unsent[0]):
+            self._unsent.popleft()
+            self._answering -= 1
         self._transport.drained(self)
 
     def _arrived(self, messages: list[Message]) -> None:
@@ -446,19 +387,13 @@ class _Connection:
         elif kind == _ASK:
             what, question = fields(body, (str, bytes), largest=self._transport.largest)
             if self._answering >= _ASKED:
-                self.stream.control(_REFUSAL, number, b"too many questions at the same time")
+                if not self.stream.control(_REFUSAL, number, b"too many questions at the same time"):
+                    raise LinkError("it asks, and takes no answers")
                 return
             self._answering += 1
             self._transport.kernel.run_in_background(self._answer(number, what, question), f"aiorts answer {what:.20}")
         elif kind in (_ANSWER, _REFUSAL):
-            future = self._asked.pop(number, None)
-            if future is None or future.done():
-                return  # it came too late
-            if kind == _ANSWER:
-                future.set_result(body)
-            else:
-                text = body[:_LONGEST].decode(errors="replace")
-                future.set_exception(LinkError(f"{self.peer.kernel}: {text}"))
+            self._transport.settle(self.peer, number, kind == _ANSWER, body)
 
     # -- rings -------------------------------------------------------------------------------------------------------
 
@@ -501,38 +436,22 @@ class _Connection:
         else:
             raise LinkError("it speaks of a ring that there is not")
 
-    async def ask(self, what: str, body: bytes, within: float) -> bytes:
-        """See `UnixTransport.ask`."""
-        question, largest = packed([what, body]), self._transport.largest
-        if len(question) > largest:
-            raise LinkError(f"{what}: {len(question)} bytes; a question has {largest} at the most")
-        self._last = number = self._last % 0xFFFFFFFF + 1
-        future: asyncio.Future[bytes] = self._transport.loop.create_future()
-        self._asked[number] = future
-        try:
-            if not self.stream.control(_ASK, number, question):
-                raise LinkError(f"{self._name}: takes nothing any more")
-            async with asyncio.timeout(within):
-                return await future
-        except TimeoutError:
-            raise LinkTimeout(f"{self._name}: no answer within {within:g} s") from None
-        finally:
-            self._asked.pop(number, None)
+    def ask(self, number: int, question: bytes) -> None:
+        """Send a question. LinkError: it is not taken."""
+        if not self.stream.control(_ASK, number, question):
+            raise LinkError(f"{self._name}: takes no more questions now")
 
     @property
     def _name(self) -> str:
         return self.peer.kernel if self.peer is not None else "another kernel"
 
     async def _answer(self, number: int, what: str, question: bytes) -> None:
-        transport, caller = self._transport, Caller(self.peer, self._identity)
-        try:
-            kind = _ANSWER
-            body = await answer_of(transport.handler(what), what, question, caller, transport.kernel)
-        except LinkError as error:
-            kind, body = _REFUSAL, str(error).encode()[:_LONGEST]
-        finally:
+        good, body = await self._transport.answer_to(what, question, Caller(self.peer, self._identity))
+        kind = _ANSWER if good else _REFUSAL
+        if not self._unsent and self.stream.control(kind, number, body):
             self._answering -= 1
-        self.stream.control(kind, number, body)
+        else:
+            self._unsent.append((kind, number, body))  # in its turn, as long as the other end is there
 
 
 def _nothing() -> None:
@@ -575,7 +494,3 @@ def _owner_of(sock: socket.socket) -> tuple[int, int]:
 
 def _hashed(name: str) -> str:
     return hashlib.sha256(name.encode()).hexdigest()[:16]
-
-
-def _host() -> str:
-    return platform.node() or "host"

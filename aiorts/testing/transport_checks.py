@@ -68,7 +68,7 @@ class _Face:
     """A kernel, as far as a transport sees it."""
 
     def __init__(self, name: str, epoch: int) -> None:
-        self.name, self.epoch = name, epoch
+        self.name, self.epoch, self.host = name, epoch, "here"
         self.tasks: list[asyncio.Task[Any]] = []
 
     def run_in_background(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:

@@ -99,7 +99,8 @@ class _Process:
             kernel.bus.subscribe(StateChanged, self._changed)
             kernel.bus.subscribe(PortAdded, self._ports_changed)
             kernel.bus.subscribe(PortRemoved, self._ports_changed)
-            self._transport.take(self._socket)
+            greeted = self._transport.take(self._socket).greeted
+            greeted.add_done_callback(lambda _: self._parent or self._over.set())  # it has gone, and never came up
             await self._over.wait()
             self._session.end()
 
