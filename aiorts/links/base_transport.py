@@ -153,10 +153,14 @@ class BaseTransport(Generic[C]):
 
     def keep(self, key: Hashable, channel: C) -> C:
         """Have a channel below this key, instead of an older one, which is closed."""
-        if (old := self.channels.get(key)) is not None:
-            old.close()
+        self.drop(key)
         self.channels[key] = channel
         return channel
+
+    def drop(self, key: Hashable) -> None:
+        """Close the channel of this key, if there is one."""
+        if (old := self.channels.get(key)) is not None:
+            old.close()
 
     def forget(self, key: Hashable) -> None:
         """A channel was closed."""
