@@ -12,13 +12,14 @@ from typing import Any, Final
 
 from aiorts.errors import DeniedError, LinkError, LinkTimeout
 from aiorts.links import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
+from aiorts.model.links import Turn, turn_of
 from aiorts_zenoh.clocks import ClockOffset
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read
 from aiorts_zenoh.gate import Gate
 from aiorts_zenoh.keys import BY_READER, BY_WRITER, ClientKeys, Keys, asked
 from aiorts_zenoh.presence import Presence, this_machine
-from aiorts_zenoh.sending import Budget, Receiver, Sender
+from aiorts_zenoh.sending import Budgets, Receiver, Sender
 from aiorts_zenoh.sessions import Sessions
 
 _LOOK_AGAIN: Final = 0.5
@@ -88,7 +89,7 @@ class ZenohTransport:
         """Of those whose links end here."""
         self._comparing: asyncio.TimerHandle | None = None
         self._tells: list[Callable[[Peer, bool], None]] = []
-        self._peers: dict[Peer, Budget] = {}
+        self._peers: dict[Peer, Budgets] = {}
         self._named: Counter[str] = Counter()
         """The same, as host/kernel; the engine's threads look into it."""
         self._bad: set[Peer] = set()
@@ -255,7 +256,7 @@ class ZenohTransport:
 
     def _present(self, peer: Peer, up: bool) -> None:
         if up:
-            self._peers[peer], self._ways[peer] = Budget(), _Way()
+            self._peers[peer], self._ways[peer] = Budgets(), _Way()
             self._named[f"{peer.host}/{peer.kernel}"] += 1
         else:
             del self._peers[peer]
@@ -306,13 +307,14 @@ class ZenohTransport:
         at, of = (self.keys.link(*ends, str(offer.number), sender) for sender in (mine, theirs))
         if (old := self._channels.get(of)) is not None:
             old.close()
-        budget = self._peers[peer]
-        declared = len(budget.senders) < _DECLARED
+        budgets = self._peers[peer]
+        declared = budgets.count < _DECLARED
         priority = _priority(offer) if writes else "INTERACTIVE_HIGH"
         channel = self._channels[of] = _ZenohChannel(
             [self.engine.publisher(at, one, declared=declared) for one in (priority, "INTERACTIVE_HIGH")],
-            budget,
+            budgets,
             peer,
+            writes,
             offer.writer_epoch & 0xFFFFFFFF,
             events,
             partial(self._forget, of),
@@ -353,20 +355,14 @@ class ZenohTransport:
                 self._gate.took(key, size, time.thread_time_ns() - began)
 
     def _pump(self, peer: Peer) -> None:
-        budget = self._peers.get(peer)
-        if budget is None:
-            return
-        budget.pump()
-        if not budget.has_room:
-            budget.look()
-        budget.tell_room()
+        if (budgets := self._peers.get(peer)) is not None:
+            budgets.pump()
 
     def _look_again(self) -> None:
         """What waits for room must not wait for an answer that was lost."""
         self._looking = self.loop.call_later(_LOOK_AGAIN, self._look_again) if self._channels else None
-        for budget in self._peers.values():
-            if not budget.has_room:
-                budget.look_again()
+        for budgets in self._peers.values():
+            budgets.look_again()
 
     # -- clocks ----------------------------------------------------------------------------------------------------
 
@@ -565,8 +561,9 @@ class _ZenohChannel:
     def __init__(
         self,
         publishers: Sequence[Any],
-        budget: Budget,
+        budgets: Budgets,
         peer: Peer,
+        writes: bool,
         epoch: int,
         events: ChannelEvents,
         closed: Callable[[_ZenohChannel], None],
@@ -575,8 +572,10 @@ class _ZenohChannel:
         self.peer, self.events = peer, events
         self._epoch, self._closed, self._ignore = epoch, closed, ignore
         self._publisher, self._urgent = publishers
-        self.sender = Sender(budget, self._publisher.put, epoch, time.time_ns, events.on_room)
-        self._receiver, self._whole = Receiver(budget, self._tell), Whole()
+        mine, theirs = budgets.both if writes else reversed(budgets.both)
+        self.sender = Sender(mine, self._publisher.put, epoch, time.time_ns, events.on_room)
+        self._receiver, self._whole = Receiver(theirs, self._tell), Whole()
+        self._writes = writes
         self.is_open = True
         self.came = 0
         """Bytes of the long frame that the last message made whole."""
@@ -584,6 +583,10 @@ class _ZenohChannel:
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if not self.is_open:
             return False
+        if self._writes and turn_of(head) is Turn.CONTROL:
+            # Not in the queue of the samples, which it may overtake. It counts as nothing that was sent there.
+            self._urgent.put(message(FRAME, self._epoch, 0, time.time_ns(), (head,)))
+            return True
         if not parts:
             return self.sender.send((head,))
         flat = [part.cast("B") if part.format != "B" or part.ndim != 1 else part for part in parts]
