@@ -3,7 +3,7 @@
 For each neighbour and priority the engine keeps a queue of 16 batches of 64 KiB. A message that finds the queue full
 blocks its sender, or is lost. So that neither happens to a sample, no more than one queue is under way to a neighbour,
 over all channels together; the rest waits here, within a bound, and a link is told when it has to wait. Samples and
-control have a queue of the engine each, so what is under way is counted for each: no acknowledgement waits for a sample.
+control have a queue of the engine each, so what is under way is counted for each: nothing of control waits for samples.
 
 What is under way costs at most ROOM, the 16 batches. `cost` is what a message takes up at the worst: when nothing of
 the queue is written to the network, as for a neighbour that stands still. One case goes beyond it: a frame of up to
