@@ -12,13 +12,14 @@ from typing import Any, Final
 
 from aiorts.errors import DeniedError, LinkError
 from aiorts.links import BaseChannel, BaseTransport, Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer
+from aiorts.model.links import Turn, turn_of
 from aiorts_zenoh.clocks import ClockOffset
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read
 from aiorts_zenoh.gate import Gate
 from aiorts_zenoh.keys import BY_READER, BY_WRITER, ClientKeys, Keys, asked
 from aiorts_zenoh.presence import Presence, this_machine
-from aiorts_zenoh.sending import Budget, Receiver, Sender
+from aiorts_zenoh.sending import Budgets, Receiver, Sender
 from aiorts_zenoh.sessions import Sessions
 
 _LOOK_AGAIN: Final = 0.5
@@ -258,13 +259,14 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         mine, theirs = (BY_WRITER, BY_READER) if writes else (BY_READER, BY_WRITER)
         at, of = (self.keys.link(*ends, str(offer.number), sender) for sender in (mine, theirs))
         self.drop(of)
-        budget = self._ways[peer].budget
-        declared = len(budget.senders) < _DECLARED
+        budgets = self._ways[peer].budgets
+        declared = budgets.count < _DECLARED
         priority = _priority(offer) if writes else "INTERACTIVE_HIGH"
         channel = _ZenohChannel(
             [self.engine.publisher(at, one, declared=declared) for one in (priority, "INTERACTIVE_HIGH")],
-            budget,
+            budgets,
             peer,
+            writes,
             offer.writer_epoch & 0xFFFFFFFF,
             events,
             partial(self._closed_at, of, peer),
@@ -305,20 +307,14 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
                 self._gate.took(key, size, time.thread_time_ns() - began)
 
     def _pump(self, peer: Peer) -> None:
-        if peer not in self._ways:
-            return
-        budget = self._ways[peer].budget
-        budget.pump()
-        if not budget.has_room:
-            budget.look()
-        budget.tell_room()
+        if (way := self._ways.get(peer)) is not None:
+            way.budgets.pump()
 
     def _look_again(self) -> None:
         """What waits for room must not wait for an answer that was lost."""
         self._looking = self.loop.call_later(_LOOK_AGAIN, self._look_again) if self.channels else None
         for way in self._ways.values():
-            if not way.budget.has_room:
-                way.budget.look_again()
+            way.budgets.look_again()
 
     # -- clocks ----------------------------------------------------------------------------------------------------
 
@@ -477,7 +473,7 @@ class _Way:
     loop."""
 
     def __init__(self) -> None:
-        self.budget = Budget()
+        self.budgets = Budgets()
         self.turn = asyncio.Lock()
         """Held while one waits; all others to this kernel wait for it."""
         self.given = 0
@@ -500,8 +496,9 @@ class _ZenohChannel(BaseChannel):
     def __init__(
         self,
         publishers: Sequence[Any],
-        budget: Budget,
+        budgets: Budgets,
         peer: Peer,
+        writes: bool,
         epoch: int,
         events: ChannelEvents,
         closed: Callable[[], object],
@@ -510,14 +507,20 @@ class _ZenohChannel(BaseChannel):
         super().__init__(peer, events, closed)
         self._epoch, self._ignore = epoch, ignore
         self._publisher, self._urgent = publishers
-        self.sender = Sender(budget, self._publisher.put, epoch, time.time_ns, events.on_room)
-        self._receiver, self._whole = Receiver(budget, self._tell), Whole()
+        mine, theirs = budgets.both if writes else reversed(budgets.both)
+        self.sender = Sender(mine, self._publisher.put, epoch, time.time_ns, events.on_room)
+        self._receiver, self._whole = Receiver(theirs, self._tell), Whole()
+        self._writes = writes
         self.came = 0
         """Bytes of the long frame that the last message made whole."""
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if not self.is_open:
             return False
+        if self._writes and turn_of(head) is Turn.CONTROL:
+            # Not in the queue of the samples, which it may overtake. It counts as nothing that was sent there.
+            self._urgent.put(message(FRAME, self._epoch, 0, time.time_ns(), (head,)))
+            return True
         if not parts:
             return self.sender.send((head,))
         flat = [part.cast("B") if part.format != "B" or part.ndim != 1 else part for part in parts]
