@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable, Collection
 from typing import Final
 
-from aiorts_zenoh.keys import host_of, sender_of
-from aiorts_zenoh.limits import NAMES, SLOW_NS, SLOW_NS_PER_BYTE, Limits, Names
+from aiorts_zenoh.keys import sender_of, whose
+from aiorts_zenoh.limits import MOST, SLOW_NS, SLOW_NS_PER_BYTE, Limits, Names
 
 _NAMED: Final = 16
 """Bytes before the name of who asks, in what goes beside a question."""
@@ -53,15 +53,14 @@ class Gate:
 
     def token(self, key: str, *, up: bool) -> bool:
         """Whether a token that has come or gone is looked at."""
-        host = host_of(key)
-        if host is None:
+        if (found := whose(key)) is None:
             return True
         with self._lock:
-            taken, first = self._names.admits(host, key, up=up), False
-            if up and not taken:
-                first = self._names.is_first(host)
-        if first:
-            self._say(f"zenoh: {host} has {NAMES} names and more; the rest is not seen")
+            taken = self._names.admits(*found, key, up=up)
+            beyond = self._names.beyond(*found) if up and not taken else None
+            first = beyond is not None and self._names.is_first(beyond)
+        if beyond is not None and first:
+            self._say(f"zenoh: the {' '.join(beyond)} has {MOST[beyond[0]]} tokens and more; the rest is not seen")
         return taken
 
     def was_bad(self, key: str) -> None:

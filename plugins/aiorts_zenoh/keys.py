@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 from aiorts.errors import LinkError
@@ -11,6 +12,8 @@ from aiorts_zenoh.names import Claim
 
 _VERSION: Final = "aiorts/1"
 _OWNED: Final = "own"
+_START: Final = re.compile(r"(0|[1-9][0-9]{0,18})-([0-9a-f]{16})-([0-9a-f]{16})")
+"""When a kernel was started, its epoch and its machine: written in one way alone, so that one claim has one token."""
 BY_WRITER: Final = "w"
 BY_READER: Final = "r"
 """The last part of a link's key: who sends."""
@@ -63,8 +66,13 @@ class Keys:
         return f"{_VERSION}/{self.domain}/live/{claim.host}/{claim.kernel}/{start}"
 
     def told(self, peer: Peer) -> str:
-        """What a kernel hears of tokens that others see, and it may not: + or -, and the token."""
-        return f"{_VERSION}/{self.domain}/heard/{peer.host}/{peer.kernel}/{peer.epoch:016x}"
+        """What this kernel tells another of tokens that the other may not see: + or -, and the token."""
+        return f"{_heard(self.domain, peer)}/{self.own.kernel}"
+
+    @property
+    def heard(self) -> str:
+        """What others tell this kernel; the last part is who tells."""
+        return f"{_heard(self.domain, self.own)}/*"
 
     @property
     def tokens(self) -> str:
@@ -151,6 +159,20 @@ class ClientKeys:
         return f"{_VERSION}/{self.domain}/{branch}/{at}/{self.caller}/{session}"
 
 
+def _heard(domain: str, peer: Peer) -> str:
+    return f"{base_of(domain)}/heard/{peer.host}/{peer.kernel}/{peer.epoch:016x}"
+
+
+def teller_in(key: str) -> str:
+    """Who tells by this key."""
+    return key.rpartition("/")[2]
+
+
+def denied(domain: str, name: str, teller: str) -> str:
+    """The token by which a kernel or router lets a name know that it takes nothing of it any more; `*`: of any."""
+    return f"{base_of(domain)}/denied/{name}/{teller}"
+
+
 def session_in(key: str) -> tuple[str, str]:
     """The caller and the session that a key of a session names."""
     caller, session, _ = key.split("/")[-3:]
@@ -164,12 +186,14 @@ def claim_of(token: str) -> tuple[Claim, bool] | None:
     if len(parts) != 7 + owned or parts[3] != "live":
         return None
     host, name, start = parts[4:7]
-    try:
-        start_ns, epoch, machine = start.split("-")
-        peer = checked_peer(host, name, int(epoch, 16))
-        return Claim(int(start_ns), peer.epoch, int(machine, 16), peer.host, peer.kernel), owned
-    except (LinkError, ValueError):
+    if (found := _START.fullmatch(start)) is None:
         return None
+    start_ns, epoch, machine = found.groups()
+    try:
+        peer = checked_peer(host, name, int(epoch, 16))
+    except LinkError:
+        return None
+    return Claim(int(start_ns), peer.epoch, int(machine, 16), peer.host, peer.kernel), owned
 
 
 def asked(key: str) -> tuple[str, str]:
@@ -188,10 +212,10 @@ def peer_of(key: str) -> Peer | None:
         return None
 
 
-def host_of(token: str) -> str | None:
-    """Whose name a token is for, by its host; None: it is none of a kernel."""
-    parts = token.split("/", 5)
-    return parts[4] if len(parts) > 5 and parts[3] == "live" else None
+def whose(token: str) -> tuple[str, str] | None:
+    """The host and kernel whose name a token is for; None: it is none of a kernel."""
+    parts = token.split("/", 6)
+    return (parts[4], parts[5]) if len(parts) > 6 and parts[3] == "live" else None
 
 
 def sender_of(key: str) -> str:

@@ -6,13 +6,17 @@ a peer that begins with many questions, such as a kernel with a thousand connect
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping
 from typing import Final, NamedTuple
 
 CUT_OFF: Final = 10.0
 """Seconds for which nothing of a peer is heard."""
 NAMES: Final = 10_000
-"""Names of one host that are known at the same time."""
+"""Tokens of one host that are known at the same time."""
+OF_KERNEL: Final = 2_000
+"""Tokens of one kernel's name, on all hosts together: a certificate is for one name."""
+MOST: Final[Mapping[str, int]] = {"host": NAMES, "kernel": OF_KERNEL}
 _ALL_NAMES: Final = 100_000
 _PEERS: Final = 10_000
 """Peers whose amounts are kept; beyond it the one that was heard longest ago is forgotten."""
@@ -91,35 +95,42 @@ class Limits:
 
 
 class Names:
-    """The tokens that are known, of each host up to a limit."""
+    """The tokens that are known, of each host and of each kernel's name up to a limit."""
 
     def __init__(self) -> None:
-        self._known: dict[str, set[str]] = {}
-        self._count = 0
-        self._full: set[str] = set()
+        self._known: set[str] = set()
+        self._counts: Counter[tuple[str, str]] = Counter()
+        """Of each host, ("host", its name), and of each kernel's name."""
+        self._full: set[tuple[str, str]] = set()
 
-    def admits(self, host: str, token: str, *, up: bool) -> bool:
+    def admits(self, host: str, kernel: str, token: str, *, up: bool) -> bool:
         """Whether a token that has come or gone is looked at."""
-        known = self._known.setdefault(host, set())
-        is_known = token in known
+        is_known = token in self._known
         if up and not is_known:
-            if len(known) >= NAMES or self._count >= _ALL_NAMES:
-                if not known:
-                    del self._known[host]
+            if self.beyond(host, kernel) is not None or len(self._known) >= _ALL_NAMES:
                 return False
-            known.add(token)
-            self._count += 1
+            self._known.add(token)
+            self._counts.update(_both(host, kernel))
         elif not up and is_known:
-            known.remove(token)
-            self._count -= 1
-        if not known:
-            del self._known[host]
-            self._full.discard(host)
+            self._known.remove(token)
+            for one in _both(host, kernel):
+                self._counts[one] -= 1
+                if not self._counts[one]:
+                    del self._counts[one]
+                    self._full.discard(one)
         return up or is_known
 
-    def is_first(self, host: str) -> bool:
-        """Whether to say now that this host has too many names: once, until it has none any more."""
-        if host in self._full or len(self._full) > _PEERS:
+    def beyond(self, host: str, kernel: str) -> tuple[str, str] | None:
+        """Which of both has as many tokens as it may: what it is, and its name."""
+        return next((one for one in _both(host, kernel) if self._counts[one] >= MOST[one[0]]), None)
+
+    def is_first(self, one: tuple[str, str]) -> bool:
+        """Whether to say now that this has too many: once, until it has none any more."""
+        if one in self._full or len(self._full) > _PEERS:
             return False
-        self._full.add(host)
+        self._full.add(one)
         return True
+
+
+def _both(host: str, kernel: str) -> tuple[tuple[str, str], tuple[str, str]]:
+    return ("host", host), ("kernel", kernel)

@@ -6,12 +6,13 @@ same tokens sees the same owner, in whatever order they came: an owner goes befo
 less than half of `CLAIMS` there are never two owners; two that were parted and meet again are one, by the same rule.
 
 A host name belongs to one machine in the same way. But where two machines claim it and neither owns it yet, neither
-gets it: nobody could say which one is meant by it.
+gets it: nobody could say which one is meant by it. With certificates this holds for each kernel's name by itself (see
+`claims`): a certificate says which kernel it is, on whatever host, so that no claim takes a host from another name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from itertools import count
 from typing import Final, NamedTuple
@@ -47,20 +48,33 @@ class Standing(Enum):
     """Another machine claims the same host name, and neither has it."""
 
 
+Rank = tuple[bool, Claim]
+"""Who goes before whom: not owned, and the claim; the lower goes first."""
+
+
 def seen(claims: Mapping[Claim, bool]) -> dict[str, Claim]:
-    """The kernels of one host name that others see, by their names.
+    """The kernels that others see of claims which may be rivals, by their names.
 
     Args:
         claims: all that claim a name of this host, and whether they own it.
     """
-    order = sorted(claims, key=lambda claim: (not claims[claim], claim))
-    if not order or (not claims[order[0]] and any(claim.machine != order[0].machine for claim in order)):
+    return first_seen(sorted((not owned, claim) for claim, owned in claims.items()))
+
+
+def first_seen(order: Sequence[Rank]) -> dict[str, Claim]:
+    """The same, of claims that are in order."""
+    if not order or (order[0][0] and any(claim.machine != order[0][1].machine for _, claim in order)):
         return {}
     found: dict[str, Claim] = {}
-    for claim in order:
-        if claim.machine == order[0].machine:
+    for _, claim in order:
+        if claim.machine == order[0][1].machine:
             found.setdefault(claim.kernel, claim)
     return found
+
+
+def gives_way(one: Claim, two: Claim, *, owned: bool, other_owned: bool) -> bool:
+    """Whether the first is not seen where these two are there, whose names are owned or not."""
+    return seen({one: owned, two: other_owned}).get(one.kernel) != one
 
 
 def free_name(kernel: str, taken: Iterable[str]) -> str:
@@ -90,8 +104,8 @@ class Name:
 
     def meets(self, other: Claim, *, owned: bool) -> None:
         """Another claim of its host name has come, or its owner's token."""
-        both = {other: owned, self.own: self.standing is Standing.OWNS}
-        if not self.is_shown or seen(both).get(self.own.kernel) == self.own:
+        owns = self.standing is Standing.OWNS
+        if not self.is_shown or not gives_way(self.own, other, owned=owns, other_owned=owned):
             return
         self.given_to = other
         taken = owned or other.machine == self.own.machine

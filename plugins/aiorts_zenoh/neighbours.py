@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Final
 
 from aiorts_zenoh.engine import Engine, in_thread
-from aiorts_zenoh.keys import ClientKeys, Keys, base_of, peer_of
+from aiorts_zenoh.keys import ClientKeys, Keys, denied, peer_of
 from aiorts_zenoh.security.folder import Folder
 from aiorts_zenoh.security.probe import probe
 from aiorts_zenoh.security.revoking import EVERY, Revoking
@@ -37,12 +37,17 @@ class Neighbours:
         endpoints: host and port of each that it connects to.
         secured: its certificate, and who may do what; None: there are none.
         report: takes a text for the log.
+        listens: the ports at which others connect to it.
     """
 
     def __init__(
-        self, endpoints: Sequence[tuple[str, int]], secured: Secured | None, report: Callable[[str], None]
+        self,
+        endpoints: Sequence[tuple[str, int]],
+        secured: Secured | None,
+        report: Callable[[str], None],
+        listens: Collection[int] = (),
     ) -> None:
-        self._endpoints, self._secured, self._report = endpoints, secured, report
+        self._endpoints, self._secured, self._report, self._listens = endpoints, secured, report, listens
         self._links: dict[tuple[str, str], str] = {}
         """The name in the certificate of each that is connected, by the addresses of both ends."""
         self._shown: set[str] = set()
@@ -73,6 +78,23 @@ class Neighbours:
         self._say(f"a kernel named {name!r} is not taken: {self._secured.access.fault(name) or 'it has another role'}")
         return False
 
+    @property
+    def is_bound(self) -> bool:
+        """Whether a kernel's name is that of its certificate."""
+        return self._secured is not None
+
+    def heeds(self, name: str) -> bool:
+        """Whether a kernel of this name may tell of tokens that this one does not see: one that it has connected to.
+
+        What connects here by itself may tell nothing: it could take away the name of this kernel.
+        """
+        if self._secured is None:
+            return True
+        return any(
+            name == there and int(source.rpartition(":")[2]) not in self._listens
+            for (source, _), there in self._links.items()
+        )
+
     def admits_client(self, name: str, operates: bool) -> bool:
         """Whether a client of this name may look, or operate."""
         return self._secured is None or self._secured.access.is_client(name, operates)
@@ -91,9 +113,9 @@ class Neighbours:
         engine.neighbours(self._linked)
         if self._secured is None:
             return
-        base, own = base_of(domain), self._secured.identity.name
-        engine.presence(f"{base}/denied/{own}", self._denied)
-        self._hold = lambda name: self._held.append(engine.hold(f"{base}/denied/{name}"))
+        own = self._secured.identity.name
+        engine.presence(denied(domain, own, "*"), self._denied)
+        self._hold = lambda name: self._held.append(engine.hold(denied(domain, name, own)))
         for name in self._secured.access.denied:
             self._hold(name)
 
@@ -148,8 +170,10 @@ class Neighbours:
             )
 
     def _denied(self, token: str, up: bool) -> None:
+        """Another kernel or router says that this name was revoked: it says so for itself alone."""
         if up:
-            self._say_revoked(token.rpartition("/")[2])
+            *_, own, teller = token.split("/")
+            self._say(f"{teller!r} says that the name {own!r} was revoked: it takes nothing from this kernel")
 
     def _say_revoked(self, own: str) -> None:
         self._say(f"the name {own!r} was revoked: others take nothing from this kernel")

@@ -147,9 +147,11 @@ class Network(KernelService):
                 f"{secured.identity.name} has the role {role}, which operates no other kernel; "
                 f"certify it as {COORDINATOR}"
             )
-        self._neighbours = Neighbours(endpoints_of(settings.connect), secured, _LOG.warning)
+        self._neighbours = Neighbours(
+            endpoints_of(settings.connect), secured, _LOG.warning, {port for _, port in endpoints_of(settings.listen)}
+        )
         self._transport.beside.append(self._neighbours.declare)
-        self._transport.admits = self._neighbours.admits
+        self._transport.trust = self._neighbours
         self._neighbours.denies.append(self._transport.deny)
         self._neighbours.start()
         opening = self._open(self._transport, self._neighbours, operate=settings.allow_control)

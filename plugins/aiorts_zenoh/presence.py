@@ -5,35 +5,69 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import os
+import time
 import uuid
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections import OrderedDict, deque
+from collections.abc import Callable, Mapping
 from functools import partial
-from itertools import islice
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 from aiorts.links import KernelFace, Peer
+from aiorts_zenoh.claims import LOOKED_AT, Claims, Told
 from aiorts_zenoh.engine import Engine, in_thread
-from aiorts_zenoh.keys import Keys, claim_of
-from aiorts_zenoh.names import Claim, Name, Standing, free_name, seen
+from aiorts_zenoh.keys import Keys, claim_of, teller_in
+from aiorts_zenoh.names import Claim, Name, Standing, free_name
 
-_HEARD: Final = 100
-"""Kernels that are told of one that claims the same name, at the most."""
+_TURN: Final = 0.0005
+"""Seconds of the loop for each of: tokens that have come, those to tell of some, names to look at."""
+_PAUSE: Final = 0.006
+"""Seconds until the next turn: so what others claim takes a fifth of the loop's time at the most."""
 _REST: Final = 50e-6
 """Where several machines claim a host name: seconds, for each claim, until all of them are looked at again."""
 _TICK: Final = 0.1
 """Seconds between two looks whether a name is owned by now, or free again."""
+_SAID: Final = 100
+"""Different lines in the log about others that claim the same, at the most."""
+
+
+class Trust(Protocol):
+    """Which kernels may be there, and who may say so."""
+
+    @property
+    def is_bound(self) -> bool:
+        """Whether a kernel's name is that of its certificate."""
+
+    def admits(self, name: str) -> bool:
+        """Whether a kernel of this name may be there."""
+
+    def heeds(self, name: str) -> bool:
+        """Whether a kernel of this name may tell of tokens which this one does not see itself."""
+
+
+class AnyName:
+    """All kernels may be there, and say so, where there are no certificates."""
+
+    is_bound = False
+
+    def admits(self, name: str) -> bool:
+        return True
+
+    def heeds(self, name: str) -> bool:
+        return True
 
 
 class Presence:
     """The kernels that are there, and this one among them.
 
+    However many names others claim, and however often: each claim costs the same, and all of them together a bounded
+    part of the loop's time.
+
     Args:
         show: called with each kernel that others may see, and when it is to be seen no more.
         connects: whether this kernel is to connect to others: before it has, nobody can say that its name is taken.
         listens: whether others connect to it: those do not see each other, and hear from it who has their names.
-        admits: whether a kernel of a name may be there.
+        trust: which kernels may be there, and who may say so.
         renamed: called in a thread with the keys of another name that this kernel takes where its own is taken, to
             declare all that is asked there; None: it takes none, and is not seen until its own is free.
     """
@@ -47,27 +81,30 @@ class Presence:
         *,
         connects: bool,
         listens: bool,
-        admits: Callable[[str], bool],
+        trust: Trust,
         renamed: Callable[[Keys], None] | None = None,
     ) -> None:
-        self._admits = admits
+        self._trust = trust
         self._engine, self._keys, self._kernel, self._show = engine, keys, kernel, show
         self._connects, self._listens = connects, listens
         self._loop = asyncio.get_running_loop()
         self._name, self._first = Name(keys.claim, self._loop.time()), keys.own.kernel
-        self._said: dict[str, dict[Claim, set[bool]]] = {}
-        """By host name: what is claimed, and of each the tokens that are there: of the claim, of its owner."""
-        self._named: dict[tuple[str, str], set[Claim]] = {}
-        self._machines: dict[str, Counter[int]] = {}
-        """The same by host and kernel, and how many of each machine."""
+        self._claims = Claims(bound=trust.is_bound)
+        """Those of others, and that of this kernel while it is to be seen."""
         self._shown: dict[str, dict[str, Peer]] = {}
-        self._gave_way: dict[Claim, set[Claim]] = {}
-        """Of each claim that is there: those that this kernel has told of it."""
+        """By the scope of claims, and the kernel's name."""
+        self._told_others = Told()
+        self._to_tell: deque[tuple[Claim, str]] = deque()
+        """Those that were told of a token which is gone."""
         self._heard_of: set[Claim] = set()
         """Claims that others have told of, whose tokens this kernel may not see itself."""
-        self._due: set[tuple[str, str]] = set()
-        self._due_hosts: set[str] = set()
-        """Names to look at anew, and host names."""
+        self._came_last: OrderedDict[tuple[Claim, bool], tuple[bool, bool]] = OrderedDict()
+        """Tokens to look at: whether each was gone at any time since, and whether it is there now."""
+        self._due: OrderedDict[tuple[str, str], None] = OrderedDict()
+        self._due_scopes: set[str] = set()
+        """Names to look at anew, and whole scopes."""
+        self._works: asyncio.Handle | None = None
+        self._said: set[str] = set()
         self._renamed, self._declared = renamed, keys
         self._end_told: Callable[[], None]
         """Ends the subscription to what others tell this kernel under its name."""
@@ -83,7 +120,7 @@ class Presence:
 
     def declare(self) -> None:
         """Watch who is there, and declare the token that claims the name; in a thread."""
-        self._end_told = self._engine.subscribe(self._keys.told(_peer(self._name.own)), self._was_told)
+        self._end_told = self._engine.subscribe(self._keys.heard, self._was_told)
         self._engine.presence(self._keys.tokens, self._came)
         self._engine.announce(self._keys.token)
 
@@ -95,90 +132,136 @@ class Presence:
 
     def forget(self, kernel: str) -> None:
         """A name is not admitted any more: who has it is gone."""
-        for host, name in [one for one in self._named if one[1] == kernel]:
-            for claim in tuple(self._named[host, name]):
-                self._forget(claim)
+        for claim in self._claims.of_kernel(kernel):
+            if claim != self._name.own:
+                self._gone(claim)
 
     def close(self) -> None:
         """Tell nothing any more."""
         self._closed = True
-        if self._timer is not None:
-            self._timer.cancel()
+        for handle in (self._timer, self._works):
+            if handle is not None:
+                handle.cancel()
 
-    # -- others ----------------------------------------------------------------------------------------------------
+    # -- tokens ----------------------------------------------------------------------------------------------------
 
     def _came(self, token: str, up: bool) -> None:
         found = claim_of(token)
         if self._closed or found is None or found[0] == self._name.own:
             return
         claim, owned = found
-        if not self._admits(claim.kernel):
+        was_gone, is_up = self._came_last.get(found, (False, False))
+        if is_up and not up and not was_gone and not self._claims.has(claim, owned=owned):
+            del self._came_last[found]  # it is gone before anybody has looked
             return
-        claims = self._said.setdefault(claim.host, {})
-        tokens = claims.setdefault(claim, set())
-        is_new = not tokens
-        (tokens.add if up else tokens.discard)(owned)
-        if up and is_new:
-            self._named.setdefault((claim.host, claim.kernel), set()).add(claim)
-            self._machines.setdefault(claim.host, Counter())[claim.machine] += 1
-        if not tokens:
-            self._forget(claim, was_there=not is_new)
-        elif up and claim.host == self._name.own.host:
-            self._meets(claim, owned=owned, is_new=is_new)
-        self._look_at(claim.host, claim.kernel)
-        if self._listens:
-            self._pass_on(claim, token, up=up)
+        self._came_last[found] = was_gone or not up, up
+        self._work_soon()
 
-    def _forget(self, claim: Claim, *, was_there: bool = True) -> None:
-        """A claim is there no more: look soon who is to be seen instead."""
-        several = self._several(claim.host)
-        del self._said[claim.host][claim]
-        if was_there:
-            self._named[claim.host, claim.kernel].remove(claim)
-            if not self._named[claim.host, claim.kernel]:
-                del self._named[claim.host, claim.kernel]
-            machines = self._machines[claim.host]
-            machines -= Counter([claim.machine])  # and what is 0 is no more in it
-        self._hide(claim)
-        if several:  # and they may be no more
-            self._look_at_all(claim.host)
-        self._look_at(claim.host, claim.kernel)
+    def _work_soon(self) -> None:
+        if self._works is None and not self._closed:
+            self._works = self._loop.call_soon(self._work)
 
-    def _pass_on(self, claim: Claim, token: str, *, up: bool) -> None:
-        """Tell rivals of each other: of this claim when it comes, and when it goes those that were told of it."""
-        to = self._gave_way.setdefault(claim, set())
-        if not up:
-            self._tell_of(token, up, *to)
-            if claim not in self._said.get(claim.host, ()):
-                del self._gave_way[claim]
+    def _work(self) -> None:
+        try:
+            self._work_off()
+        finally:  # whatever a listener of kernels raises
+            left = (self._came_last or self._to_tell or self._due) and not self._closed
+            self._works = self._loop.call_later(_PAUSE, self._work) if left else None
+
+    def _work_off(self) -> None:
+        """Look at what has come, tell of what is gone, and look at names that are due, each for a bounded time."""
+        until = time.perf_counter() + _TURN
+        while self._came_last and time.perf_counter() < until:
+            (claim, owned), (was_gone, is_up) = self._came_last.popitem(last=False)
+            if was_gone:
+                self._put(claim, owned=owned, up=False)
+            if is_up and self._trust.admits(claim.kernel):
+                self._put(claim, owned=owned, up=True)
+        until = time.perf_counter() + _TURN
+        while self._to_tell and time.perf_counter() < until:
+            other, token = self._to_tell.popleft()
+            self._tell_of_first(other)  # before: else it would claim its name anew
+            self._send("-", token, other)
+        until = time.perf_counter() + _TURN
+        while self._due and time.perf_counter() < until and not self._closed:
+            scope, kernel = self._due.popitem(last=False)[0]
+            if not self._claims.is_shared(scope):
+                self._set(scope, {kernel: self._claims.first(scope, kernel)})
+
+    def _put(self, claim: Claim, *, owned: bool, up: bool) -> None:
+        """A token of another kernel is there, or is there no more."""
+        if self._claims.has(claim, owned=owned) is up:
             return
-        for other in self._rivals(claim):
-            tokens = self._said[claim.host][other]
-            self._tell_of(token, up, other)
-            self._tell_of(self._keys.token_of(other, owned=True in tokens), up, claim)
+        is_new, scope = claim not in self._claims, self._claims.scope_of(claim)
+        was_shared = self._claims.is_shared(scope)
+        self._claims.put(claim, owned=owned, up=up)
+        if claim not in self._claims:
+            self._ended(claim, scope, was_shared=was_shared)
+        elif up:
+            if scope == self._claims.scope_of(self._name.own):
+                self._meets(claim, owned=owned, is_new=is_new)
+            if self._listens:
+                self._tell_rivals(claim)
+        self._look_at(scope, claim.kernel)
+
+    def _gone(self, claim: Claim) -> None:
+        """A claim is there no more, whatever its tokens say."""
+        scope = self._claims.scope_of(claim)
+        was_shared = self._claims.is_shared(scope)
+        self._claims.remove(claim)
+        self._ended(claim, scope, was_shared=was_shared)
+        self._look_at(scope, claim.kernel)
+
+    def _ended(self, claim: Claim, scope: str, *, was_shared: bool) -> None:
+        # It is shown no more, at once: what comes next may be the same kernel with a new connection.
+        if self._shown.get(scope, {}).get(claim.kernel) == _peer(claim):
+            self._set(scope, {claim.kernel: None})
+        if was_shared:  # and it may be no more
+            self._look_at_all(scope)
+        self._to_tell.extend(self._told_others.ended(claim))
+
+    # -- telling rivals of each other ------------------------------------------------------------------------------
+
+    def _tell_rivals(self, claim: Claim) -> None:
+        """Tell this claim, or those that have to give way to it, of the other; each of one at a time."""
+        for other in self._claims.rivals(claim):
+            if other == self._name.own:  # whose tokens all that connect here see themselves
+                continue
             for one, two in ((claim, other), (other, claim)):
-                if len(heard := self._gave_way.setdefault(one, set())) < _HEARD:
-                    heard.add(two)
+                if one not in self._told_others and self._claims.gives_way(one, two):
+                    self._tell_of(one, two)
+            if not self._claims.is_shared(self._claims.scope_of(claim)):
+                return  # the others were told of that one
 
-    def _rivals(self, claim: Claim) -> list[Claim]:
-        """The claims that cannot be seen beside this one; as many as may be told at the most."""
-        of_host = self._said[claim.host]
-        several = len(self._machines[claim.host]) > 1
-        among: Iterable[Claim] = of_host if several else self._named[claim.host, claim.kernel]
-        return list(islice((other for other in among if other != claim and claim.meets(other)), _HEARD))
+    def _tell_of_first(self, claim: Claim) -> None:
+        """Tell a claim of the first one that it has to give way to."""
+        rivals = (other for other in self._claims.rivals(claim) if other != self._name.own)
+        found = next((other for other in rivals if self._claims.gives_way(claim, other)), None)
+        if found is not None:
+            self._tell_of(claim, found)
 
-    def _tell_of(self, token: str, up: bool, *to: Claim) -> None:
-        for claim in to:
-            self._engine.put(self._keys.told(_peer(claim)), f"{'+' if up else '-'}{token}".encode())
+    def _tell_of(self, claim: Claim, of: Claim) -> None:
+        token = self._keys.token_of(of, owned=self._claims.has(of, owned=True))
+        self._told_others.note(claim, of, token)
+        self._send("+", token, claim)
 
-    def _was_told(self, _: str, data: bytes) -> None:
+    def _send(self, what: str, token: str, to: Claim) -> None:
+        self._engine.put(self._keys.told(_peer(to)), f"{what}{token}".encode())
+
+    def _was_told(self, key: str, data: bytes) -> None:
         """Another kernel tells of a token. A kernel that owns its name believes only what it sees itself."""
+        if self._closed or not self._trust.heeds(teller_in(key)):
+            return
         token, up = data[1:].decode(errors="replace"), data[:1] == b"+"
         found = claim_of(token)
-        if found is None or self.standing is Standing.OWNS or not found[0].meets(self._name.own):
+        if found is None or self.standing is Standing.OWNS or not self._claims.meets(found[0], self._name.own):
+            return
+        if up and len(self._heard_of) >= LOOKED_AT:
             return
         (self._heard_of.add if up else self._heard_of.discard)(found[0])
         self._came(token, up)
+
+    # -- showing who is there --------------------------------------------------------------------------------------
 
     def _meets(self, claim: Claim, *, owned: bool, is_new: bool) -> None:
         before = self._name.standing
@@ -186,65 +269,44 @@ class Presence:
         own = self._name.own
         if self._name.standing is not before:
             if self._renamed is None or own.machine != claim.machine:
-                self._kernel.report(_given_way(own, claim))
+                self._say(_given_way(own, claim))
             else:
                 self._take_another()
             self._changed()
         elif self._name.is_shown and is_new and claim.machine != own.machine:
-            self._kernel.report(f"zenoh: {_other_machine(claim)}; it is refused. {_ADVICE}")
+            self._say(f"zenoh: {_other_machine(claim)}; it is refused. {_ADVICE}")
         elif self._name.is_shown and is_new and claim.meets(own):
-            self._kernel.report(
-                f"zenoh: another kernel named {own.kernel!r} was started on {own.host}; it does not get the name"
-            )
+            self._say(f"zenoh: another kernel named {own.kernel!r} was started on {own.host}; it does not get the name")
 
-    def _hide(self, claim: Claim) -> None:
-        """Show a claim no more, at once: what comes next may be the same kernel with a new connection."""
-        if self._shown.get(claim.host, {}).get(claim.kernel) == _peer(claim):
-            self._set(claim.host, {claim.kernel: None})
+    def _say(self, text: str) -> None:
+        """Say it in the log, once while this kernel stands as it does: others may claim as often as they like."""
+        if text not in self._said and len(self._said) < _SAID:
+            self._said.add(text)
+            self._kernel.report(text)
 
-    def _several(self, host: str) -> bool:
-        """Whether several machines claim a host name."""
-        machines = set(self._machines.get(host, ()))
-        return len(machines | {self._name.own.machine} if host == self._name.own.host else machines) > 1
-
-    def _look_at(self, host: str, kernel: str) -> None:
-        """Look soon who has this name; where several machines have the host name, at all of it."""
-        if self._several(host):
-            self._look_at_all(host)
+    def _look_at(self, scope: str, kernel: str) -> None:
+        """Look soon who has this name; where several machines claim the scope, at all of it."""
+        if self._claims.is_shared(scope):
+            self._look_at_all(scope)
         else:
-            if not self._due:
-                self._loop.call_soon(self._look)
-            self._due.add((host, kernel))
+            self._due[scope, kernel] = None
+            self._work_soon()
 
-    def _look_at_all(self, host: str) -> None:
-        if host not in self._due_hosts:
-            self._due_hosts.add(host)
-            self._loop.call_later(len(self._said.get(host, ())) * _REST, self._look_at_host, host)
+    def _look_at_all(self, scope: str) -> None:
+        if scope not in self._due_scopes:
+            self._due_scopes.add(scope)
+            self._loop.call_later(self._claims.count(scope) * _REST, self._look_at_scope, scope)
 
-    def _look(self) -> None:
-        """Show who is to be seen now; once for all that has come at the same time."""
-        due, self._due = self._due, set()
-        for host, kernel in due:
-            if not self._several(host):
-                found = seen(self._claims(host, self._named.get((host, kernel), ())))
-                self._set(host, {kernel: found.get(kernel)})
+    def _look_at_scope(self, scope: str) -> None:
+        self._due_scopes.discard(scope)
+        found = self._claims.seen(scope)
+        self._set(scope, {kernel: found.get(kernel) for kernel in {*self._shown.get(scope, ()), *found}})
 
-    def _look_at_host(self, host: str) -> None:
-        self._due_hosts.discard(host)
-        found = seen(self._claims(host, self._said.get(host, ())))
-        self._set(host, {kernel: found.get(kernel) for kernel in {*self._shown.get(host, ()), *found}})
-
-    def _claims(self, host: str, among: Iterable[Claim]) -> dict[Claim, bool]:
-        """These, and whether they own their names; of its own host this kernel's, too."""
-        claims = {claim: True in self._said[host][claim] for claim in among}
-        own = self._name.own
-        return claims if host != own.host else {**claims, own: self._name.standing is Standing.OWNS}
-
-    def _set(self, host: str, kernels: Mapping[str, Claim | None]) -> None:
-        """Of these names of a host, these are to be seen."""
+    def _set(self, scope: str, kernels: Mapping[str, Claim | None]) -> None:
+        """Of these names of a scope, these are to be seen."""
         if self._closed:
             return
-        shown, own = self._shown.setdefault(host, {}), self._name.own
+        shown, own = self._shown.setdefault(scope, {}), self._name.own
         for kernel, claim in kernels.items():
             now = None if claim in (None, own) or not self._name.is_shown else claim
             before, peer = shown.get(kernel), None if now is None else _peer(now)
@@ -257,17 +319,15 @@ class Presence:
                 shown[kernel] = peer
                 self._show(peer, True)
         if not shown:
-            del self._shown[host]
-        if not self._said.get(host, True):
-            del self._said[host]
-            self._machines.pop(host, None)
+            del self._shown[scope]
 
     # -- this kernel -----------------------------------------------------------------------------------------------
 
     def _take_another(self) -> None:
         """Claim the next name that is free, for as long as this kernel runs."""
         own, first = self._name.own, self._first
-        name = free_name(first, (claim.kernel for claim in self._said.get(own.host, ())))
+        name = free_name(first, self._claims.kernels(own.host))
+        self._claims.remove(own)
         self._keys = Keys(self._keys.domain, Peer(own.host, name, own.epoch), own.start_ns, own.machine)
         self._name = Name(self._keys.claim, self._loop.time())
         self._kernel.report(
@@ -276,8 +336,11 @@ class Presence:
 
     def _changed(self) -> None:
         """This kernel stands otherwise with its name: show and tell what follows from it."""
-        for host in {*self._said, *self._shown}:
-            self._look_at_host(host)
+        own = self._name.own
+        self._claims.put(own, owned=False, up=self._name.is_shown)
+        self._claims.put(own, owned=True, up=self.standing is Standing.OWNS)
+        for scope in {*self._claims.scopes, *self._shown}:
+            self._look_at_scope(scope)
         if not self._telling:
             self._telling = True
             self._kernel.run_in_background(self._tell(), "aiorts zenoh name")
@@ -300,7 +363,7 @@ class Presence:
         """Declare under another name all that others may ask, before its token is there; in a thread."""
         self._engine.announce()
         self._end_told()
-        self._end_told = self._engine.subscribe(keys.told(keys.own), self._was_told)
+        self._end_told = self._engine.subscribe(keys.heard, self._was_told)
         if self._renamed is not None:
             self._renamed(keys)
         self._declared = keys
@@ -308,15 +371,15 @@ class Presence:
 
     def _tick(self) -> None:
         self._timer, before, now = None, self.standing, self._loop.time()
-        others = self._said.get(self._name.own.host, {})
         if self._connects and not self._engine.is_heard:
             if before is Standing.CLAIMS:
                 self._name.unseen(now)
-            for claim in self._heard_of & others.keys():  # who told of them is gone
-                self._forget(claim)
+            for claim in self._heard_of:  # who told of them is gone
+                self._gone(claim)
             self._heard_of.clear()
-        self._name.passed(others, now)
+        self._name.passed(self._claims.rivals(self._name.own), now)
         if self.standing is not before:
+            self._said.clear()
             if before is Standing.WITHDRAWN:
                 self._kernel.report(f"zenoh: the name {self._name.own.kernel!r} is free again; this kernel takes it")
             self._changed()

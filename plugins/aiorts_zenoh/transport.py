@@ -18,7 +18,7 @@ from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read
 from aiorts_zenoh.gate import Gate
 from aiorts_zenoh.keys import BY_READER, BY_WRITER, ClientKeys, Keys, asked
-from aiorts_zenoh.presence import Presence, this_machine
+from aiorts_zenoh.presence import AnyName, Presence, Trust, this_machine
 from aiorts_zenoh.sending import Budgets, Receiver, Sender
 from aiorts_zenoh.sessions import Sessions
 
@@ -109,8 +109,8 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         """Called before the session ends, in a thread; each may wait a moment."""
         self.sessions_denied = ""
         """Why this kernel may not ask others for operations; "" where it may."""
-        self.admits: Callable[[str], bool] = lambda name: True
-        """Whether a kernel of this name may be there."""
+        self.trust: Trust = AnyName()
+        """Which kernels may be there, and who may say so."""
         self.keys: Keys
         self._sessions: Sessions
         self._presence: Presence | None = None
@@ -135,7 +135,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
             self._present,
             connects=connects,
             listens=listens,
-            admits=self.admits,
+            trust=self.trust,
             renamed=self._renamed if self._renames else None,
         )
         try:

@@ -54,12 +54,12 @@ ROWS: Final = (
     # Who is there: a kernel shows its own name alone.
     Row(_ALL, _ALL, _WATCH, ("live/*/*/**",)),
     Row(KERNELS, _ALL, ("liveliness_token",), ("live/*/{a}/**",)),
-    # What a kernel tells others of names that they may not see.
-    Row(KERNELS, KERNELS, ("declare_subscriber",), ("heard/*/{a}/*",)),
-    Row(KERNELS, KERNELS, ("put",), ("heard/*/{b}/*",)),
-    # That a name was revoked, to that name alone.
-    Row((*_ALL, _DENIED), _ALL, _WATCH, ("denied/{a}",)),
-    Row(KERNELS, (*_ALL, _DENIED), ("liveliness_token",), ("denied/{b}",)),
+    # What a kernel tells others of names that they may not see, and who tells it.
+    Row(KERNELS, KERNELS, ("declare_subscriber",), ("heard/*/{a}/*/*",)),
+    Row(KERNELS, KERNELS, ("put",), ("heard/*/{b}/*/{a}",)),
+    # That a name was revoked, to that name alone, and who says so.
+    Row((*_ALL, _DENIED), _ALL, _WATCH, ("denied/{a}/*",)),
+    Row(KERNELS, (*_ALL, _DENIED), ("liveliness_token",), ("denied/{b}/{a}",)),
     # What kernels ask each other.
     Row(KERNELS, KERNELS, ("declare_queryable",), ("svc/*/{a}/*/**",)),
     Row(KERNELS, KERNELS, ("query",), ("svc/*/{b}/*/{a}/**",)),
