@@ -78,6 +78,15 @@ class Process:
                     return None
                 self._came.wait(left)
 
+    def went_on(self, since: float, *, blocks: bool) -> bool:
+        """Whether it came to the step at which it stands still after this moment; it goes on now."""
+        if self.told("held", 0.0, lambda line: line["t"] > since) is None:
+            return False
+        if blocks:
+            return self.told("free", STARTS) is not None
+        self.send(signal.SIGCONT)
+        return True
+
     def ready(self, holds: Callable[[dict[str, Any]], object] = bool) -> dict[str, Any]:
         """What it tells when it has come up."""
         line = self.told("ready", STARTS, holds)
@@ -198,16 +207,11 @@ class Ends:
             since = time.monotonic()
         for one in self.processes.values():
             one.ready()
-        if not blocked and schedule.step and (late := held.told("held", 1.0, lambda line: line["t"] > since)):
-            if schedule.blocks:  # it came to its step only now
-                late = held.told("free", STARTS)
-                assert late is not None
-                since = float(late["t"])
-            else:
-                held.send(signal.SIGCONT)
-                since = time.monotonic()
         both = max(since, *(float(one.ready()["t"]) for one in self.processes.values()))
         up = self.is_up(both, WITHIN)
+        if up is None and held.went_on(since, blocks=schedule.blocks):  # it came to its step only now
+            both = time.monotonic()
+            up = self.is_up(both, WITHIN)
         if up is None:
             later = self.is_up(both, 15.0)
             print(f"{schedule}: up after {'more than 15' if later is None else round(later - both, 2)} s")
@@ -253,9 +257,17 @@ def play_isolated(schedule: Schedule, place: str) -> float | None:
         if not (schedule.meanwhile and stopped == part):
             os.kill(stopped, signal.SIGCONT)
         since = max(since, time.monotonic())
-        if schedule.meanwhile:
-            since = max(since, float(whole.ready(lambda line: line["part"] != part)["t"]))
+        anew = None if schedule.meanwhile else {"t": since}
+        for _ in range(2):
+            anew = anew or whole.told("ready", STARTS / 3, lambda line: line["part"] != part)
+            if whole.went_on(since, blocks=schedule.blocks):  # it came to its step only now
+                since = time.monotonic()
+        assert anew is not None, f"{schedule}: has not come up: {whole.complaints}"
+        since = max(since, float(anew["t"]))
         line = whole.told("read", WITHIN, lambda line: line["t"] > since and line["of"] == whole.pid)
+        if line is None and whole.went_on(since, blocks=schedule.blocks):
+            since = time.monotonic()
+            line = whole.told("read", WITHIN, lambda line: line["t"] > since and line["of"] == whole.pid)
         if line is None:
             print(f"{schedule}: not up within {WITHIN} s; {whole.complaints}")
         return None if line is None else float(line["t"]) - since
