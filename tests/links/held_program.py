@@ -1,8 +1,9 @@
 """A kernel in a process of its own that may stand still at one step of finding, greeting, offering or answering.
 
-`python held_program.py SETTINGS`, which say: `role` (a method of `Roles`), `zenoh` (settings of the service, where there
-are any), `step` (a method of `BaseTransport`), `call` (which call of it), `seconds` (for how long a hook blocks there; 0:
-the process stops itself). What it does and reads is told in lines of JSON on its standard output, with the time.
+`python held_program.py SETTINGS`, which say: `role` (a method of `Roles`), `zenoh` (settings of the service, where
+there are any), `step` (a method of `BaseTransport`), `call` (which call of it), `seconds` (for how long a hook blocks
+there; 0: the process stops itself). It tells what it does and reads in lines of JSON on its standard output, with the
+time.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def hold_at(step: str, call: int, seconds: float) -> None:
         nonlocal calls
         calls += 1
         if calls == call:
-            tell("held", step=step)
+            tell("held", step=step, blocks=bool(seconds))
             if seconds:
                 time.sleep(seconds)
                 tell("free")

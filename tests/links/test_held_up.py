@@ -1,4 +1,4 @@
-"""Either end of a link stands still at any moment or step, the other one is started anew meanwhile: it is up soon after.
+"""Either end of a link stands still at any moment or step, the other is started anew meanwhile: it is up soon after.
 
 It stands still by SIGSTOP, or by a hook that blocks its loop. Each end is a process of its own.
 """
@@ -42,17 +42,20 @@ STEPS = {
 
 
 class Process:
-    """A program, what it tells, and when."""
+    """A program, what it tells, and when. Where it stands still at its step, it goes on after `stops` seconds."""
 
-    def __init__(self, folder: str, **settings: Any) -> None:
-        self.said = tempfile.TemporaryFile()
-        self._process = subprocess.Popen(
-            [sys.executable, str(PROGRAM), json.dumps(settings)],
-            env=os.environ | {"XDG_RUNTIME_DIR": folder},
-            stdout=subprocess.PIPE,
-            stderr=self.said,
-        )
-        self.pid = self._process.pid
+    def __init__(self, folder: str, *, stops: float = 1.0, **settings: Any) -> None:
+        self._said = Path(folder) / f"{time.monotonic_ns()}.log"
+        with self._said.open("wb") as said:
+            self._process = subprocess.Popen(
+                [sys.executable, str(PROGRAM), json.dumps(settings)],
+                env=os.environ | {"XDG_RUNTIME_DIR": folder},
+                stdout=subprocess.PIPE,
+                stderr=said,
+            )
+        self.pid, self._stops = self._process.pid, stops
+        self.went_on = 0.0
+        """When it went on last."""
         self._lines: list[dict[str, Any]] = []
         self._came = threading.Condition()
         self._listening = threading.Thread(target=self._listen, daemon=True)
@@ -61,10 +64,24 @@ class Process:
     def _listen(self) -> None:
         assert self._process.stdout is not None
         with self._process.stdout as output:
-            for line in output:
+            for line in map(json.loads, output):
+                if line["what"] == "free":
+                    self.went_on = line["t"]
                 with self._came:
-                    self._lines.append(json.loads(line))
+                    self._lines.append(line)
                     self._came.notify_all()
+                if line["what"] == "held" and not line["blocks"]:
+                    time.sleep(self._stops)
+                    self.go_on()
+
+    def stop(self) -> None:
+        """Have it stand still."""
+        self._process.send_signal(signal.SIGSTOP)
+
+    def go_on(self) -> None:
+        """Have it go on."""
+        self._process.send_signal(signal.SIGCONT)
+        self.went_on = time.monotonic()
 
     def told(self, what: str, within: float, holds: Callable[[dict[str, Any]], object] = bool) -> dict[str, Any] | None:
         """The first line of this kind for which that holds; None: there is none in time."""
@@ -78,28 +95,25 @@ class Process:
                     return None
                 self._came.wait(left)
 
-    def went_on(self, since: float, *, blocks: bool) -> bool:
-        """Whether it came to the step at which it stands still after this moment; it goes on now."""
-        if self.told("held", 0.0, lambda line: line["t"] > since) is None:
-            return False
-        if blocks:
-            return self.told("free", STARTS) is not None
-        self.send(signal.SIGCONT)
-        return True
-
-    def ready(self, holds: Callable[[dict[str, Any]], object] = bool) -> dict[str, Any]:
-        """What it tells when it has come up."""
+    def ready(self, holds: Callable[[dict[str, Any]], object] = bool) -> float:
+        """When it had come up."""
         line = self.told("ready", STARTS, holds)
         assert line is not None, f"has not come up: {self.complaints}"
-        return line
+        return float(line["t"])
+
+    def reads(self, since: Callable[[], float], writer: int) -> float | None:
+        """Seconds until it read what this writer wrote, from when both ends could talk; None: it has not, in time."""
+        while True:
+            began = since()
+            line = self.told("read", WITHIN, lambda line, began=began: line["t"] > began and line["of"] == writer)
+            if line is not None and began == since():
+                return float(line["t"]) - began
+            if began == since():  # else one has stood still meanwhile
+                return None
 
     @property
     def complaints(self) -> str:
-        self.said.seek(0)
-        return self.said.read().decode(errors="replace")[-3_000:]
-
-    def send(self, number: signal.Signals) -> None:
-        self._process.send_signal(number)
+        return self._said.read_text(errors="replace")[-3_000:]
 
     def end(self, how: signal.Signals = signal.SIGKILL) -> None:
         """End it, and wait for that."""
@@ -110,7 +124,6 @@ class Process:
             self._process.kill()
             self._process.wait(STARTS)
         self._listening.join(STARTS)
-        self.said.close()
 
 
 class Schedule(NamedTuple):
@@ -126,6 +139,10 @@ class Schedule(NamedTuple):
     blocks: bool
     meanwhile: str
     """What becomes of the other end: "", "killed" or "ended"; then it is started anew."""
+
+    def settings(self) -> dict[str, Any]:
+        """What the program of the end that stands still is told."""
+        return {"step": self.step, "call": self.call, "seconds": BLOCKS * self.blocks}
 
     @classmethod
     def of(cls, kind: str, seed: int) -> Schedule:
@@ -146,7 +163,7 @@ class Ends:
     """Both ends of one link, each a process."""
 
     def __init__(self, schedule: Schedule, places: list[str]) -> None:
-        self.schedule, self._places = schedule, places
+        self.schedule, self._places, self._chosen = schedule, places, random.Random(schedule.seed)
         self._roles = ("member", "holding") if schedule.kind == "members" else ("reader", "writer")
         self._zenoh: list[Any] = [None, None]
         if schedule.kind in ("zenoh", "both"):
@@ -160,75 +177,54 @@ class Ends:
         self.processes: dict[int, Process] = {}
 
     def start(self, end: int) -> Process:
-        held = end == self.schedule.held and end not in self.processes
-        step = {"step": self.schedule.step, "call": self.schedule.call, "seconds": BLOCKS * self.schedule.blocks}
-        place = self._places[end % len(self._places)]
+        is_held = end == self.schedule.held and end not in self.processes
         self.processes[end] = process = Process(
-            place, role=self._roles[end], zenoh=self._zenoh[end], **(step if held else {})
+            self._places[end % len(self._places)],
+            role=self._roles[end],
+            zenoh=self._zenoh[end],
+            stops=0.2 + self._chosen.random() * 5.0,
+            **(self.schedule.settings() if is_held else {}),
         )
         return process
 
-    def is_up(self, after: float, within: float) -> float | None:
-        """When a sample of the writer that there is now was read after this moment."""
-        writer, reader = self.processes[1], self.processes[1 if self.schedule.kind == "members" else 0]
-        line = reader.told("read", within, lambda line: line["t"] > after and line["of"] == writer.pid)
-        return None if line is None else float(line["t"])
-
-    def hold(self, chosen: random.Random) -> bool:
-        """Wait until the end stands still at its step, or stop it at a moment; whether a hook blocks it."""
-        held = self.processes[self.schedule.held]
-        if self.schedule.step and held.told("held", 4.0) is not None:
-            return self.schedule.blocks
-        time.sleep(chosen.random())
-        held.send(signal.SIGSTOP)
-        return False
+    def since(self) -> float:
+        """From when both can talk."""
+        return max(time for one in self.processes.values() for time in (one.ready(), one.went_on))
 
     def play(self) -> float | None:
         """Seconds from when both could talk until the link was up; None: it was not in time."""
-        chosen, schedule = random.Random(self.schedule.seed), self.schedule
+        chosen, schedule = self._chosen, self.schedule
         for end in chosen.sample((0, 1), 2):
             self.start(end)
             if chosen.random() < 0.5:
                 self.processes[end].told("ready", 2.0)
         held, other = self.processes[schedule.held], 1 - schedule.held
-        blocked = self.hold(chosen)
+        at_step = bool(schedule.step) and held.told("held", 4.0) is not None
+        if not at_step:
+            time.sleep(chosen.random())
+            held.stop()
         if schedule.meanwhile:
             self.processes[other].end(signal.SIGKILL if schedule.meanwhile == "killed" else signal.SIGTERM)
             self.start(other)
             if chosen.random() < 0.7:
                 self.processes[other].told("ready", 4.0)
         time.sleep(chosen.random() * 2.0)
-        if blocked:
-            free = held.told("free", STARTS)
-            assert free is not None
-            since = float(free["t"])
-        else:
-            held.send(signal.SIGCONT)
-            since = time.monotonic()
-        for one in self.processes.values():
-            one.ready()
-        both = max(since, *(float(one.ready()["t"]) for one in self.processes.values()))
-        up = self.is_up(both, WITHIN)
-        if up is None and held.went_on(since, blocks=schedule.blocks):  # it came to its step only now
-            both = time.monotonic()
-            up = self.is_up(both, WITHIN)
-        if up is None:
-            later = self.is_up(both, 15.0)
-            print(f"{schedule}: up after {'more than 15' if later is None else round(later - both, 2)} s")
-            for one in self.processes.values():
-                print(one.complaints)
-            return None
-        return up - both
+        if not at_step:
+            held.go_on()
+        writer, reader = self.processes[1], self.processes[1 if schedule.kind == "members" else 0]
+        return reader.reads(self.since, writer.pid)
 
 
 def play(schedule: Schedule) -> float | None:
-    apart = schedule.kind == "zenoh"
-    with folders(2 if apart else 1) as places:
+    with folders(2 if schedule.kind == "zenoh" else 1) as places:
         if schedule.kind == "isolated":
             return play_isolated(schedule, places[0])
         ends = Ends(schedule, places)
         try:
-            return ends.play()
+            took = ends.play()
+            if took is None:
+                print(schedule, *(one.complaints for one in ends.processes.values()), sep="\n")
+            return took
         finally:
             for one in ends.processes.values():
                 one.end()
@@ -237,17 +233,13 @@ def play(schedule: Schedule) -> float | None:
 def play_isolated(schedule: Schedule, place: str) -> float | None:
     """The same where one end is the process of an isolated component; its kernel may stand still at any step."""
     chosen = random.Random(schedule.seed)
-    step = {"step": schedule.step, "call": schedule.call + 2, "seconds": BLOCKS * schedule.blocks}
-    whole = Process(place, role="isolating", **(step if schedule.held == 0 else {}))
-    stopped = 0
+    settings = schedule.settings() if schedule.held == 0 else {}
+    whole = Process(place, role="isolating", stops=chosen.random() * 2.5, **settings)
     try:
-        since = 0.0
-        if schedule.held == 0 and schedule.step and whole.told("held", 6.0) is not None:
-            time.sleep(chosen.random() * 2.0)
-            if not schedule.blocks:
-                whole.send(signal.SIGCONT)
-                since = time.monotonic()
-        part = int(whole.ready()["part"])
+        whole.ready()
+        line = whole.told("ready", 0.0)
+        assert line is not None
+        part = int(line["part"])
         time.sleep(chosen.random())
         stopped = whole.pid if schedule.held == 0 else part
         os.kill(stopped, signal.SIGSTOP)
@@ -256,21 +248,16 @@ def play_isolated(schedule: Schedule, place: str) -> float | None:
             os.kill(part, signal.SIGKILL)
         if not (schedule.meanwhile and stopped == part):
             os.kill(stopped, signal.SIGCONT)
-        since = max(since, time.monotonic())
-        anew = None if schedule.meanwhile else {"t": since}
-        for _ in range(2):
-            anew = anew or whole.told("ready", STARTS / 3, lambda line: line["part"] != part)
-            if whole.went_on(since, blocks=schedule.blocks):  # it came to its step only now
-                since = time.monotonic()
-        assert anew is not None, f"{schedule}: has not come up: {whole.complaints}"
-        since = max(since, float(anew["t"]))
-        line = whole.told("read", WITHIN, lambda line: line["t"] > since and line["of"] == whole.pid)
-        if line is None and whole.went_on(since, blocks=schedule.blocks):
-            since = time.monotonic()
-            line = whole.told("read", WITHIN, lambda line: line["t"] > since and line["of"] == whole.pid)
-        if line is None:
-            print(f"{schedule}: not up within {WITHIN} s; {whole.complaints}")
-        return None if line is None else float(line["t"]) - since
+        went_on = time.monotonic()
+
+        def since() -> float:
+            anew = whole.ready(lambda line: line["part"] != part) if schedule.meanwhile else 0.0
+            return max(went_on, whole.went_on, anew)
+
+        took = whole.reads(since, whole.pid)
+        if took is None:
+            print(schedule, whole.complaints, sep="\n")
+        return took
     finally:
         whole.end()
 
@@ -303,21 +290,16 @@ def test_a_writer_that_was_started_anew_finds_a_reader_that_stood_still_meanwhil
             writers.append(Process(place, role="writer"))
             assert reader.told("read", STARTS) is not None
             if not blocks:
-                reader.send(signal.SIGSTOP)
+                reader.stop()
             writers[0].end()
             writers.append(Process(place, role="writer"))
             writers[1].ready()
-            if blocks:
-                free = reader.told("free", STARTS)
-                assert free is not None
-                since = float(free["t"])
-            else:
+            if not blocks:
                 time.sleep(1.5)
-                reader.send(signal.SIGCONT)
-                since = time.monotonic()
-            up = reader.told("read", 10.0, lambda line: line["of"] == writers[-1].pid)
-            assert up is not None, "they were not linked again"
-            assert float(up["t"]) - since < WITHIN
+                reader.go_on()
+            assert not blocks or reader.told("free", STARTS) is not None
+            took = reader.reads(lambda: max(reader.went_on, writers[1].ready()), writers[1].pid)
+            assert took is not None, f"they were not linked again: {reader.complaints}"
         finally:
             for one in (reader, *writers[-1:]):
                 one.end()
