@@ -56,6 +56,8 @@ class Process:
         self.pid, self._stops = self._process.pid, stops
         self.went_on = 0.0
         """When it went on last."""
+        self._goes = threading.Event()
+        self._goes.set()
         self._lines: list[dict[str, Any]] = []
         self._came = threading.Condition()
         self._listening = threading.Thread(target=self._listen, daemon=True)
@@ -67,6 +69,9 @@ class Process:
             for line in map(json.loads, output):
                 if line["what"] == "free":
                     self.went_on = line["t"]
+                    self._goes.set()
+                elif line["what"] == "held":
+                    self._goes.clear()
                 with self._came:
                     self._lines.append(line)
                     self._came.notify_all()
@@ -82,6 +87,7 @@ class Process:
         """Have it go on."""
         self._process.send_signal(signal.SIGCONT)
         self.went_on = time.monotonic()
+        self._goes.set()
 
     def told(self, what: str, within: float, holds: Callable[[dict[str, Any]], object] = bool) -> dict[str, Any] | None:
         """The first line of this kind for which that holds; None: there is none in time."""
@@ -100,6 +106,12 @@ class Process:
         line = self.told("ready", STARTS, holds)
         assert line is not None, f"has not come up: {self.complaints}"
         return float(line["t"])
+
+    def talks(self, holds: Callable[[dict[str, Any]], object] = bool) -> float:
+        """From when it can talk: it has come up, and goes on."""
+        ready = self.ready(holds)
+        assert self._goes.wait(STARTS)
+        return max(ready, self.went_on)
 
     def reads(self, since: Callable[[], float], writer: int) -> float | None:
         """Seconds until it read what this writer wrote, from when both ends could talk; None: it has not, in time."""
@@ -189,7 +201,7 @@ class Ends:
 
     def since(self) -> float:
         """From when both can talk."""
-        return max(time for one in self.processes.values() for time in (one.ready(), one.went_on))
+        return max(one.talks() for one in self.processes.values())
 
     def play(self) -> float | None:
         """Seconds from when both could talk until the link was up; None: it was not in time."""
@@ -251,8 +263,7 @@ def play_isolated(schedule: Schedule, place: str) -> float | None:
         went_on = time.monotonic()
 
         def since() -> float:
-            anew = whole.ready(lambda line: line["part"] != part) if schedule.meanwhile else 0.0
-            return max(went_on, whole.went_on, anew)
+            return max(went_on, whole.talks(lambda line: not schedule.meanwhile or line["part"] != part))
 
         took = whole.reads(since, whole.pid)
         if took is None:
@@ -298,7 +309,7 @@ def test_a_writer_that_was_started_anew_finds_a_reader_that_stood_still_meanwhil
                 time.sleep(1.5)
                 reader.go_on()
             assert not blocks or reader.told("free", STARTS) is not None
-            took = reader.reads(lambda: max(reader.went_on, writers[1].ready()), writers[1].pid)
+            took = reader.reads(lambda: max(reader.talks(), writers[1].talks()), writers[1].pid)
             assert took is not None, f"they were not linked again: {reader.complaints}"
         finally:
             for one in (reader, *writers[-1:]):
