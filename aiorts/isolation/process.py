@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _COMES_UP: Final = 10.0
 """Seconds in which a process has a kernel and its component: the import of heavy modules counts."""
-_ANSWERS = 7.0
+_ANSWERS: Final = 7.0
 """Seconds in which it answers: a hook that it runs meanwhile has 5 s and 2 s beyond."""
 _LOOK: Final = 0.5
 """How often it is looked whether the process answers."""
@@ -160,11 +160,8 @@ class Process:
         )
         return ProcessError(f"{self.name}: {why}{lines}")
 
-    async def ask(self, operation: str, within: float | None = None, **arguments: Any) -> Any:
+    async def ask(self, operation: str, within: float = _ANSWERS, **arguments: Any) -> Any:
         """What an operation gives there.
-
-        Args:
-            within: seconds for the answer; None: as many as for any operation.
 
         Raises:
             ProcessError: the process is gone, or does not answer in time.
@@ -172,7 +169,7 @@ class Process:
         """
         if self._peer is None or not self.runs:
             raise ProcessError(f"{self.name}: its process has ended")
-        body, within = messages.request(operation, arguments), _ANSWERS if within is None else within
+        body = messages.request(operation, arguments)
         try:
             answer = await self._transport.ask(self._peer, messages.OPERATE, body, within=within)
         except LinkTimeout:

@@ -102,7 +102,7 @@ async def test_who_takes_nothing_costs_a_bound_of_each() -> None:
         while near.stream.control(QUESTION, 0, b""):
             short += 1
             assert short < 100_000
-        assert 10_000 < short
+        assert short > 10_000
         assert not near.rooms
     async with one_that_takes_nothing() as (near, _):
         while near.stream.control(QUESTION, 0, bytes(64 * KIB)):
