@@ -1,5 +1,7 @@
 """What a kernel and the processes of its components say to each other: the first message, requests and reports.
 
+Requests and answers are JSON. The bytes in them, such as those of samples, stand behind it as they are.
+
 Both ends are of one program. Requests are operations of the control table; the first message is all that a process
 needs before it has a kernel: nothing of it is in the process's arguments, which other users can read.
 """
@@ -24,6 +26,10 @@ REPORT: Final = "report"
 MARK: Final = "\x1e"
 """Begins a line of standard error that is a record of the log: this, the level's number, a blank, the text."""
 _LENGTH: Final = struct.Struct("<I")
+_HEAD: Final = struct.Struct("<QI")
+"""Of a request and an answer: the length of the JSON, how many bytes objects stand behind it; then their lengths."""
+_BESIDE: Final = "\x1ebeside"
+"""The only key of an object that stands for bytes, with their place among them."""
 _LONGEST: Final = 10_000
 """Letters of the text of an error."""
 
@@ -96,23 +102,23 @@ class Report:
 
 def request(operation: str, arguments: Mapping[str, Any]) -> bytes:
     """The body of a request."""
-    return json.dumps([operation, plain(arguments)]).encode()
+    return _body([operation, arguments])
 
 
 def asked(body: bytes) -> tuple[str, dict[str, Any]]:
     """The operation and the arguments of a request."""
-    operation, arguments = json.loads(body)
+    operation, arguments = _value(body)
     return operation, arguments
 
 
 def done(value: Any) -> bytes:
     """The answer to a request that was carried out."""
-    return json.dumps({"value": plain(value)}).encode()
+    return _body({"value": value})
 
 
 def refused(error: AiortsError) -> bytes:
     """The answer to a request that was not carried out."""
-    return json.dumps({"code": error.code, "text": _short(str(error))}).encode()
+    return _body({"code": error.code, "text": _short(str(error))})
 
 
 def value_of(body: bytes) -> Any:
@@ -121,10 +127,42 @@ def value_of(body: bytes) -> Any:
     Raises:
         AiortsError: what refused it, as the class that has its code.
     """
-    answer = json.loads(body)
+    answer = _value(body)
     if "code" in answer:
         raise error_of_code(answer["code"], answer["text"]) or ControlError(answer["text"])
     return answer["value"]
+
+
+def _body(value: Any) -> bytes:
+    beside: list[bytes] = []
+    text = json.dumps(plain(_apart(value, beside))).encode()
+    lengths = struct.pack(f"<{len(beside)}Q", *map(len, beside))
+    return b"".join((_HEAD.pack(len(text), len(beside)), lengths, text, *beside))
+
+
+def _apart(value: Any, beside: list[bytes]) -> Any:
+    """The value, with its bytes moved to `beside`."""
+    kind = type(value)
+    if kind is bytes:
+        beside.append(value)
+        return {_BESIDE: len(beside) - 1}
+    if kind is dict:
+        return {key: _apart(one, beside) for key, one in value.items()}
+    return [_apart(one, beside) for one in value] if kind in (list, tuple) else value
+
+
+def _value(body: bytes) -> Any:
+    size, count = _HEAD.unpack_from(body)
+    start = _HEAD.size + 8 * count
+    beside, end = [], start + size
+    for length in struct.unpack_from(f"<{count}Q", body, _HEAD.size):
+        beside.append(body[end : end + length])
+        end += length
+
+    def found(values: dict[str, Any]) -> Any:
+        return beside[values[_BESIDE]] if beside and values.keys() == {_BESIDE} else values
+
+    return json.loads(body[start : start + size], object_hook=found if beside else None)
 
 
 def _short(text: str) -> str:
