@@ -131,7 +131,7 @@ def _refusal(value: Any, where: str) -> StateError:
 
 
 def state_of(component: Component) -> dict[str, Any]:
-    """What its attributes are, as values that a request can carry.
+    """The attributes of a component, as values that a request can carry.
 
     Raises:
         StateError: one of them cannot go over, and it has no `on_reload`; says which.

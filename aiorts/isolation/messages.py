@@ -27,8 +27,9 @@ MARK: Final = "\x1e"
 """Begins a line of standard error that is a record of the log: this, the level's number, a blank, the text."""
 _LENGTH: Final = struct.Struct("<I")
 _HEAD: Final = struct.Struct("<QI")
-"""Of a request and an answer: the length of the JSON, how many bytes objects stand behind it; then their lengths."""
-_BESIDE: Final = "\x1ebeside"
+"""The head of a request and an answer: the length of the JSON, and how many byte strings follow it. Their lengths come
+next."""
+_BYTES: Final = "\x1ebytes"
 """The only key of an object that stands for bytes, with their place among them."""
 _LONGEST: Final = 10_000
 """Letters of the text of an error."""
@@ -134,35 +135,35 @@ def value_of(body: bytes) -> Any:
 
 
 def _body(value: Any) -> bytes:
-    beside: list[bytes] = []
-    text = json.dumps(plain(_apart(value, beside))).encode()
-    lengths = struct.pack(f"<{len(beside)}Q", *map(len, beside))
-    return b"".join((_HEAD.pack(len(text), len(beside)), lengths, text, *beside))
+    strings: list[bytes] = []
+    text = json.dumps(plain(_apart(value, strings))).encode()
+    lengths = struct.pack(f"<{len(strings)}Q", *map(len, strings))
+    return b"".join((_HEAD.pack(len(text), len(strings)), lengths, text, *strings))
 
 
-def _apart(value: Any, beside: list[bytes]) -> Any:
-    """The value, with its bytes moved to `beside`."""
+def _apart(value: Any, strings: list[bytes]) -> Any:
+    """The value, with each byte string moved to the end of `strings`."""
     kind = type(value)
     if kind is bytes:
-        beside.append(value)
-        return {_BESIDE: len(beside) - 1}
+        strings.append(value)
+        return {_BYTES: len(strings) - 1}
     if kind is dict:
-        return {key: _apart(one, beside) for key, one in value.items()}
-    return [_apart(one, beside) for one in value] if kind in (list, tuple) else value
+        return {key: _apart(one, strings) for key, one in value.items()}
+    return [_apart(one, strings) for one in value] if kind in (list, tuple) else value
 
 
 def _value(body: bytes) -> Any:
     size, count = _HEAD.unpack_from(body)
     start = _HEAD.size + 8 * count
-    beside, end = [], start + size
+    strings, end = [], start + size
     for length in struct.unpack_from(f"<{count}Q", body, _HEAD.size):
-        beside.append(body[end : end + length])
+        strings.append(body[end : end + length])
         end += length
 
     def found(values: dict[str, Any]) -> Any:
-        return beside[values[_BESIDE]] if beside and values.keys() == {_BESIDE} else values
+        return strings[values[_BYTES]] if values.keys() == {_BYTES} else values
 
-    return json.loads(body[start : start + size], object_hook=found if beside else None)
+    return json.loads(body[start : start + size], object_hook=found if strings else None)
 
 
 def _short(text: str) -> str:

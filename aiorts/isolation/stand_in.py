@@ -202,7 +202,7 @@ class RemoteComponent(Component, kind=RemoteKind()):
                 await self._ask("deactivate")
             except ProcessError as error:
                 if self._running.runs:  # else its end is its failure
-                    self._fail(error)  # nobody knows whether it still runs there
+                    self._fail(error)  # whether it still runs there is not known
                 raise
 
     async def on_reset(self) -> None:

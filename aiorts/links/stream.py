@@ -103,7 +103,7 @@ class Stream:
         self._large: memoryview | None = None
         self._filled = 0
         self._begun: Vectors = []
-        """What is left of a message that is partly sent."""
+        """The rest of a message that is partly sent."""
         self._waits = False
         """Whether anything waits to be sent."""
         self._control = _Queue(16 << 20, 16_384)
@@ -376,7 +376,7 @@ class Stream:
 
 
 def _after(vectors: Vectors, sent: int) -> Vectors:
-    """What is left of these behind so many bytes."""
+    """The buffers without so many bytes at their beginning."""
     place = 0
     while place < len(vectors) and sent >= len(vectors[place]):
         sent -= len(vectors[place])

@@ -162,7 +162,7 @@ class Launcher:
         if helper is not None and is_over:
             _kill_unless_ended(helper)
         elif helper is not None:
-            # Killed, it would leave those that it still kills. It goes on where somebody has stopped it.
+            # A helper that is killed leaves the processes that it has not killed yet. One that was stopped goes on.
             helper.send_signal(signal.SIGCONT)
             threading.Thread(target=helper.wait, name="aiorts-helper", daemon=True).start()
 

@@ -332,7 +332,7 @@ class Detector(Component):
     fails: bool = Param(False)
 
     def on_execute(self) -> None:
-        time.sleep(0.1)  # noqa: ASYNC251 - it is what is tested
+        time.sleep(0.1)
         if self.fails:
             raise RuntimeError("told to")
         for sample in self.inp.drain():

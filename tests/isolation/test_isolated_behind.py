@@ -41,7 +41,9 @@ class Times:
     def check(self) -> None:
         for what, seconds in self.seconds.items():
             seconds.sort()
-            print(f"{what:12} {len(seconds):4} times: median {seconds[len(seconds) // 2]:.3f} s, worst {seconds[-1]:.3f}")
+            print(
+                f"{what:12} {len(seconds)} times: median {seconds[len(seconds) // 2]:.3f} s, worst {seconds[-1]:.3f} s"
+            )
         assert {what: seconds[-1] for what, seconds in self.seconds.items() if seconds[-1] > BOUND} == {}
 
 

@@ -84,7 +84,7 @@ class _Process:
             "unread": self._unread,
             "give": self._give,
         }
-        """What is asked for beside the operations of the control table, or with another answer."""
+        """The operations beside those of the control table, and those with another answer."""
 
     async def serve(self) -> None:
         first = self._first
@@ -141,7 +141,7 @@ class _Process:
         return value
 
     async def _configure(self, **given: Any) -> list[list[Any]]:
-        """Have parameters in force; the ports that it has with them: a process that is busy is asked once."""
+        """Put parameters in force; returns the ports of the component: a busy process is asked once for both."""
         await self._run("configure", given)
         return described(self._component)
 
