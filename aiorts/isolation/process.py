@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _COMES_UP: Final = 10.0
 """Seconds in which a process has a kernel and its component: the import of heavy modules counts."""
+_ANSWERS: Final = 7.0
+"""Seconds in which it answers: a hook that it runs meanwhile has 5 s and 2 s beyond."""
 _LOOK: Final = 0.5
 """How often it is looked whether the process answers."""
 _BUSY_BEYOND: Final = 2.0
@@ -158,7 +160,7 @@ class Process:
         )
         return ProcessError(f"{self.name}: {why}{lines}")
 
-    async def ask(self, operation: str, within: float = 7.0, **arguments: Any) -> Any:
+    async def ask(self, operation: str, within: float = _ANSWERS, **arguments: Any) -> Any:
         """What an operation gives there.
 
         Raises:

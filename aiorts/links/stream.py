@@ -17,7 +17,7 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from itertools import chain
+from itertools import islice
 from typing import Final, TypeAlias
 
 from aiorts.model.links import Buffer, Turn
@@ -45,13 +45,9 @@ Message: TypeAlias = tuple[int, int, memoryview, tuple[memoryview, ...]]
 """A message that has arrived: kind, number, body and parts, which are views that nothing writes to any more."""
 
 
-class _Outgoing:
-    """A message, or the rest of one, that waits."""
-
-    __slots__ = ("descriptor", "size", "vectors")
-
-    def __init__(self, vectors: list[memoryview], descriptor: int = -1) -> None:
-        self.vectors, self.size, self.descriptor = vectors, sum(map(len, vectors)), descriptor
+Vectors: TypeAlias = list[bytes | memoryview]
+Outgoing: TypeAlias = tuple[Vectors, int, int]
+"""A message that waits: its buffers, their bytes in all, and the descriptor that goes with it; -1: none does."""
 
 
 class _Queue:
@@ -63,31 +59,23 @@ class _Queue:
     """
 
     def __init__(self, full: int, most: int) -> None:
-        self.messages: deque[_Outgoing] = deque()
+        self.messages: deque[Outgoing] = deque()
+        self.size = 0
+        """Bytes of the messages."""
         self._full, self._most = full, most
-        self._size = 0
         self._refused = False
 
-    def takes(self, *, last: bool = False) -> bool:
-        """Whether one more is taken; a refusal is remembered. `last`: twice as many, of any size."""
+    def takes(self, turn: Turn) -> bool:
+        """Whether one more is taken: as LAST twice as many, of any size. A refusal is remembered."""
         count = len(self.messages)
-        if (self._size < self._full and count < self._most) or (last and count < 2 * self._most):
+        if (self.size < self._full and count < self._most) or (turn is Turn.LAST and count < 2 * self._most):
             return True
         self._refused = True
         return False
 
-    def append(self, message: _Outgoing) -> None:
-        self.messages.append(message)
-        self._size += message.size
-
-    def popleft(self) -> _Outgoing:
-        message = self.messages.popleft()
-        self._size -= message.size
-        return message
-
     def room_made(self) -> bool:
         """Whether it has room again after a refusal: once for each."""
-        made = self._refused and self._size < self._full // 2 and len(self.messages) < self._most // 2
+        made = self._refused and self.size < self._full // 2 and len(self.messages) < self._most // 2
         self._refused = self._refused and not made
         return made
 
@@ -114,8 +102,10 @@ class Stream:
         self._rest = b""
         self._large: memoryview | None = None
         self._filled = 0
-        self._begun: _Outgoing | None = None
-        """What is left of a message that is partly sent."""
+        self._begun: Vectors = []
+        """The rest of a message that is partly sent."""
+        self._waits = False
+        """Whether anything waits to be sent."""
         self._control = _Queue(16 << 20, 16_384)
         self._samples = _Queue(4 << 20, 65_536)
         self._broken = self._reset = False
@@ -136,8 +126,9 @@ class Stream:
         if self.closed or self._broken:
             return False
         queue = self._control if turn is Turn.CONTROL else self._samples
-        if not queue.takes(last=turn is Turn.LAST):
+        if self._waits and not queue.takes(turn):
             return False
+        vectors: Vectors
         if parts:
             flat = [part.cast("B") if part.format != "B" or part.ndim != 1 else part for part in parts]
             sizes = [part.nbytes for part in flat]
@@ -146,20 +137,23 @@ class Stream:
             pad = -(_HEAD.size + length) % 8
             length += pad + _room(sizes)
             head = _HEAD.pack(length, kind, len(sizes), pad, number) + lengths
-            vectors = [memoryview(head), memoryview(body), *_aligned(flat, pad)]
+            vectors, size = [head, memoryview(body), *_aligned(flat, pad)], _HEAD.size + length
         else:
-            vectors = [memoryview(_HEAD.pack(len(body), kind, 0, 0, number) + body)]
-        if self._waits:
-            queue.append(_Outgoing(vectors))
-            return True
-        left = self._send_now(vectors)
-        if left is vectors:
-            queue.append(_Outgoing(vectors))
-        elif left:
-            self._begun = _Outgoing(left)
+            data = _HEAD.pack(len(body), kind, 0, 0, number) + body
+            vectors, size = [data], len(data)
+        sent = 0
+        if not self._waits:
+            sent = self._put(vectors)
+            if sent == size:
+                return True
+            if self._broken:
+                return False
+            self._wait()
+        if sent:
+            self._begun = _after(vectors, sent)
         else:
-            return not self._broken
-        self._loop.add_writer(self._socket.fileno(), self._writable)
+            queue.messages.append((vectors, size, -1))
+            queue.size += size
         return True
 
     def control(self, kind: int, number: int, body: Buffer) -> bool:
@@ -171,30 +165,20 @@ class Stream:
 
         It goes after the samples that wait: what they say of rings is of those before.
         """
-        if self.closed or self._broken or not self._samples.takes(last=True):
+        if self.closed or self._broken or not self._samples.takes(Turn.LAST):
             return False
         if not self._waits:
-            self._loop.add_writer(self._socket.fileno(), self._writable)
-        data = memoryview(_HEAD.pack(len(body), kind, 0, 0, number) + body)
-        self._samples.append(_Outgoing([data], os.dup(descriptor)))
+            self._wait()
+        data = _HEAD.pack(len(body), kind, 0, 0, number) + body
+        self._samples.messages.append(([data], len(data), os.dup(descriptor)))
+        self._samples.size += len(data)
         return True
 
-    @property
-    def _waits(self) -> bool:
-        return self._begun is not None or bool(self._control.messages or self._samples.messages)
+    def _wait(self) -> None:
+        self._waits = True
+        self._loop.add_writer(self._socket.fileno(), self._writable)
 
-    def _send_now(self, vectors: list[memoryview]) -> list[memoryview]:
-        """Send what the socket takes; returns what is left: the same list, where it takes nothing."""
-        while vectors:
-            sent = self._put(vectors)
-            if self._broken:
-                return []
-            if not sent:
-                return vectors
-            vectors = _after(vectors, sent)
-        return vectors
-
-    def _put(self, vectors: list[memoryview], descriptor: int = -1) -> int:
+    def _put(self, vectors: Vectors, descriptor: int = -1) -> int:
         """Give the socket as much as it takes in one call; returns how many bytes."""
         try:
             if descriptor >= 0:
@@ -209,53 +193,64 @@ class Stream:
             return 0
 
     def _writable(self) -> None:
-        while self._waits and self._send_next():
+        while self._send_next():
             pass
         if self._broken:
             self._forget()
-        if not self._waits:
+        if not (self._begun or self._control.messages or self._samples.messages):
+            self._waits = False
             self._loop.remove_writer(self._socket.fileno())
         if self._control.room_made() | self._samples.room_made():
             self._drained()
 
     def _send_next(self) -> bool:
-        """Send what is next, as many messages as go in one call; False: the socket takes no more."""
-        if self._begun is not None:
-            left = self._send_now(self._begun.vectors)
-            self._begun = _Outgoing(left) if left else None
-            return not left
-        batch: list[_Outgoing] = []
-        vectors: list[memoryview] = []
-        for message in chain(self._control.messages, self._samples.messages):
-            if batch and (message.descriptor >= 0 or len(vectors) + len(message.vectors) > _VECTORS):
+        """Send what is next, as many messages as go in one call; False: nothing waits, or the socket takes no more."""
+        if self._begun:
+            if sent := self._put(self._begun):
+                self._begun = _after(self._begun, sent)
+            return sent > 0
+        queue = self._control if self._control.messages else self._samples
+        batch: list[Outgoing] = []
+        vectors: Vectors = []
+        for message in islice(queue.messages, _VECTORS):
+            if batch and (message[2] >= 0 or len(vectors) + len(message[0]) > _VECTORS):
                 break
             batch.append(message)
-            vectors += message.vectors
-            if message.descriptor >= 0:
+            vectors += message[0]
+            if message[2] >= 0:
                 break
-        sent = self._put(vectors, batch[0].descriptor)
-        for message in batch:
-            if not sent:
-                return False
-            (self._control if self._control.messages else self._samples).popleft()
-            _close(message.descriptor)
-            if sent < message.size:
-                self._begun = _Outgoing(_after(message.vectors, sent))
-            sent -= min(sent, message.size)
+        if not batch or not (left := self._put(vectors, batch[0][2])):
+            return False
+        for its, size, descriptor in batch:
+            if not left:
+                break
+            queue.messages.popleft()
+            queue.size -= size
+            if descriptor >= 0:
+                os.close(descriptor)
+            if left < size:
+                self._begun = _after(its, left)
+                break
+            left -= size
         return True
 
     def _forget(self) -> None:
         """Send nothing of what waits."""
-        self._begun = None
+        self._begun = []
         for queue in (self._control, self._samples):
-            while queue.messages:
-                _close(queue.popleft().descriptor)
+            for _, _, descriptor in queue.messages:
+                if descriptor >= 0:
+                    os.close(descriptor)
+            queue.messages.clear()
+            queue.size = 0
 
     # -- receiving -------------------------------------------------------------------------------------------------
 
     def _readable(self) -> None:
-        until, left = self._loop.time() + _ONE_TURN_SECONDS, _ONE_TURN
-        while (count := self._receive()) and left > count and self._loop.time() < until:
+        if not (count := self._receive()):
+            return
+        until, left = self._loop.time() + _ONE_TURN_SECONDS, _ONE_TURN - count
+        while left > 0 and (count := self._receive()) and self._loop.time() < until:
             left -= count
 
     def _receive(self) -> int:
@@ -380,21 +375,16 @@ class Stream:
         return 0
 
 
-def _after(vectors: Sequence[memoryview], sent: int) -> list[memoryview]:
-    """What is left of these behind so many bytes."""
+def _after(vectors: Vectors, sent: int) -> Vectors:
+    """The buffers without so many bytes at their beginning."""
     place = 0
     while place < len(vectors) and sent >= len(vectors[place]):
         sent -= len(vectors[place])
         place += 1
-    left = [*vectors[place:]]
+    left = vectors[place:]
     if sent:
-        left[0] = left[0][sent:]
+        left[0] = memoryview(left[0])[sent:]
     return left
-
-
-def _close(descriptor: int) -> None:
-    if descriptor >= 0:
-        os.close(descriptor)
 
 
 def _message(view: memoryview) -> Message:

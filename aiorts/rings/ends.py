@@ -59,7 +59,7 @@ class Rings:
         self._receiving.trusts = True
 
     def put(self, parts: Sequence[memoryview]) -> Put | None:
-        """Where the parts of a frame are now; None: they are nowhere, and have to wait for `room`."""
+        """The places of the parts of a frame; None: there is none yet, and the frame has to wait for `room`."""
         return self._sending.put(parts)
 
     def take_back(self, places: Sequence[Place]) -> None:

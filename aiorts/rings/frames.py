@@ -23,12 +23,12 @@ Place: TypeAlias = tuple[int, int]
 
 
 class Put(NamedTuple):
-    """Where the parts of a frame are."""
+    """The places of the parts of a frame."""
 
     places: list[Place]
-    """Of each part; empty where all travel beside the frame."""
+    """The place of each part; empty where all are sent with the frame."""
     beside: list[memoryview]
-    """The parts that travel beside the frame."""
+    """The parts that are sent with the frame."""
 
 
 def places_bytes(places: Sequence[Place]) -> bytes:

@@ -69,7 +69,7 @@ class Sending:
         self.closed = False
 
     def put(self, parts: Sequence[memoryview]) -> Put | None:
-        """Where the parts of a frame are now; None: they are nowhere, and have to wait for `room`."""
+        """The places of the parts of a frame; None: there is none yet, and the frame has to wait for `room`."""
         # Between the descriptor and its answer nobody knows which ring the other end means.
         ring = None if self._awaits == MAPPED else self._used
         places, beside, wanted = list[Place](), list[memoryview](), 0

@@ -45,7 +45,7 @@ _FULL: Final = 1 << 20
 
 
 class Budget:
-    """What is under way to one kernel, over all of its channels: of samples, or of control."""
+    """The cost of what is under way to one kernel, over all of its channels: of samples, or of control."""
 
     def __init__(self) -> None:
         self.used = 0
@@ -123,13 +123,13 @@ class Budget:
 
 
 class Budgets:
-    """What is under way to one kernel, counted for each queue of the engine."""
+    """The budgets of one kernel, one for each queue of the engine."""
 
     def __init__(self) -> None:
         self.samples = Budget()
-        """What writers' ends send."""
+        """Frames of writers' ends."""
         self.control = Budget()
-        """What readers' ends send: acknowledgements, questions for samples, their end."""
+        """Frames of readers' ends: acknowledgements, questions for samples, their end."""
         self.both = self.samples, self.control
 
     @property
@@ -146,7 +146,7 @@ class Budgets:
             budget.tell_room()
 
     def look_again(self) -> None:
-        """Ask once more where nothing more may be sent."""
+        """Ask the other kernel again where no frame may be sent."""
         for budget in self.both:
             if not budget.has_room:
                 budget.look_again()

@@ -19,7 +19,12 @@ class End:
         """Whether messages can be sent now."""
         self.descriptor: int | None = None
         self._loop = asyncio.get_running_loop()
-        self.rings = Rings(self._loop, self._say, lambda: None, self._received, self.reports.append, lambda: None)
+        self.rooms = 0
+        """How often it was told that parts which had to wait may be sent."""
+        self.rings = Rings(self._loop, self._say, lambda: None, self._received, self.reports.append, self._room)
+
+    def _room(self) -> None:
+        self.rooms += 1
 
     def _say(self, body: bytes, descriptor: int | None) -> bool:
         if self.takes:
