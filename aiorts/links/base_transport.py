@@ -1,7 +1,7 @@
-"""What all transports have in common: the peers that were found, and the channels and questions with each of them.
+"""The base class of transports: the peers that were found, and the channels and questions with each of them.
 
-A transport finds and greets peers in its own way. From then on the same holds for all: whoever watches hears of each
-peer once when it comes and once when it goes; a peer that goes takes its channels and open questions with it.
+A transport finds and greets peers in its own way. From then on the same holds for all: a callback hears of each peer
+once when it comes and once when it goes; a peer that goes takes its channels and open questions with it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _LONGEST: Final = 2_000
 """Bytes of a refusal."""
 _NUMBERS: Final = 0xFFFFFFFF
 _LOOKS: Final = 2
-"""Turns of the loop in which it reads what has come, and handles it."""
+"""Turns of the loop after which an answer that lay in the socket is handled."""
 
 Handler = Callable[[bytes, Caller], Awaitable[bytes]]
 
@@ -104,7 +104,7 @@ class BaseTransport(Generic[C]):
 
     @property
     def is_watched(self) -> bool:
-        """Whether anybody is told of peers."""
+        """Whether a callback is told of peers."""
         return bool(self._tells)
 
     def presence(self, tell: Callable[[Peer, bool], None]) -> Callable[[], None]:
@@ -121,7 +121,7 @@ class BaseTransport(Generic[C]):
             tell(peer, True)
 
     def lost(self, peer: Peer, why: str) -> None:
-        """A kernel is gone: whoever watches is told, its questions fail, and its channels end, for this reason."""
+        """A kernel is gone: all callbacks are told, its questions fail, and its channels end, for this reason."""
         if peer not in self._there:
             return
         del self._there[peer]
@@ -152,7 +152,7 @@ class BaseTransport(Generic[C]):
         raise LinkError(f"{far.kernel}: is gone")
 
     def keep(self, key: Hashable, channel: C) -> C:
-        """Have a channel below this key, instead of an older one, which is closed."""
+        """Keep a channel below this key; an older one of the key is closed."""
         self.drop(key)
         self.channels[key] = channel
         return channel
@@ -208,7 +208,7 @@ class BaseTransport(Generic[C]):
                 future.exception()  # also where who asked has given up in the turn in which it came
 
     def settle(self, peer: Peer, number: int, good: bool, body: bytes) -> None:
-        """The answer, or refusal, of a kernel to a question; one that nobody waits for any more is ignored."""
+        """The answer, or refusal, of a kernel to a question; a late one is ignored."""
         whom, future = self._questions.get(number, (None, None))
         if future is None or whom != peer or future.done():
             return

@@ -64,7 +64,7 @@ class Reach:
         """All transports that reach each of them. The one that found it first carries its links, until that kernel
         asks by another one."""
         self._hosts: dict[Peer, str] = {}
-        """What `host_of` gives for each of them, which is one thing as long as it is there."""
+        """The host of each of them for `host_of`: the same as long as it is there."""
         self._epoch = 0
         self.host = platform.node() or "host"
         """The name of this machine, as kernels of other hosts know it: a kernel that two transports find is one."""

@@ -40,7 +40,7 @@ _SUFFIX: Final = ".link"
 _GREETING_SECONDS: Final = 1.0
 """How long a connection that was accepted may be silent, and how long `open` waits for the greetings of others."""
 _SILENT: Final = 256
-"""Connections that were accepted and are silent, at the most: then the oldest is ended. Its kernel connects again."""
+"""Silent connections that are kept. One more ends the oldest; its kernel connects again."""
 _ACCEPT_AGAIN_SECONDS: Final = 0.2
 _CONNECT_AGAIN: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 """Seconds until a kernel is connected to again."""
@@ -130,7 +130,7 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
         self.loop.add_reader(listener.fileno(), self._accept)
 
     def _connect(self, path: Path, tried: int = 0) -> _Connection | None:
-        """Connect to the kernel at a socket, and again when that connection has ended, until nobody listens there."""
+        """Connect to the kernel at a socket, and again when that connection has ended, until the socket is refused."""
         self._due.pop(path, None)
         try:
             sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -455,7 +455,7 @@ class _Connection:
 
 
 def _nothing() -> None:
-    """Nobody connects again."""
+    """No connection is made again."""
 
 
 def _peer_of(greeting: bytes) -> Peer:

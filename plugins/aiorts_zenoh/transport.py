@@ -43,8 +43,6 @@ _MARGIN: Final = 1.0
 """Seconds that the engine keeps a question longer than who asks waits."""
 _GIVEN: Final = 10 << 16
 """Bytes of questions and answers that the engine surely has room for: its queue is of 16 times 64 KiB."""
-_URGENT: Final = 64
-"""Bytes of a frame that may go before samples, without a bound: it says how far an end has come, or what it is."""
 _DECLARED: Final = 32
 """Links with one other kernel whose keys are declared to the engine: the first ones.
 
@@ -519,7 +517,7 @@ class _ZenohChannel(BaseChannel):
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if not self.is_open:
             return False
-        if self._writes and not parts and len(head) <= _URGENT and turn_of(head) is Turn.CONTROL:
+        if self._writes and turn_of(head) is Turn.CONTROL:
             # Not in the queue of the samples, which it may overtake. It counts as nothing that was sent there.
             self._urgent.put(message(FRAME, self._epoch, 0, time.time_ns(), (head,)))
             return True

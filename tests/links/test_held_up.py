@@ -293,7 +293,7 @@ def test_an_end_that_stood_still_is_linked_again_soon_after(kind: str) -> None:
 def test_a_writer_that_was_started_anew_finds_a_reader_that_stood_still_meanwhile(blocks: bool) -> None:
     """Longer than it waits for a greeting: they were never linked again."""
     with folders(1) as (place,):
-        step = {"step": "lost", "call": 1, "seconds": BLOCKS} if blocks else {}
+        step: dict[str, Any] = {"step": "lost", "call": 1, "seconds": BLOCKS} if blocks else {}
         reader = Process(place, role="reader", **step)
         writers = []
         try:

@@ -217,7 +217,8 @@ class _Asked:
 
     async def answers(self, count: int) -> list[tuple[int, int]]:
         """Kind and number of so many answers."""
-        loop, found, data = asyncio.get_running_loop(), [], b""
+        found: list[tuple[int, int]] = []
+        loop, data = asyncio.get_running_loop(), b""
         while len(found) < count:
             data += await loop.sock_recv(self.socket, 1 << 20)
             while len(data) >= 12 and len(data) >= 12 + struct.unpack_from("<I", data)[0]:

@@ -101,9 +101,13 @@ class _Process:
             kernel.bus.subscribe(PortAdded, self._ports_changed)
             kernel.bus.subscribe(PortRemoved, self._ports_changed)
             greeted = self._transport.take(self._socket).greeted
-            greeted.add_done_callback(lambda _: self._parent or self._over.set())  # it has gone, and never came up
+            greeted.add_done_callback(self._is_greeted)
             await self._over.wait()
             self._session.end()
+
+    def _is_greeted(self, _: asyncio.Future[None]) -> None:
+        if self._parent is None:  # the connection is over before the other kernel has said who it is
+            self._over.set()
 
     def _present(self, peer: Peer, up: bool) -> None:
         self._parent = peer
