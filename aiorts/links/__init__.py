@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.links.base_transport import BaseChannel, BaseTransport
     from aiorts.links.calls import FarProvider
     from aiorts.links.connecting import Links, LinksSettings
     from aiorts.links.ledgers import LinkLedger
     from aiorts.links.reaching import find_transport
     from aiorts.links.transport import (
+        BaseChannel,
+        BaseTransport,
         Caller,
         Channel,
         ChannelEvents,
@@ -48,12 +49,12 @@ __all__ = (
 _late(
     globals(),
     {
-        "aiorts.links.base_transport": "BaseChannel BaseTransport",
         "aiorts.links.calls": "FarProvider",
         "aiorts.links.connecting": "Links LinksSettings",
         "aiorts.links.ledgers": "LinkLedger",
         "aiorts.links.transport": (
-            "Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of checked_peer"
+            "BaseChannel BaseTransport Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of "
+            "checked_peer"
         ),
         "aiorts.links.reaching": "find_transport",
         "aiorts.links.unix": "UnixTransport",

@@ -25,10 +25,19 @@ from typing import Any, Final
 
 from aiorts.control import private_folder
 from aiorts.errors import AiortsError, LinkError
-from aiorts.links.base_transport import BaseChannel, BaseTransport
 from aiorts.links.messages import LARGEST, fields, packed
 from aiorts.links.stream import Message, Stream
-from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, checked_peer
+from aiorts.links.transport import (
+    BaseChannel,
+    BaseTransport,
+    Caller,
+    Channel,
+    ChannelEvents,
+    KernelFace,
+    LinkOffer,
+    Peer,
+    checked_peer,
+)
 from aiorts.model.links import Buffer, turn_of
 from aiorts.rings import OFFERED, REFUSAL, Rings, proof, proves
 
