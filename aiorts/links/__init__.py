@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         checked_peer,
     )
     from aiorts.links.unix import UnixTransport
+    from aiorts.model.links import Turn, turn_of
 
 __all__ = (
     "Caller",
@@ -36,10 +37,12 @@ __all__ = (
     "LinksSettings",
     "Peer",
     "Transport",
+    "Turn",
     "UnixTransport",
     "answer_of",
     "checked_peer",
     "find_transport",
+    "turn_of",
 )
 
 _late(
@@ -53,5 +56,6 @@ _late(
         ),
         "aiorts.links.reaching": "find_transport",
         "aiorts.links.unix": "UnixTransport",
+        "aiorts.model.links": "Turn turn_of",
     },
 )

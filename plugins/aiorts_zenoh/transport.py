@@ -11,8 +11,7 @@ from functools import partial
 from typing import Any, Final
 
 from aiorts.errors import DeniedError, LinkError, LinkTimeout
-from aiorts.links import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
-from aiorts.model.links import Turn, turn_of
+from aiorts.links import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, Turn, answer_of, turn_of
 from aiorts_zenoh.clocks import ClockOffset
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read

@@ -43,7 +43,7 @@ _FATE: Final = struct.Struct("<QB")
 
 
 class Turn(enum.Enum):
-    """When a message to another kernel is sent."""
+    """The turn in which a message is sent to another kernel."""
 
     CONTROL = enum.auto()
     """Before all samples that wait."""
@@ -68,7 +68,7 @@ def check_window(window: int) -> None:
 
 
 def turn_of(frame: Buffer) -> Turn:
-    """When a frame is sent."""
+    """The turn in which a frame of a link is sent to the other kernel."""
     return _TURNS.get(frame[0], Turn.CONTROL)
 
 
