@@ -43,7 +43,7 @@ _FATE: Final = struct.Struct("<QB")
 
 
 class Turn(enum.Enum):
-    """The turn in which a message is sent to another kernel."""
+    """When a message to another kernel is sent."""
 
     CONTROL = enum.auto()
     """Before all samples that wait."""
@@ -53,8 +53,11 @@ class Turn(enum.Enum):
     """After the samples that wait, though so much waits that no sample is taken any more."""
 
 
-_TURNS: Final[Mapping[int, Turn]] = {DATA: Turn.SAMPLE, BYE: Turn.LAST, NONE: Turn.LAST}
-"""Bye and none speak of the samples before them, and are said once. What may overtake those is control."""
+_TURNS: Final[Mapping[int, Turn]] = {
+    **dict.fromkeys((HELLO, ACK, WANT), Turn.CONTROL),
+    **dict.fromkeys((BYE, NONE), Turn.LAST),
+}
+"""Bye and none speak of the samples before them, and are said once. What is not known has the bound of samples."""
 
 
 class BadFrame(ValueError):
@@ -68,8 +71,8 @@ def check_window(window: int) -> None:
 
 
 def turn_of(frame: Buffer) -> Turn:
-    """The turn in which a frame of a link is sent to the other kernel."""
-    return _TURNS.get(frame[0], Turn.CONTROL)
+    """When a frame is sent."""
+    return _TURNS.get(frame[0], Turn.SAMPLE)
 
 
 def hello(link: int, epoch: int, received: int) -> bytes:
