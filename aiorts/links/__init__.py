@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         checked_peer,
     )
     from aiorts.links.unix import UnixTransport
+    from aiorts.model.links import Turn, turn_of
 
 __all__ = (
     "BaseChannel",
@@ -40,10 +41,12 @@ __all__ = (
     "LinksSettings",
     "Peer",
     "Transport",
+    "Turn",
     "UnixTransport",
     "answer_of",
     "checked_peer",
     "find_transport",
+    "turn_of",
 )
 
 _late(
@@ -58,5 +61,6 @@ _late(
         ),
         "aiorts.links.reaching": "find_transport",
         "aiorts.links.unix": "UnixTransport",
+        "aiorts.model.links": "Turn turn_of",
     },
 )

@@ -11,8 +11,18 @@ from functools import partial
 from typing import Any, Final
 
 from aiorts.errors import DeniedError, LinkError
-from aiorts.links import BaseChannel, BaseTransport, Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer
-from aiorts.model.links import Turn, turn_of
+from aiorts.links import (
+    BaseChannel,
+    BaseTransport,
+    Caller,
+    Channel,
+    ChannelEvents,
+    KernelFace,
+    LinkOffer,
+    Peer,
+    Turn,
+    turn_of,
+)
 from aiorts_zenoh.clocks import ClockOffset
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read

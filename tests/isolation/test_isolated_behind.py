@@ -47,7 +47,7 @@ class Times:
         assert {what: seconds[-1] for what, seconds in self.seconds.items() if seconds[-1] > BOUND} == {}
 
 
-async def one_round(number: int, full: str, times: Times) -> None:
+async def one_round(number: int, full: Any, times: Times) -> None:
     async with AsyncExitStack() as stack:
         kernel = await stack.enter_async_context(Kernel("behind"))
         camera = await kernel.create(Camera, "camera", waits=full == "block")
