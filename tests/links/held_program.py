@@ -15,14 +15,14 @@ import signal
 import sys
 import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from aiorts import Component, Composite, EventContext, InPort, Kernel, LifecycleState, OutPort, PeriodicContext
-from aiorts.errors import AiortsError
+from aiorts.errors import AiortsError, WiringError
 from aiorts.links import BaseTransport
 from aiorts.supervision import Supervision
 from aiorts.types import TimedLong
@@ -134,8 +134,11 @@ class Roles:
                     break
                 except AiortsError:
                     await asyncio.sleep(0.1)
-            await kernel.connect(source.out, arm.ports["inp"])
-            await kernel.connect(arm.ports["force"], sink.inp)
+            for ends in ((source.out, arm.ports["inp"]), (arm.ports["force"], sink.inp)):
+                with suppress(
+                    WiringError
+                ):  # the member's kernel has offered it already, which the one before had asked
+                    await kernel.connect(*ends)
             tasks = [asyncio.ensure_future(one) for one in (write(source.out), read(sink))]
             await kernel.start(PeriodicContext(50.0), arm)
             tell("ready")
