@@ -137,7 +137,7 @@ class Roles:
             for ends in ((source.out, arm.ports["inp"]), (arm.ports["force"], sink.inp)):
                 with suppress(
                     WiringError
-                ):  # the member's kernel has offered it already, which the one before had asked
+                ):  # it was offered already, as the kernel before had asked
                     await kernel.connect(*ends)
             tasks = [asyncio.ensure_future(one) for one in (write(source.out), read(sink))]
             await kernel.start(PeriodicContext(50.0), arm)
