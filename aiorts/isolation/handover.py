@@ -6,7 +6,6 @@ Its attributes go over: plain data, arrays and records. Ports and parameters are
 
 from __future__ import annotations
 
-import base64
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -40,7 +39,7 @@ _DEEPEST: Final = 100
 
 
 def packed(value: Any, where: str, depth: int = 0) -> Any:
-    """A value as what JSON can carry, with its type.
+    """A value as what a request can carry, JSON and bytes, with its type.
 
     Raises:
         StateError: it cannot go into another process; says where it is.
@@ -60,18 +59,18 @@ def packed(value: Any, where: str, depth: int = 0) -> Any:
     if kind is deque:
         return {"deque": [[packed(one, where, depth + 1) for one in value], value.maxlen]}
     if kind in (bytes, bytearray):
-        return {kind.__name__: _text(value)}
+        return {kind.__name__: bytes(value)}
     if kind is complex:
         return {"complex": [value.real, value.imag]}
     if isinstance(value, Enum):
         return {"enum": [_name_of(kind, where), value.name]}
     if (kind is np.ndarray or isinstance(value, np.generic)) and not value.dtype.hasobject:
-        return {"array": [np.lib.format.dtype_to_descr(value.dtype), list(value.shape), _text(value.tobytes())]}
+        return {"array": [np.lib.format.dtype_to_descr(value.dtype), list(value.shape), value.tobytes()]}
     try:
         head, parts = _CODEC.parts_encoder(kind)(value)
     except AiortsError:
         raise _refusal(value, where) from None
-    return {"record": [_name_of(kind, where), _text(head), [_text(part) for part in parts]]}
+    return {"record": [_name_of(kind, where), bytes(head), [bytes(part) for part in parts]]}
 
 
 def unpacked(value: Any) -> Any:
@@ -87,9 +86,9 @@ def unpacked(value: Any) -> Any:
         case "deque":
             return deque((unpacked(one) for one in given[0]), given[1])
         case "bytes":
-            return _bytes(given)
+            return given
         case "bytearray":
-            return bytearray(_bytes(given))
+            return bytearray(given)
         case "complex":
             return complex(*given)
         case "enum":
@@ -98,18 +97,10 @@ def unpacked(value: Any) -> Any:
             import numpy as np  # late: as above
 
             descr: Any = given[0] if isinstance(given[0], str) else [tuple(field) for field in given[0]]
-            array = np.frombuffer(bytearray(_bytes(given[2])), np.lib.format.descr_to_dtype(descr)).reshape(given[1])
+            array = np.frombuffer(bytearray(given[2]), np.lib.format.descr_to_dtype(descr)).reshape(given[1])
             return array if given[1] else array[()]
     name, head, parts = given
-    return _CODEC.parts_decoder(_named(name))(_bytes(head), [_bytes(part) for part in parts])
-
-
-def _text(data: Any) -> str:
-    return base64.b64encode(data).decode()
-
-
-def _bytes(text: str) -> bytes:
-    return base64.b64decode(text)
+    return _CODEC.parts_decoder(_named(name))(head, parts)
 
 
 def _name_of(kind: type, where: str) -> str:
@@ -140,7 +131,7 @@ def _refusal(value: Any, where: str) -> StateError:
 
 
 def state_of(component: Component) -> dict[str, Any]:
-    """What its attributes are, as values that JSON can carry.
+    """The attributes of a component, as values that a request can carry.
 
     Raises:
         StateError: one of them cannot go over, and it has no `on_reload`; says which.

@@ -1,5 +1,7 @@
 """What a kernel and the processes of its components say to each other: the first message, requests and reports.
 
+Requests and answers are JSON. The bytes in them, such as those of samples, stand behind it as they are.
+
 Both ends are of one program. Requests are operations of the control table; the first message is all that a process
 needs before it has a kernel: nothing of it is in the process's arguments, which other users can read.
 """
@@ -24,6 +26,11 @@ REPORT: Final = "report"
 MARK: Final = "\x1e"
 """Begins a line of standard error that is a record of the log: this, the level's number, a blank, the text."""
 _LENGTH: Final = struct.Struct("<I")
+_HEAD: Final = struct.Struct("<QI")
+"""The head of a request and an answer: the length of the JSON, and how many byte strings follow it. Their lengths come
+next."""
+_BYTES: Final = "\x1ebytes"
+"""The only key of an object that stands for bytes, with their place among them."""
 _LONGEST: Final = 10_000
 """Letters of the text of an error."""
 
@@ -96,23 +103,23 @@ class Report:
 
 def request(operation: str, arguments: Mapping[str, Any]) -> bytes:
     """The body of a request."""
-    return json.dumps([operation, plain(arguments)]).encode()
+    return _body([operation, arguments])
 
 
 def asked(body: bytes) -> tuple[str, dict[str, Any]]:
     """The operation and the arguments of a request."""
-    operation, arguments = json.loads(body)
+    operation, arguments = _value(body)
     return operation, arguments
 
 
 def done(value: Any) -> bytes:
     """The answer to a request that was carried out."""
-    return json.dumps({"value": plain(value)}).encode()
+    return _body({"value": value})
 
 
 def refused(error: AiortsError) -> bytes:
     """The answer to a request that was not carried out."""
-    return json.dumps({"code": error.code, "text": _short(str(error))}).encode()
+    return _body({"code": error.code, "text": _short(str(error))})
 
 
 def value_of(body: bytes) -> Any:
@@ -121,10 +128,42 @@ def value_of(body: bytes) -> Any:
     Raises:
         AiortsError: what refused it, as the class that has its code.
     """
-    answer = json.loads(body)
+    answer = _value(body)
     if "code" in answer:
         raise error_of_code(answer["code"], answer["text"]) or ControlError(answer["text"])
     return answer["value"]
+
+
+def _body(value: Any) -> bytes:
+    strings: list[bytes] = []
+    text = json.dumps(plain(_apart(value, strings))).encode()
+    lengths = struct.pack(f"<{len(strings)}Q", *map(len, strings))
+    return b"".join((_HEAD.pack(len(text), len(strings)), lengths, text, *strings))
+
+
+def _apart(value: Any, strings: list[bytes]) -> Any:
+    """The value, with each byte string moved to the end of `strings`."""
+    kind = type(value)
+    if kind is bytes:
+        strings.append(value)
+        return {_BYTES: len(strings) - 1}
+    if kind is dict:
+        return {key: _apart(one, strings) for key, one in value.items()}
+    return [_apart(one, strings) for one in value] if kind in (list, tuple) else value
+
+
+def _value(body: bytes) -> Any:
+    size, count = _HEAD.unpack_from(body)
+    start = _HEAD.size + 8 * count
+    strings, end = [], start + size
+    for length in struct.unpack_from(f"<{count}Q", body, _HEAD.size):
+        strings.append(body[end : end + length])
+        end += length
+
+    def found(values: dict[str, Any]) -> Any:
+        return strings[values[_BYTES]] if values.keys() == {_BYTES} else values
+
+    return json.loads(body[start : start + size], object_hook=found if strings else None)
 
 
 def _short(text: str) -> str:

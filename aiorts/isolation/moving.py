@@ -428,8 +428,16 @@ class _Move:
         old = self._old
         if not isinstance(old, RemoteComponent):
             return
-        await self._wait_for("what was written to it to arrive", self._is_all_sent)
-        unread = {(port, writer): samples for port, writer, samples in await old.ask("unread")}
+        unread: dict[tuple[str, str], list[Any]] = {}
+
+        async def has_all_come() -> bool:
+            # Taken out again and again: it makes room there for what waits, where the buffer of its port is full.
+            is_all_sent = await self._is_all_sent()
+            for port, writer, samples in await old.ask("unread"):
+                unread.setdefault((port, writer), []).extend(samples)
+            return is_all_sent
+
+        await self._wait_for("what was written to it to arrive", has_all_come)
         for connector, made in self._fed:
             key = made.in_.name, str(self._links.path_of(connector.out))
             put_in_front(made, [unpacked(one) for one in unread.get(key, ())])

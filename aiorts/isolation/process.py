@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _COMES_UP: Final = 10.0
 """Seconds in which a process has a kernel and its component: the import of heavy modules counts."""
+_ANSWERS: Final = 7.0
+"""Seconds in which it answers: a hook that it runs meanwhile has 5 s and 2 s beyond."""
 _LOOK: Final = 0.5
 """How often it is looked whether the process answers."""
 _BUSY_BEYOND: Final = 2.0
@@ -128,7 +130,7 @@ class Process:
         for limit, why in self._child.denied.items():
             self._line(logging.WARNING, f"limits.{limit} is not kept: {why}")
         self._links.reach.carried.add(self.kernel)
-        connection = self._transport.take(ours, greets_within=_COMES_UP)
+        connection = self._transport.take(ours)
         self._child.ended.add_done_callback(self._over)
         try:
             async with asyncio.timeout(_COMES_UP):
@@ -158,7 +160,7 @@ class Process:
         )
         return ProcessError(f"{self.name}: {why}{lines}")
 
-    async def ask(self, operation: str, within: float = 7.0, **arguments: Any) -> Any:
+    async def ask(self, operation: str, within: float = _ANSWERS, **arguments: Any) -> Any:
         """What an operation gives there.
 
         Raises:

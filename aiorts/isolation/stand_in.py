@@ -47,8 +47,8 @@ class RemoteKind(Kind):
     async def configuring(self, component: RemoteComponent, state: ConfigurationState) -> None:
         process = component._process
         if process is not None and process.runs and not component.kernel.registry.is_arriving(component):
-            await process.ask("configure", component=component.name, values={"": dict(state.values)})
-            await component._follow()
+            ports = await process.ask("configure", component=component.name, values={"": dict(state.values)})
+            follow(component, ports, process.kernel)
 
 
 class RemoteComponent(Component, kind=RemoteKind()):
@@ -198,12 +198,19 @@ class RemoteComponent(Component, kind=RemoteKind()):
 
     async def on_deactivated(self) -> None:
         if self._running.runs and self._there is LifecycleState.ACTIVE:
-            await self._ask("deactivate")
+            try:
+                await self._ask("deactivate")
+            except ProcessError as error:
+                if self._running.runs:  # else its end is its failure
+                    self._fail(error)  # whether it still runs there is not known
+                raise
 
     async def on_reset(self) -> None:
         if self._running.runs:
             if self._there is LifecycleState.ERROR:
                 await self._ask("reset")
+            elif self._there is LifecycleState.ACTIVE:  # it has not answered when it was to be activated or deactivated
+                await self._ask("deactivate")
             return
         await self.on_startup()
 

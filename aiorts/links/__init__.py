@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from aiorts.links.ledgers import LinkLedger
     from aiorts.links.reaching import find_transport
     from aiorts.links.transport import (
+        BaseChannel,
+        BaseTransport,
         Caller,
         Channel,
         ChannelEvents,
@@ -23,8 +25,11 @@ if TYPE_CHECKING:
         checked_peer,
     )
     from aiorts.links.unix import UnixTransport
+    from aiorts.model.links import Turn, turn_of
 
 __all__ = (
+    "BaseChannel",
+    "BaseTransport",
     "Caller",
     "Channel",
     "ChannelEvents",
@@ -36,10 +41,12 @@ __all__ = (
     "LinksSettings",
     "Peer",
     "Transport",
+    "Turn",
     "UnixTransport",
     "answer_of",
     "checked_peer",
     "find_transport",
+    "turn_of",
 )
 
 _late(
@@ -49,9 +56,11 @@ _late(
         "aiorts.links.connecting": "Links LinksSettings",
         "aiorts.links.ledgers": "LinkLedger",
         "aiorts.links.transport": (
-            "Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of checked_peer"
+            "BaseChannel BaseTransport Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of "
+            "checked_peer"
         ),
         "aiorts.links.reaching": "find_transport",
         "aiorts.links.unix": "UnixTransport",
+        "aiorts.model.links": "Turn turn_of",
     },
 )

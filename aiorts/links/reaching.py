@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import platform
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from functools import partial
 from itertools import chain, repeat
@@ -60,7 +61,13 @@ class Reach:
         self._named: dict[str, dict[Peer, None]] = {}
         """The same by their names, in the same order."""
         self._ways: dict[Peer, list[Transport]] = {}
-        """All transports that reach each of them; the one that found it first carries its links."""
+        """All transports that reach each of them. The one that found it first carries its links, until that kernel
+        asks by another one."""
+        self._hosts: dict[Peer, str] = {}
+        """The host of each of them for `host_of`: the same as long as it is there."""
+        self._epoch = 0
+        self.host = platform.node() or "host"
+        """The name of this machine, as kernels of other hosts know it: a kernel that two transports find is one."""
         self._closing = False
 
     # -- transports ------------------------------------------------------------------------------------------------
@@ -115,9 +122,15 @@ class Reach:
         self._transport = self._transport or find_transport(self._name, self._links.kernel.plugins)
         await self._use(self._transport)
 
+    @property
+    def epoch(self) -> int:
+        """The number of this kernel for its peers: the same one at each transport."""
+        self._epoch = self._epoch or self._links.kernel.epoch or new_epoch()
+        return self._epoch
+
     async def _use(self, transport: Transport) -> None:
         for what, handler in self._handlers().items():
-            transport.answer(what, handler)
+            transport.answer(what, partial(self._asked, transport, handler))
         await transport.open(_Face(self._links))
         transport.presence(partial(self._present, transport))
 
@@ -163,30 +176,39 @@ class Reach:
 
     # -- other kernels ---------------------------------------------------------------------------------------------
 
+    async def _asked(
+        self, transport: Transport, handler: Callable[[bytes, Caller], Awaitable[bytes]], body: bytes, caller: Caller
+    ) -> bytes:
+        """Answer a question of another kernel; what carried it carries what follows from it, such as a channel."""
+        if (peer := caller.peer) is not None and transport in self._ways.get(peer, ()):
+            self.peers[peer] = transport
+        return await handler(body, caller)
+
     def _present(self, transport: Transport, peer: Peer, up: bool) -> None:
         ways = self._ways.setdefault(peer, [])
         (ways.append if up else ways.remove)(transport)
-        before, now = self.peers.pop(peer, None), ways[0] if ways else None
-        named = self._named.setdefault(peer.kernel, {})
-        named.pop(peer, None)
-        if now is None:
-            del self._ways[peer]
-        else:
-            self.peers[peer] = now
-            named[peer] = None
-        if not named:
-            del self._named[peer.kernel]
-        if before is not None and before is not now:
+        before = self.peers.get(peer)
+        now = before if before in ways else next(iter(ways), None)
+        if before is not None and now is not before:
+            del self.peers[peer], self._named[peer.kernel][peer], self._hosts[peer]
+            if not self._named[peer.kernel]:
+                del self._named[peer.kernel]
             self._tell(peer, False)
-        if now is not None and before is not now:
+        if not ways:
+            self._ways.pop(peer, None)
+        elif now is not None and now is not before:
+            self.peers[peer], self._named.setdefault(peer.kernel, {})[peer] = now, None
+            local = now is self._transport or peer.kernel in self.carried
+            self._hosts[peer] = "" if local else peer.host
             self._tell(peer, True)
 
     def peer_of(self, path: Path) -> Peer | None:
         """The kernel of a path, if it is there."""
+        here = platform.node().lower()
         found = [
             peer
             for peer in self._named.get(path.kernel, ())
-            if path.host.lower() in ("", "localhost", peer.host.lower())
+            if path.host.lower() in ("", "localhost", peer.host.lower(), "" if self._hosts[peer] else here)
         ]
         return found[-1] if found else None
 
@@ -198,10 +220,8 @@ class Reach:
         return None if peer is None or carry is None else (await carry(peer), f"{peer.host}/{peer.kernel}")
 
     def host_of(self, peer: Peer | None) -> str:
-        """The host of a kernel that the general transport does not reach, where another may have its name; else ""."""
-        if peer is None or peer.kernel in self.carried or self.peers.get(peer) in (None, self._transport):
-            return ""
-        return peer.host
+        """The host of a kernel that the general transport has not found, where another may have its name; else ""."""
+        return "" if peer is None else self._hosts.get(peer, "")
 
     @property
     def known_as(self) -> str:
@@ -238,7 +258,7 @@ class _Face:
     def __init__(self, links: Kernels) -> None:
         self._links = links
         self.name = links.reached_as
-        self.epoch = links.kernel.epoch or new_epoch()
+        self.epoch, self.host = links.reach.epoch, links.reach.host
 
     def run_in_background(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
         return self._links.run(coroutine, name)

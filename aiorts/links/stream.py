@@ -3,6 +3,9 @@
 A message is a head of 12 bytes (bytes that follow, kind, parts, zeros behind the body, a number), the length of each
 part, its body, its parts. Each part begins at a multiple of 8 bytes of the message, so that arrays on it are aligned. A
 message of 64 KiB or more is received straight into a buffer of its own, and not copied.
+
+Messages wait in two queues, each with a bound of its own. Control goes first: it waits for the rest of the message that
+is partly sent, and for what the socket holds, which is 208 KiB on Linux; never for the samples behind that.
 """
 
 from __future__ import annotations
@@ -14,19 +17,23 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from typing import Final, TypeAlias
 
-from aiorts.model.links import Buffer
+from aiorts.model.links import Buffer, Turn
 from aiorts.wire import sealed_bytes
 
 _HEAD: Final = struct.Struct("<IBBHI")
 _LARGE: Final = 65_536
 _AT_ONCE: Final = 65_536
 """Bytes that are received at once. Above 128 KiB memory of its own is asked of the system each time: 14 us."""
+_ONE_TURN: Final = 1 << 20
+"""Bytes after which a turn of the loop receives no more. With 64 KiB a loop whose turns take 0.1 s needed four of them
+to come to a question behind the 208 KiB that a socket holds."""
+_ONE_TURN_SECONDS: Final = 0.005
+"""Seconds after which a turn of the loop receives no more: small messages take longer than their bytes."""
 _LARGEST: Final = 80 << 20
 """Bytes of one message at the most."""
-_FULL: Final = 4 << 20
-"""Bytes that wait to be sent beyond which no more is taken."""
 _DESCRIPTOR: Final = struct.Struct("i")
 _ONE: Final = 20
 """Bytes in which the system tells of one descriptor (CMSG_LEN); in CMSG_SPACE, which is rounded up, are two."""
@@ -36,6 +43,41 @@ _VECTORS: Final = 64
 
 Message: TypeAlias = tuple[int, int, memoryview, tuple[memoryview, ...]]
 """A message that has arrived: kind, number, body and parts, which are views that nothing writes to any more."""
+
+
+Vectors: TypeAlias = list[bytes | memoryview]
+Outgoing: TypeAlias = tuple[Vectors, int, int]
+"""A message that waits: its buffers, their bytes in all, and the descriptor that goes with it; -1: none does."""
+
+
+class _Queue:
+    """Messages that wait for their turn.
+
+    Args:
+        full: bytes beyond which none is taken.
+        most: messages beyond which none is taken.
+    """
+
+    def __init__(self, full: int, most: int) -> None:
+        self.messages: deque[Outgoing] = deque()
+        self.size = 0
+        """Bytes of the messages."""
+        self._full, self._most = full, most
+        self._refused = False
+
+    def takes(self, turn: Turn) -> bool:
+        """Whether one more is taken: as LAST twice as many, of any size. A refusal is remembered."""
+        count = len(self.messages)
+        if (self.size < self._full and count < self._most) or (turn is Turn.LAST and count < 2 * self._most):
+            return True
+        self._refused = True
+        return False
+
+    def room_made(self) -> bool:
+        """Whether it has room again after a refusal: once for each."""
+        made = self._refused and self.size < self._full // 2 and len(self.messages) < self._most // 2
+        self._refused = self._refused and not made
+        return made
 
 
 class Stream:
@@ -60,10 +102,13 @@ class Stream:
         self._rest = b""
         self._large: memoryview | None = None
         self._filled = 0
-        self._waiting: deque[memoryview] = deque()
-        self._waits = 0
-        """Bytes in `_waiting`."""
-        self._refused = self._broken = self._reset = False
+        self._begun: Vectors = []
+        """The rest of a message that is partly sent."""
+        self._waits = False
+        """Whether anything waits to be sent."""
+        self._control = _Queue(16 << 20, 16_384)
+        self._samples = _Queue(4 << 20, 65_536)
+        self._broken = self._reset = False
         self._expects = False
         """Whether a descriptor may come."""
         self._descriptor = -1
@@ -74,13 +119,16 @@ class Stream:
 
     # -- sending ---------------------------------------------------------------------------------------------------
 
-    def send(self, kind: int, number: int, body: Buffer, parts: Sequence[memoryview] = ()) -> bool:
+    def send(
+        self, kind: int, number: int, body: Buffer, parts: Sequence[memoryview] = (), turn: Turn = Turn.SAMPLE
+    ) -> bool:
         """Send a message; False: it was not taken, since too much waits or the connection is over."""
         if self.closed or self._broken:
             return False
-        if self._waits >= _FULL:
-            self._refused = True
+        queue = self._control if turn is Turn.CONTROL else self._samples
+        if self._waits and not queue.takes(turn):
             return False
+        vectors: Vectors
         if parts:
             flat = [part.cast("B") if part.format != "B" or part.ndim != 1 else part for part in parts]
             sizes = [part.nbytes for part in flat]
@@ -89,74 +137,125 @@ class Stream:
             pad = -(_HEAD.size + length) % 8
             length += pad + _room(sizes)
             head = _HEAD.pack(length, kind, len(sizes), pad, number) + lengths
-            vectors = [memoryview(head), memoryview(body), *_aligned(flat, pad)]
+            vectors, size = [head, memoryview(body), *_aligned(flat, pad)], _HEAD.size + length
         else:
-            vectors = [memoryview(_HEAD.pack(len(body), kind, 0, 0, number) + body)]
-        if not self._waiting:
-            vectors = self._send_now(vectors)
-            if not vectors:
-                return not self._broken
-            self._loop.add_writer(self._socket.fileno(), self._writable)
-        self._waiting.extend(vectors)
-        self._waits += sum(map(len, vectors))
+            data = _HEAD.pack(len(body), kind, 0, 0, number) + body
+            vectors, size = [data], len(data)
+        sent = 0
+        if not self._waits:
+            sent = self._put(vectors)
+            if sent == size:
+                return True
+            if self._broken:
+                return False
+            self._wait()
+        if sent:
+            self._begun = _after(vectors, sent)
+        else:
+            queue.messages.append((vectors, size, -1))
+            queue.size += size
         return True
+
+    def control(self, kind: int, number: int, body: Buffer) -> bool:
+        """Send a message before all samples that wait. See `send`."""
+        return self.send(kind, number, body, (), Turn.CONTROL)
 
     def send_descriptor(self, kind: int, number: int, body: bytes, descriptor: int) -> bool:
-        """Send a short message with a descriptor; False: it was not taken, since others wait."""
-        if self.closed or self._broken or self._waiting:
+        """Send a short message with a descriptor, which stays the caller's; False: the connection is over.
+
+        It goes after the samples that wait: what they say of rings is of those before.
+        """
+        if self.closed or self._broken or not self._samples.takes(Turn.LAST):
             return False
+        if not self._waits:
+            self._wait()
         data = _HEAD.pack(len(body), kind, 0, 0, number) + body
-        try:
-            # All of it or nothing: so short a message is never cut.
-            self._socket.sendmsg([data], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, struct.pack("i", descriptor))])
-        except (BlockingIOError, InterruptedError):
-            return False
-        except OSError:
-            self._broken = True
-            return False
+        self._samples.messages.append(([data], len(data), os.dup(descriptor)))
+        self._samples.size += len(data)
         return True
 
-    def _send_now(self, vectors: list[memoryview]) -> list[memoryview]:
-        """Send what the socket takes; returns what is left."""
-        while vectors:
-            try:
-                sock = self._socket
-                sent = sock.send(vectors[0]) if len(vectors) == 1 else sock.sendmsg(vectors[:_VECTORS])
-            except (BlockingIOError, InterruptedError):
-                return vectors
-            except OSError:
-                # What the other end said last may still be read, and that it has ended.
-                self._broken = True
-                return []
-            place = 0
-            while place < len(vectors) and sent >= len(vectors[place]):
-                sent -= len(vectors[place])
-                place += 1
-            vectors = vectors[place:]
-            if sent:
-                vectors[0] = vectors[0][sent:]
-        return vectors
+    def _wait(self) -> None:
+        self._waits = True
+        self._loop.add_writer(self._socket.fileno(), self._writable)
+
+    def _put(self, vectors: Vectors, descriptor: int = -1) -> int:
+        """Give the socket as much as it takes in one call; returns how many bytes."""
+        try:
+            if descriptor >= 0:
+                rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, _DESCRIPTOR.pack(descriptor))]
+                return self._socket.sendmsg(vectors, rights)
+            return self._socket.send(vectors[0]) if len(vectors) == 1 else self._socket.sendmsg(vectors[:_VECTORS])
+        except (BlockingIOError, InterruptedError):
+            return 0
+        except OSError:
+            # What the other end said last may still be read, and that it has ended.
+            self._broken = True
+            return 0
 
     def _writable(self) -> None:
-        waiting = self._waiting
-        while waiting:
-            vectors = [waiting.popleft() for _ in range(min(_VECTORS, len(waiting)))]
-            left = self._send_now(vectors)
-            if self._broken:
-                waiting.clear()
-            waiting.extendleft(reversed(left))
-            if left:
-                break
-        self._waits = sum(map(len, waiting))
-        if not waiting:
+        while self._send_next():
+            pass
+        if self._broken:
+            self._forget()
+        if not (self._begun or self._control.messages or self._samples.messages):
+            self._waits = False
             self._loop.remove_writer(self._socket.fileno())
-        if self._refused and self._waits < _FULL // 2:
-            self._refused = False
+        if self._control.room_made() | self._samples.room_made():
             self._drained()
+
+    def _send_next(self) -> bool:
+        """Send what is next, as many messages as go in one call; False: nothing waits, or the socket takes no more."""
+        if self._begun:
+            if sent := self._put(self._begun):
+                self._begun = _after(self._begun, sent)
+            return sent > 0
+        queue = self._control if self._control.messages else self._samples
+        batch: list[Outgoing] = []
+        vectors: Vectors = []
+        for message in islice(queue.messages, _VECTORS):
+            if batch and (message[2] >= 0 or len(vectors) + len(message[0]) > _VECTORS):
+                break
+            batch.append(message)
+            vectors += message[0]
+            if message[2] >= 0:
+                break
+        if not batch or not (left := self._put(vectors, batch[0][2])):
+            return False
+        for its, size, descriptor in batch:
+            if not left:
+                break
+            queue.messages.popleft()
+            queue.size -= size
+            if descriptor >= 0:
+                os.close(descriptor)
+            if left < size:
+                self._begun = _after(its, left)
+                break
+            left -= size
+        return True
+
+    def _forget(self) -> None:
+        """Send nothing of what waits."""
+        self._begun = []
+        for queue in (self._control, self._samples):
+            for _, _, descriptor in queue.messages:
+                if descriptor >= 0:
+                    os.close(descriptor)
+            queue.messages.clear()
+            queue.size = 0
 
     # -- receiving -------------------------------------------------------------------------------------------------
 
     def _readable(self) -> None:
+        if not (count := self._receive()):
+            return
+        until, left = self._loop.time() + _ONE_TURN_SECONDS, _ONE_TURN - count
+        while left > 0 and (count := self._receive()) and self._loop.time() < until:
+            left -= count
+
+    def _receive(self) -> int:
+        """Receive once; how many bytes, where there may be more; 0: there is no more, or the connection is over."""
+        asked = _AT_ONCE if self._large is None else len(self._large) - self._filled
         try:
             if self._expects:
                 data, count = self._receive_descriptor()
@@ -167,13 +266,13 @@ class Stream:
                 data = self._socket.recv(_AT_ONCE)
                 count = len(data)
         except (BlockingIOError, InterruptedError):
-            return self._end("it has ended") if self._reset else None
+            return self._end("it has ended") if self._reset else 0
         except ConnectionResetError:
             if self._reset:
                 return self._end("it has ended")
             # It ended with something unread, and what it said before that is still there. Not every loop calls again.
             self._reset = True
-            return self._readable()
+            return self._receive()
         except OSError as error:
             return self._end(error.strerror or "broken")
         except ValueError as error:
@@ -193,7 +292,9 @@ class Stream:
             return self._end(f"it does not speak this protocol: {error}")
         if messages:
             self._arrived(messages)
-        return self._readable() if self._reset and not self.closed else None
+        if self.closed:
+            return 0
+        return self._receive() if self._reset else count * (count == asked)
 
     def expect_descriptor(self) -> None:
         """Receive one descriptor, which comes with any message from now on.
@@ -263,14 +364,27 @@ class Stream:
             with contextlib.suppress(ValueError, OSError, RuntimeError):
                 remove(self._socket.fileno())
         self._socket.close()
-        self._waiting.clear()
+        self._forget()
         if (descriptor := self.take_descriptor()) is not None:
             os.close(descriptor)
 
-    def _end(self, why: str) -> None:
+    def _end(self, why: str) -> int:
         if not self.closed:
             self.close()
             self._ended(why)
+        return 0
+
+
+def _after(vectors: Vectors, sent: int) -> Vectors:
+    """The buffers without so many bytes at their beginning."""
+    place = 0
+    while place < len(vectors) and sent >= len(vectors[place]):
+        sent -= len(vectors[place])
+        place += 1
+    left = vectors[place:]
+    if sent:
+        left[0] = memoryview(left[0])[sent:]
+    return left
 
 
 def _message(view: memoryview) -> Message:

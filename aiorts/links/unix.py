@@ -1,8 +1,10 @@
 """The transport of one host: kernels of one user find each other by their sockets in the run-time folder.
 
-Each kernel listens at a socket of its own. One that opens connects to all that are there, so nobody has to look again;
-the end of a connection is the end of that kernel. A socket that nobody listens at was left by a kernel that is gone:
-the next that opens removes it. Who connects must be of the same user, which the system says.
+Each kernel listens at a socket of its own. One that opens connects to all that are there, so nobody has to look again.
+Who has connected waits for the greeting as long as the other kernel is there, and connects again when the connection
+ends, until nobody listens there. Who accepts ends a connection that is silent for a second: it may be of anybody.
+A socket that nobody listens at was left by a kernel that is gone: the next that connects to it removes it. Who connects
+must be of the same user, which the system says.
 """
 
 from __future__ import annotations
@@ -12,20 +14,30 @@ import contextlib
 import errno
 import hashlib
 import os
-import platform
 import socket
 import struct
 import sys
-from collections.abc import Awaitable, Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from aiorts.errors import AiortsError, LinkError, LinkTimeout
+from aiorts.errors import AiortsError, LinkError
 from aiorts.links.messages import LARGEST, fields, packed
 from aiorts.links.stream import Message, Stream
-from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of, checked_peer
-from aiorts.model.links import Buffer
+from aiorts.links.transport import (
+    BaseChannel,
+    BaseTransport,
+    Caller,
+    Channel,
+    ChannelEvents,
+    KernelFace,
+    LinkOffer,
+    Peer,
+    checked_peer,
+)
+from aiorts.model.links import Buffer, turn_of
 from aiorts.rings import OFFERED, REFUSAL, Rings, proof, proves
 from aiorts.sessions import private_folder
 
@@ -35,17 +47,22 @@ _IN_RING: Final = 4
 _RINGED: Final = (_BY_WRITER + _IN_RING, _BY_READER + _IN_RING)
 _SUFFIX: Final = ".link"
 _GREETING_SECONDS: Final = 1.0
+"""How long a connection that was accepted may be silent, and how long `open` waits for the greetings of others."""
+_SILENT: Final = 256
+"""Silent connections that are kept. One more ends the oldest; its kernel connects again."""
 _ACCEPT_AGAIN_SECONDS: Final = 0.2
+_CONNECT_AGAIN: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+"""Seconds until a kernel is connected to again."""
+_FOR_NOW: Final = (errno.EAGAIN, errno.EINTR, errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+"""Why a kernel that is there cannot be connected to now: its queue is full, as while it stands still, or this process
+or the system has no descriptors or memory left."""
 _ASKED: Final = 1_000
 """Questions of one peer that are being answered at the same time, at the most."""
-_LONGEST: Final = 2_000
 _OF_ONE_PROGRAM: Final = 64 << 20
 """Bytes of a question between kernels of one program: the state of a component that moves is one."""
 
-Handler = Callable[[bytes, Caller], Awaitable[bytes]]
 
-
-class UnixTransport:
+class UnixTransport(BaseTransport["_UnixChannel"]):
     """Carries links between kernels of one user on one host. See `Transport`.
 
     Large arrays go through memory that both kernels share. Where they are of one program readers look into it, although
@@ -60,19 +77,19 @@ class UnixTransport:
     """A secret of 16 random bytes or more that all kernels of one program are given; b"": this one is of none."""
 
     def __init__(self, *, listens: bool = True) -> None:
+        super().__init__()
         self._listens = listens
         self.largest = LARGEST if listens else _OF_ONE_PROGRAM
         """Bytes of a question, at the most."""
-        self._handlers: dict[str, Handler] = {}
-        self._tells: list[Callable[[Peer, bool], None]] = []
-        self._peers: dict[Peer, list[_Connection]] = {}
         self._connections: set[_Connection] = set()
-        self._channels: dict[tuple[Peer, int, int], _UnixChannel] = {}
-        """By peer, what its end of the link is (`_BY_WRITER` or `_BY_READER`), and number."""
+        self._ways: dict[Peer, list[_Connection]] = {}
+        """Connections with each peer: one, or two where both have opened at the same time. The first one is used."""
+        self._silent: dict[_Connection, asyncio.TimerHandle] = {}
+        """Connections that were accepted and have not said whose they are, the oldest first; what ends each."""
+        self._due: dict[Path, asyncio.TimerHandle] = {}
+        """Sockets that are connected to again, and when."""
         self._listener: socket.socket | None = None
         self._path = Path()
-        self.kernel: KernelFace
-        self.loop: asyncio.AbstractEventLoop
         self.greeting = b""
 
     async def open(self, kernel: KernelFace) -> None:
@@ -81,8 +98,9 @@ class UnixTransport:
         Raises:
             LinkError: a kernel of that name is there already, or the socket cannot be made.
         """
-        self.kernel, self.loop = kernel, asyncio.get_running_loop()
-        self.greeting = packed([_host(), kernel.name, kernel.epoch])
+        self.begin(kernel)
+        own = self.own
+        self.greeting = packed([own.host, own.kernel, own.epoch])
         if not self._listens:
             return
         taken = LinkError(f"a kernel named {kernel.name!r} runs already; give this one another name")
@@ -120,18 +138,31 @@ class UnixTransport:
         self._path, self._listener = path, listener
         self.loop.add_reader(listener.fileno(), self._accept)
 
-    def _connect(self, path: Path) -> _Connection | None:
-        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    def _connect(self, path: Path, tried: int = 0) -> _Connection | None:
+        """Connect to the kernel at a socket, and again when that connection has ended, until the socket is refused."""
+        self._due.pop(path, None)
         try:
-            sock.setblocking(False)
-            sock.connect(str(path))
+            sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            try:
+                sock.setblocking(False)
+                sock.connect(str(path))
+            except OSError:
+                sock.close()
+                raise
         except OSError as error:
-            sock.close()
             if isinstance(error, ConnectionRefusedError):
                 with contextlib.suppress(OSError):
                     path.unlink()
+            elif error.errno in _FOR_NOW:
+                self._connect_soon(path, tried)
             return None
-        return self.take(sock)
+        connection = self.take(sock)
+        connection.lost = lambda: self._connect_soon(path, tried if connection.peer is None else 0)
+        return connection
+
+    def _connect_soon(self, path: Path, tried: int) -> None:
+        seconds = _CONNECT_AGAIN[min(tried, len(_CONNECT_AGAIN) - 1)]
+        self._due[path] = self.loop.call_later(seconds, self._connect, path, tried + 1)
 
     def _accept(self) -> None:
         assert self._listener is not None  # noqa: S101 - it listens
@@ -146,19 +177,23 @@ class UnixTransport:
         if _owner_of(sock)[1] != os.geteuid():
             sock.close()
             return
-        self.take(sock)
+        if len(self._silent) >= _SILENT:
+            next(iter(self._silent)).close()
+        connection = self.take(sock)
+        self._silent[connection] = self.loop.call_later(_GREETING_SECONDS, connection.close)
+
+    def _is_heard(self, connection: _Connection) -> None:
+        """A connection is silent no more, or is over."""
+        if (timer := self._silent.pop(connection, None)) is not None:
+            timer.cancel()
 
     def _accept_again(self) -> None:
         if self._listener is not None:
             self.loop.add_reader(self._listener.fileno(), self._accept)
 
-    def take(self, sock: socket.socket, *, greets_within: float = _GREETING_SECONDS) -> _Connection:
-        """Use a connected socket, at whose other end is another kernel; its end is the end of that kernel.
-
-        Args:
-            greets_within: seconds until it must have said who it is.
-        """
-        connection = _Connection(self, sock, greets_within)
+    def take(self, sock: socket.socket) -> _Connection:
+        """Use a connected socket, at whose other end is another kernel; its end is the end of that kernel."""
+        connection = _Connection(self, sock)
         self._connections.add(connection)
         return connection
 
@@ -170,52 +205,40 @@ class UnixTransport:
             self._listener = None
             with contextlib.suppress(OSError):
                 self._path.unlink()
-        self._tells.clear()
-        self._channels.clear()
+        for timer in self._due.values():
+            timer.cancel()
+        self._due.clear()
+        self.end_all()
         for connection in tuple(self._connections):
             connection.close()
-        self._connections.clear()
-        self._peers.clear()
 
     # -- other kernels ---------------------------------------------------------------------------------------------
 
-    def presence(self, tell: Callable[[Peer, bool], None]) -> Callable[[], None]:
-        """Tell of each kernel that is there or comes, and of each that goes; until the returned function is called."""
-        self._tells.append(tell)
-        for peer in tuple(self._peers):
-            tell(peer, True)
-        return lambda: self._tells.remove(tell)
-
     def greeted(self, connection: _Connection, peer: Peer) -> None:
         """A connection has said whose it is."""
-        there = self._peers.setdefault(peer, [])
-        there.append(connection)
-        if len(there) == 1:
-            for tell in tuple(self._tells):
-                tell(peer, True)
+        self._is_heard(connection)
+        ways = self._ways.setdefault(peer, [])
+        ways.append(connection)
+        if len(ways) == 1:
+            self.found(peer)
 
     def ended(self, connection: _Connection, why: str) -> None:
-        """A connection is over."""
+        """A connection is over. Of two with one kernel the other one has its channels from now on."""
         self._connections.discard(connection)
+        self._is_heard(connection)
         peer = connection.peer
-        if peer is None or connection not in self._peers.get(peer, ()):
+        if peer is None or connection not in (ways := self._ways.get(peer, [])):
             return
-        self._peers[peer].remove(connection)
-        if self._peers[peer]:
-            return
-        del self._peers[peer]
-        lost = [key for key in self._channels if key[0] == peer]
-        for tell in tuple(self._tells):
-            tell(peer, False)
-        for key in lost:
-            if (channel := self._channels.pop(key, None)) is not None:
-                channel.events.on_state(False, f"{peer.kernel}: {why}")
-
-    def _to(self, peer: Peer) -> _Connection:
-        there = self._peers.get(peer)
-        if not there:
-            raise LinkError(f"{peer.kernel}: is gone")
-        return there[0]
+        was_used = ways[0] is connection
+        ways.remove(connection)
+        if not ways:
+            del self._ways[peer]
+            self.lost(peer, why)
+        elif was_used:
+            self.fail(peer, why)
+            for channel in [one for one in self.channels.values() if one.connection is connection]:
+                channel.connection = ways[0]
+                self.loop.call_soon(channel.on_room)
 
     # -- channels --------------------------------------------------------------------------------------------------
 
@@ -225,35 +248,22 @@ class UnixTransport:
         Raises:
             LinkError: the other kernel is gone.
         """
-        writes = offer.writer.kernel == self.kernel.name
-        far = offer.reader if writes else offer.writer
-        peer = next((one for one in self._peers if one.kernel == far.kernel), None)
-        if peer is None:
-            raise LinkError(f"{far.kernel}: is gone")
-        key = (peer, _BY_READER if writes else _BY_WRITER, offer.number)
-        kind = _BY_WRITER if writes else _BY_READER
-        channel = self._channels[key] = _UnixChannel(
-            self._to(peer), kind, offer.number, events, partial(self._forget, key)
-        )
-        return channel
-
-    def _forget(self, key: tuple[Peer, int, int], channel: _UnixChannel) -> None:
-        if self._channels.get(key) is channel:
-            del self._channels[key]
+        peer, writes = self.far_end(offer)
+        mine, theirs = (_BY_WRITER, _BY_READER) if writes else (_BY_READER, _BY_WRITER)
+        key = (peer, theirs, offer.number)
+        return self.keep(key, _UnixChannel(self._ways[peer][0], mine, offer.number, events, partial(self.forget, key)))
 
     def arrived(self, peer: Peer, frames: dict[tuple[int, int], list[tuple[Buffer, tuple[Buffer, ...]]]]) -> None:
         """Frames of channels have come from a peer."""
         for (kind, number), those in frames.items():
-            channel = self._channels.get((peer, kind, number))
-            if channel is not None:
+            if (channel := self.channels.get((peer, kind, number))) is not None:
                 channel.events.on_frames(those)
 
     def drained(self, connection: _Connection) -> None:
         """A connection takes frames again."""
-        for key, channel in tuple(self._channels.items()):
-            # What is called for one may close another.
-            if channel.connection is connection and self._channels.get(key) is channel:
-                channel.events.on_room()
+        for channel in tuple(self.channels.values()):
+            if channel.connection is connection:
+                channel.on_room()
 
     # -- questions -------------------------------------------------------------------------------------------------
 
@@ -264,52 +274,43 @@ class UnixTransport:
             LinkTimeout: there was none within so many seconds.
             LinkError: the kernel is gone, or refuses to answer.
         """
-        return await self._to(peer).ask(what, body, within)
-
-    def answer(self, what: str, handler: Handler) -> None:
-        """Answer such questions with `handler` from now on."""
-        self._handlers[what] = handler
-
-    def handler(self, what: str) -> Handler | None:
-        """Who answers such questions."""
-        return self._handlers.get(what)
+        question = packed([what, body])
+        if len(question) > self.largest:
+            raise LinkError(f"{what}: {len(question)} bytes; a question has {self.largest} at the most")
+        return await self.asked(peer, within, lambda number: self._ways[peer][0].ask(number, question))
 
 
-class _UnixChannel:
+class _UnixChannel(BaseChannel):
     """One end of a link over the connection of its kernels."""
 
     def __init__(
-        self,
-        connection: _Connection,
-        kind: int,
-        number: int,
-        events: ChannelEvents,
-        closed: Callable[[_UnixChannel], None],
+        self, connection: _Connection, kind: int, number: int, events: ChannelEvents, closed: Callable[[], object]
     ) -> None:
-        self.connection, self.events = connection, events
-        self._kind, self._number, self._closed = kind, number, closed
-        self._send = connection.stream.send
+        assert connection.peer is not None  # noqa: S101 - it has greeted
+        super().__init__(connection.peer, events, closed)
+        self.connection = connection
+        self._kind, self._number = kind, number
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if parts and self.connection.rings is not None:
             return self.connection.send_parts(self._kind, self._number, head, parts)
-        return self._send(self._kind, self._number, head, parts)
-
-    def close(self) -> None:
-        self._closed(self)
+        return self.connection.stream.send(self._kind, self._number, head, parts, turn_of(head))
 
 
 class _Connection:
     """A connection with another kernel: its greeting, questions, and the frames of all channels."""
 
-    def __init__(self, transport: UnixTransport, sock: socket.socket, greets_within: float) -> None:
+    def __init__(self, transport: UnixTransport, sock: socket.socket) -> None:
         self._transport = transport
         self.peer: Peer | None = None
+        self.lost: Callable[[], object] = _nothing
+        """Called when the other end has ended it."""
         self.greeted: asyncio.Future[None] = transport.loop.create_future()
         """Done when it has said whose it is, or is over."""
-        self._asked: dict[int, asyncio.Future[bytes]] = {}
-        self._last = 0
         self._answering = 0
+        """Questions of the other end whose answer was not sent yet."""
+        self._unsent: deque[tuple[int, int, bytes]] = deque()
+        """Answers that wait until the stream takes them."""
         self._process, user = _owner_of(sock)
         self._identity = f"user {user}"
         self.rings: Rings | None = None
@@ -317,11 +318,11 @@ class _Connection:
         self._greeting = b""
         """What the other end said first, byte for byte."""
         self.stream = Stream(transport.loop, sock, self._arrived, self._drained, self._over)
-        self._silent = transport.loop.call_later(greets_within, self._never_greeted)
-        self.stream.send(_HELLO, 0, transport.greeting)
+        self.stream.control(_HELLO, 0, transport.greeting)
 
     def close(self) -> None:
         """End it."""
+        self.lost = _nothing
         self.stream.close()
         self._over("this kernel ends")
 
@@ -330,33 +331,29 @@ class _Connection:
         rings = self.rings
         put = None if rings is None else rings.put(parts)
         if rings is None or put is None:
-            return self.stream.send(kind, number, head, parts)
+            return False
         places, beside = put
+        if not places:
+            return self.stream.send(kind, number, head, beside)
         sent = self.stream.send(kind + _IN_RING, number, rings.frame(places, head), beside)
         if not sent:
             rings.take_back(places)
         return sent
 
-    def _never_greeted(self) -> None:
-        if self.peer is None:
-            self.close()
-
     def _over(self, why: str) -> None:
-        self._silent.cancel()
         if not self.greeted.done():
             self.greeted.set_result(None)
-        name = self.peer.kernel if self.peer is not None else "another kernel"
-        for future in self._asked.values():
-            if not future.done():
-                future.set_exception(LinkError(f"{name}: {why}"))
-        self._asked.clear()
         if self.rings is not None:
             self.rings.close()
         self._transport.ended(self, why)
+        self.lost()
 
     def _drained(self) -> None:
         if self.rings is not None:
             self.rings.flush()
+        while self._unsent and self.stream.control(*self._unsent[0]):
+            self._unsent.popleft()
+            self._answering -= 1
         self._transport.drained(self)
 
     def _arrived(self, messages: list[Message]) -> None:
@@ -384,7 +381,6 @@ class _Connection:
         if kind == _HELLO:
             if self.peer is None:
                 self.peer = _peer_of(body)
-                self._silent.cancel()
                 self._prove(body)
                 self._transport.greeted(self, self.peer)
                 if not self.greeted.done():
@@ -400,19 +396,13 @@ class _Connection:
         elif kind == _ASK:
             what, question = fields(body, (str, bytes), largest=self._transport.largest)
             if self._answering >= _ASKED:
-                self.stream.send(_REFUSAL, number, b"too many questions at the same time")
+                if not self.stream.control(_REFUSAL, number, b"too many questions at the same time"):
+                    raise LinkError("it asks, and takes no answers")
                 return
             self._answering += 1
             self._transport.kernel.run_in_background(self._answer(number, what, question), f"aiorts answer {what:.20}")
         elif kind in (_ANSWER, _REFUSAL):
-            future = self._asked.pop(number, None)
-            if future is None or future.done():
-                return  # it came too late
-            if kind == _ANSWER:
-                future.set_result(body)
-            else:
-                text = body[:_LONGEST].decode(errors="replace")
-                future.set_exception(LinkError(f"{self.peer.kernel}: {text}"))
+            self._transport.settle(self.peer, number, kind == _ANSWER, body)
 
     # -- rings -------------------------------------------------------------------------------------------------------
 
@@ -424,7 +414,7 @@ class _Connection:
         self._greeting = greeting
         transport, stream = self._transport, self.stream
         if transport.program:
-            stream.send(_PROOF, 0, proof(transport.program, transport.greeting, greeting))
+            stream.control(_PROOF, 0, proof(transport.program, transport.greeting, greeting))
         if Rings.available:
             self.rings = Rings(
                 transport.loop,
@@ -432,6 +422,7 @@ class _Connection:
                 stream.expect_descriptor,
                 stream.take_descriptor,
                 lambda text: transport.kernel.report(f"{self._name}: {text}"),
+                self._drained,
             )
 
     def _meet(self, said: bytes) -> None:
@@ -443,7 +434,7 @@ class _Connection:
 
     def _say(self, body: bytes, descriptor: int | None) -> bool:
         if descriptor is None:
-            return self.stream.send(_RING, 0, body)
+            return self.stream.control(_RING, 0, body)
         return self.stream.send_descriptor(_RING, 0, body, descriptor)
 
     def _hear(self, body: bytes) -> None:
@@ -454,38 +445,26 @@ class _Connection:
         else:
             raise LinkError("it speaks of a ring that there is not")
 
-    async def ask(self, what: str, body: bytes, within: float) -> bytes:
-        """See `UnixTransport.ask`."""
-        question, largest = packed([what, body]), self._transport.largest
-        if len(question) > largest:
-            raise LinkError(f"{what}: {len(question)} bytes; a question has {largest} at the most")
-        self._last = number = self._last % 0xFFFFFFFF + 1
-        future: asyncio.Future[bytes] = self._transport.loop.create_future()
-        self._asked[number] = future
-        try:
-            if not self.stream.send(_ASK, number, question):
-                raise LinkError(f"{self._name}: takes nothing any more")
-            async with asyncio.timeout(within):
-                return await future
-        except TimeoutError:
-            raise LinkTimeout(f"{self._name}: no answer within {within:g} s") from None
-        finally:
-            self._asked.pop(number, None)
+    def ask(self, number: int, question: bytes) -> None:
+        """Send a question. LinkError: it is not taken."""
+        if not self.stream.control(_ASK, number, question):
+            raise LinkError(f"{self._name}: takes no more questions now")
 
     @property
     def _name(self) -> str:
         return self.peer.kernel if self.peer is not None else "another kernel"
 
     async def _answer(self, number: int, what: str, question: bytes) -> None:
-        transport, caller = self._transport, Caller(self.peer, self._identity)
-        try:
-            kind = _ANSWER
-            body = await answer_of(transport.handler(what), what, question, caller, transport.kernel)
-        except LinkError as error:
-            kind, body = _REFUSAL, str(error).encode()[:_LONGEST]
-        finally:
+        good, body = await self._transport.answer_to(what, question, Caller(self.peer, self._identity))
+        kind = _ANSWER if good else _REFUSAL
+        if not self._unsent and self.stream.control(kind, number, body):
             self._answering -= 1
-        self.stream.send(kind, number, body)
+        else:
+            self._unsent.append((kind, number, body))  # in its turn, as long as the other end is there
+
+
+def _nothing() -> None:
+    """No connection is made again."""
 
 
 def _peer_of(greeting: bytes) -> Peer:
@@ -524,7 +503,3 @@ def _owner_of(sock: socket.socket) -> tuple[int, int]:
 
 def _hashed(name: str) -> str:
     return hashlib.sha256(name.encode()).hexdigest()[:16]
-
-
-def _host() -> str:
-    return platform.node() or "host"

@@ -25,7 +25,7 @@ from functools import partial
 from aiorts.late import TYPE_CHECKING
 from aiorts.processes import groups
 from aiorts.processes.output import Output
-from aiorts.processes.tree import HAS_PROC, adopt_orphans, children, kill, kill_trees, started
+from aiorts.processes.tree import HAS_PROC, adopt_orphans, children, first_in_line, kill, kill_trees, started
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,8 +37,9 @@ _DRAIN = 64
 """How often that is read of a process that has ended, while others may still write."""
 _BACKLOG = 1 << 20
 """Bytes of lines that wait for a parent whose loop does not turn; further ones are left out."""
-_ENDING = 5.0
-"""Seconds after which what cannot be killed, such as a process of another user, is left."""
+_ENDING = 30.0
+"""Seconds after which what cannot be killed, such as a process of another user, is left. Where this process has no
+priority over others, those that start others without end have most of the processor: 5 s were not always enough."""
 _ABOVE = 10
 """Own descriptors are not below: a child's are 0 to 4, and the order in which those are set does not matter then."""
 _STREAMS = ("stdout", "stderr")
@@ -192,23 +193,23 @@ class Helper:
     def _group(
         self, number: int, limits: dict[str, Any], granted: dict[str, str], denied: dict[str, str]
     ) -> groups.Group | None:
-        """The group that keeps the limits which need one. Refused: there is none, and nothing else keeps them."""
+        """The group that keeps the limits which need one, and by which all in it are killed at once; None: there is
+        none here. Refused: there is none, and nothing else keeps a limit."""
         bounds = {}
         if limits["cpu"] is not None:
             bounds["cpu"] = groups.cpu_bound(limits["cpu"])
         if limits["processes"] is not None:
             bounds["processes"] = groups.processes_bound(limits["processes"])
-        if not bounds:
-            return None
         try:
             parent = groups.own_group()
             prefix = "aiorts-"
             groups.remove_old(parent, prefix)
             group = groups.Group(parent, f"{prefix}{os.getpid()}-{number}", [*bounds.values()])
-        except groups.Refused as error:
+        except (OSError, groups.Refused) as error:
             if "processes" in bounds:
                 raise groups.Refused(f"limits.processes = {limits['processes']}: {error}") from None
-            denied["cpu"] = str(error)
+            if "cpu" in bounds:
+                denied["cpu"] = str(error)
             return None
         granted.update({limit: f"cgroup v2, {file} = {value}" for limit, (_, file, value) in bounds.items()})
         return group
@@ -223,7 +224,8 @@ class Helper:
                 kill(pid)
                 raise
             granted.clear()
-            denied["cpu"] = str(error)
+            if limits["cpu"] is not None:
+                denied["cpu"] = str(error)
 
     def _spawn(self, request: dict[str, Any], descriptor: int, stdout: int, stderr: int) -> int:
         if os.path.isdir(request["folder"]):
@@ -270,9 +272,10 @@ class Helper:
 
     def _kill_child(self, child: _Child) -> None:
         """What lost its parent meanwhile has come to this process, and was killed."""
-        kill_trees([child.pid])
         if child.group is not None:
             child.group.kill()
+        with first_in_line():
+            kill_trees([child.pid])
 
     def _reap(self) -> bool:
         """Wait for what has ended, and kill what lost its parent by that. Whether there is any child left."""
@@ -289,7 +292,9 @@ class Helper:
                 break
             if child := self._children.pop(pid, None):
                 self._ended(child, os.waitstatus_to_exitcode(status))
-        kill_trees(orphan for orphan in children(os.getpid()) if orphan not in self._children)
+        if orphans := [orphan for orphan in children(os.getpid()) if orphan not in self._children]:
+            with first_in_line():
+                kill_trees(orphans)
         self._old_groups = [group for group in self._old_groups if not group.remove()]
         return left
 

@@ -9,9 +9,11 @@ import asyncio
 import contextlib
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
@@ -145,7 +147,8 @@ class Launcher:
     async def close(self, within: float = 5.0) -> None:
         """Kill all children and their descendants, and the helper when they have ended; idempotent.
 
-        Each `ended` is set when this returns, which is within so many seconds.
+        Each `ended` is set when this returns, which is within so many seconds. A helper that is not done then, since
+        descendants go on starting others, ends by itself when none is left.
         """
         self._closed = True
         if self._control is not None:
@@ -154,10 +157,14 @@ class Launcher:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(within):
                     await self._ended.wait()
-            self._lose()
-        helper, self._helper = self._helper, None
-        if helper is not None:
+        helper, self._helper, is_over = self._helper, None, self._control is None
+        self._lose()
+        if helper is not None and is_over:
             _kill_unless_ended(helper)
+        elif helper is not None:
+            # A helper that is killed leaves the processes that it has not killed yet. One that was stopped goes on.
+            helper.send_signal(signal.SIGCONT)
+            threading.Thread(target=helper.wait, name="aiorts-helper", daemon=True).start()
 
     # The helper.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+from contextlib import contextmanager
 
 from aiorts.late import TYPE_CHECKING
 
@@ -70,12 +71,16 @@ def kill_trees(roots: Iterable[int]) -> None:
     killing alone. What is stopped starts none, and leaves the processor to this one.
     """
     found: dict[int, None] = {}  # in the order in which they were found
-    new = [*roots]
+    roots = new = before = [*roots]
     for _ in range(_ROUNDS):
         for pid in new:
             kill(pid, signal.SIGSTOP)
             found[pid] = None
-        new = [child for pid in found for child in children(pid) if child not in found]
+        # Where one that was just stopped had begun to start another, that is seen in the next round; and what has lost
+        # its parent is a child of a root. To look at all of them in each round took longer than they to start others.
+        before, looked_at = new, {*roots, *before, *new}
+        new = [child for pid in looked_at for child in children(pid) if child not in found]
+        new = new or [child for pid in found for child in children(pid) if child not in found]
         if not new:
             break
     for pid in found:
@@ -83,6 +88,24 @@ def kill_trees(roots: Iterable[int]) -> None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(pid, signal.SIGKILL)
         kill(pid)
+
+
+@contextmanager
+def first_in_line() -> Iterator[None]:
+    """This process has the processor before all others meanwhile, where the system allows it, as it does to root.
+
+    Beside 200 processes that start others all the time, one that is to stop them has a hundredth of it else.
+    """
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except (AttributeError, OSError):
+        yield
+        return
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)
 
 
 def started(pid: int) -> int:

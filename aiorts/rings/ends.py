@@ -19,7 +19,7 @@ import os
 from collections.abc import Callable, Sequence
 
 from aiorts.errors import LinkError
-from aiorts.rings.frames import CANNOT, FREED, MAPPED, OFFER, READY, RING, Place, places_bytes, places_of
+from aiorts.rings.frames import CANNOT, FREED, MAPPED, OFFER, READY, RING, Place, Put, places_bytes, places_of
 from aiorts.rings.memory import AVAILABLE
 from aiorts.rings.receiving import Receiving
 from aiorts.rings.sending import Sending
@@ -29,10 +29,11 @@ class Rings:
     """Both rings of a connection.
 
     Args:
-        say: sends a message, with a descriptor or without; False: not now.
+        say: sends a message, with a descriptor or without; False: the connection takes none any more.
         expect: has the stream receive one descriptor.
         received: the descriptor that has come, which is the caller's then; None: none has.
         report: says why there is no ring.
+        room: called when parts that had to wait may be sent.
     """
 
     available = AVAILABLE
@@ -44,9 +45,10 @@ class Rings:
         expect: Callable[[], None],
         received: Callable[[], int | None],
         report: Callable[[str], None],
+        room: Callable[[], None],
     ) -> None:
         self._say, self._expect, self._received, self._report = say, expect, received, report
-        self._sending = Sending(loop, say, report)
+        self._sending = Sending(loop, say, report, room)
         self._receiving = Receiving(loop, lambda body: say(body, None))
         self._expects = False
         self._unsaid: list[bytes] = []
@@ -56,8 +58,8 @@ class Rings:
         """The other end has shown that it is of this program: readers look into its memory, and copy nothing."""
         self._receiving.trusts = True
 
-    def put(self, parts: Sequence[memoryview]) -> tuple[list[Place], list[memoryview]] | None:
-        """Where each part is now, and those that travel beside the frame; None: all do."""
+    def put(self, parts: Sequence[memoryview]) -> Put | None:
+        """The places of the parts of a frame; None: there is none yet, and the frame has to wait for `room`."""
         return self._sending.put(parts)
 
     def take_back(self, places: Sequence[Place]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from aiorts.errors import LinkError
 from aiorts.rings.extents import STEP
@@ -20,6 +20,15 @@ PLACES: Final = 255
 
 Place: TypeAlias = tuple[int, int]
 """(start, length) of a part in the ring; the length is 0 where it travels beside the frame."""
+
+
+class Put(NamedTuple):
+    """The places of the parts of a frame."""
+
+    places: list[Place]
+    """The place of each part; empty where all are sent with the frame."""
+    beside: list[memoryview]
+    """The parts that are sent with the frame."""
 
 
 def places_bytes(places: Sequence[Place]) -> bytes:

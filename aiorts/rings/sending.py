@@ -9,7 +9,7 @@ from typing import Final
 
 from aiorts.errors import LinkError
 from aiorts.rings.extents import Extents
-from aiorts.rings.frames import CANNOT, MAPPED, OFFERED, PLACES, READY, RING, Place, freed_of
+from aiorts.rings.frames import CANNOT, MAPPED, OFFERED, PLACES, READY, RING, Place, Put, freed_of
 from aiorts.rings.memory import LARGEST, Making
 
 LEAST: Final = 65_536
@@ -22,6 +22,9 @@ _SLOTS: Final = 8
 """Parts like the first one that a ring has room for: those on their way and those that a reader looks at."""
 _SMALLEST: Final = 4 << 20
 """Bytes of the first ring at the least."""
+_HELD: Final = 1.0
+"""Seconds for which large parts wait for a ring that is being made. A kernel whose turns take 0.1 s needs 0.4 s to take
+it, and 0.6 s for one part of 1 MiB out of its socket, behind which a question waits."""
 
 
 class _Ring:
@@ -35,12 +38,13 @@ class _Ring:
 class Sending:
     """Copies large parts into memory that the other end reads.
 
-    The first large part has a ring made, and one that finds no room a larger one; meanwhile, and where that is not
-    possible, parts travel beside their frames. Nothing waits for a ring.
+    The first large part has a ring made, and one that finds no room a larger one. Large parts wait for it, a second at
+    the most; where there is none then, they travel beside their frames.
 
     Args:
-        say: sends a message, with a descriptor or without; False: not now.
+        say: sends a message, with a descriptor or without; False: the connection takes none any more.
         report: says why there is no ring.
+        room: called when parts that had to wait may be sent.
     """
 
     def __init__(
@@ -48,8 +52,9 @@ class Sending:
         loop: asyncio.AbstractEventLoop,
         say: Callable[[bytes, int | None], bool],
         report: Callable[[str], None],
+        room: Callable[[], None],
     ) -> None:
-        self._loop, self._say, self._report = loop, say, report
+        self._loop, self._say, self._report, self._room = loop, say, report, room
         self._rings: dict[int, _Ring] = {}
         """By number: the one in use, and older ones that arrays still look into."""
         self._used: _Ring | None = None
@@ -59,10 +64,12 @@ class Sending:
         self._awaits = 0
         """What the other end is to say next."""
         self._made = 0
+        self._holding: asyncio.TimerHandle | None = None
+        """Until when large parts wait for the ring that is being made; None: none do."""
         self.closed = False
 
-    def put(self, parts: Sequence[memoryview]) -> tuple[list[Place], list[memoryview]] | None:
-        """Where each part is now, and those that travel beside the frame; None: all do."""
+    def put(self, parts: Sequence[memoryview]) -> Put | None:
+        """The places of the parts of a frame; None: there is none yet, and the frame has to wait for `room`."""
         # Between the descriptor and its answer nobody knows which ring the other end means.
         ring = None if self._awaits == MAPPED else self._used
         places, beside, wanted = list[Place](), list[memoryview](), 0
@@ -79,20 +86,20 @@ class Sending:
             beside.append(part)
         if wanted:
             self._grow(wanted)
-        return None if len(beside) == len(parts) else (places, beside)
+            if self._holding is not None:
+                self.take_back(places)
+                return None
+        return Put([] if len(beside) == len(parts) else places, beside)
 
     def take_back(self, places: Sequence[Place]) -> None:
         """What `put` said last was not sent."""
-        assert self._used is not None  # noqa: S101 - it has put something there
         for start, length in places:
-            if length:
+            if length and self._used is not None:
                 self._used.extents.give(start)
 
     def _grow(self, size: int) -> None:
         """Begin to make a ring that has room for parts of this size."""
         if self._making is not None:
-            if self._awaits == RING:
-                self._pass_on()
             return
         before = 0 if self._used is None else self._used.extents.size
         wanted = min(LARGEST, max(_SMALLEST, _SLOTS * size, 4 * before))
@@ -104,7 +111,15 @@ class Sending:
         except OSError as error:
             self._without(error)
             return
+        self._holding = self._loop.call_later(_HELD, self._let_go)
         self._loop.call_soon(self._step)
+
+    def _let_go(self) -> None:
+        """Large parts wait for no ring any more."""
+        if self._holding is not None:
+            self._holding.cancel()
+            self._holding = None
+            self._room()
 
     def _step(self) -> None:
         if self._making is None:
@@ -119,7 +134,6 @@ class Sending:
         elif self._say(OFFERED, None):
             self._awaits = READY
         else:
-            self._made -= 1  # too much waits to be sent: again at the next part
             self._drop()
 
     def _without(self, error: Exception) -> None:
@@ -132,11 +146,7 @@ class Sending:
             self._making.close()
         self._making = self._memory = None
         self._awaits = 0
-
-    def _pass_on(self) -> None:
-        """Send the descriptor, unless something else waits to be sent: then at the next part."""
-        if self._making is not None and self._say(bytes((RING,)), self._making.descriptor):
-            self._awaits = MAPPED
+        self._let_go()
 
     def heard(self, what: int, body: bytes) -> None:
         """The other end has said something of our rings.
@@ -144,9 +154,10 @@ class Sending:
         Raises:
             LinkError: it was not its turn.
         """
-        if what == READY and self._awaits == READY:
-            self._awaits = RING
-            self._pass_on()
+        if what == READY and self._awaits == READY and self._making is not None:
+            self._awaits = MAPPED
+            if not self._say(bytes((RING,)), self._making.descriptor):
+                self._drop()
         elif what == MAPPED and self._awaits == MAPPED and self._memory is not None:
             before = self._used
             self._used = self._rings[self._made] = _Ring(self._made, self._memory)
@@ -179,6 +190,9 @@ class Sending:
     def close(self) -> None:
         """Nothing is sent any more. What the other end looks at stays as it is."""
         self.closed = True
+        if self._holding is not None:
+            self._holding.cancel()
+            self._holding = None
         self._drop()
         self._rings.clear()
         self._used = None

@@ -13,14 +13,14 @@ from __future__ import annotations
 import asyncio
 import heapq
 from collections import deque
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import count
 from random import Random
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from aiorts.errors import LinkError, LinkTimeout
-from aiorts.links import Caller, Peer, answer_of
+from aiorts.errors import LinkError
+from aiorts.links import BaseChannel, BaseTransport, Caller, Peer
 
 if TYPE_CHECKING:
     from aiorts.links import Channel, ChannelEvents, KernelFace, LinkOffer, Transport
@@ -33,7 +33,6 @@ _OVERTAKEN: Final = 0.02
 """Seconds by which a frame that others overtake is late, at the most."""
 _HOST: Final = "memory"
 
-_Handler = Callable[[bytes, Caller], Awaitable[bytes]]
 _Frame = tuple[bytes, tuple[memoryview, ...]]
 
 
@@ -129,7 +128,8 @@ class _Line:
         self._numbers = count()
         self._timer: asyncio.Handle | None = None
         self._due = 0.0
-        self.asked: dict[int, asyncio.Future[bytes]] = {}
+        self.asked = 0
+        """Questions that are not answered yet."""
         self.ended = False
 
     def put(self, what: _Sent | Callable[[], None], seconds: float) -> None:
@@ -168,70 +168,60 @@ class _Line:
         for key, frames in arrived.items():
             self.far.take(self._near.peer, key, frames)
 
-    def end(self, why: str) -> None:
-        """Lose all that is under way; questions are not answered any more."""
+    def end(self) -> None:
+        """Lose all that is under way."""
         self.ended = True
         self._stop_waiting()
         self._under_way.clear()
-        for future in self.asked.values():
-            if not future.done():
-                future.set_exception(LinkError(f"{self.far.name}: {why}"))
-        self.asked.clear()
 
 
-class _MemoryTransport:
+class _MemoryTransport(BaseTransport["_MemoryChannel"]):
     """One kernel's side of a `MemoryNetwork`. See `aiorts.links.Transport`."""
 
     def __init__(self, network: MemoryNetwork, name: str) -> None:
+        super().__init__()
         self.network, self.name = network, name
         self.peer = Peer(_HOST, name, 0)
-        self.loop: asyncio.AbstractEventLoop
-        self._kernel: KernelFace
         self._lines: dict[Peer, _Line] = {}
-        self._told: dict[Peer, None] = {}
-        """The peers that are up, as far as was told."""
-        self._tells: list[Callable[[Peer, bool], None]] = []
-        self._handlers: dict[str, _Handler] = {}
-        self._channels: dict[tuple[Peer, bool, int], _MemoryChannel] = {}
-        """By peer, whether this is the writer's end, and number."""
         self._notices: deque[Callable[[], None]] = deque()
         """What its kernel is told next, in this order, in steps of the loop's own."""
-        self._questions = count(1)
 
     async def open(self, kernel: KernelFace) -> None:
         """See `Transport`. LinkError: the kernel has another name than this transport, or one of that name is open."""
         if kernel.name != self.name:
             raise LinkError(f"the transport of {self.name!r} was given to the kernel {kernel.name!r}")
-        self._kernel, self.loop = kernel, asyncio.get_running_loop()
+        self.begin(kernel)
         self.peer = Peer(_HOST, self.name, kernel.epoch)
         self.network._enter(self)
 
     async def close(self) -> None:
         """See `Transport`."""
         self.network._leave(self)
-        self._tells.clear()
-        self._channels.clear()
+        self.end_all()
         for line in tuple(self._lines.values()):
             self.part(line.far, "it has ended")
         self._notices.clear()
 
     # -- other kernels ---------------------------------------------------------------------------------------------
 
+    @property
+    def own(self) -> Peer:
+        """This kernel; all are of one host."""
+        return self.peer
+
     def meet(self, other: _MemoryTransport) -> None:
         """Connect the two, unless they are connected."""
         if other.peer not in self._lines:
             for near, far in ((self, other), (other, self)):
                 near._lines[far.peer] = _Line(self.network, near, far)
-                near.tell(partial(near._present, far.peer, True))
+                near.tell(partial(near.found, far.peer))
 
     def part(self, other: _MemoryTransport, why: str) -> None:
         """End their connection, if there is one."""
         for near, far in ((self, other), (other, self)):
             if (line := near._lines.pop(far.peer, None)) is not None:
-                line.end(why)
-                near.tell(partial(near._present, far.peer, False))
-                for channel in [one for key, one in near._channels.items() if key[0] == far.peer]:
-                    channel.end(f"{far.name}: {why}")
+                line.end()
+                near.tell(partial(near.lost, far.peer, why))
 
     def tell(self, notice: Callable[[], None]) -> None:
         """Call it in a step of the loop of its own, after those before it; not before `go` while this is stopped."""
@@ -249,21 +239,6 @@ class _MemoryTransport:
         for line in self._lines.values():
             line.wake()
 
-    def _present(self, peer: Peer, up: bool) -> None:
-        if up:
-            self._told[peer] = None
-        else:
-            self._told.pop(peer, None)
-        for tell in tuple(self._tells):
-            tell(peer, up)
-
-    def presence(self, tell: Callable[[Peer, bool], None]) -> Callable[[], None]:
-        """See `Transport`."""
-        self._tells.append(tell)
-        for peer in tuple(self._told):
-            tell(peer, True)
-        return lambda: self._tells.remove(tell) if tell in self._tells else None
-
     def line_to(self, peer: Peer) -> _Line:
         """The line to a kernel. LinkError: there is none."""
         if (line := self._lines.get(peer)) is None:
@@ -274,23 +249,13 @@ class _MemoryTransport:
 
     async def channel(self, offer: LinkOffer, events: ChannelEvents) -> Channel:
         """See `Transport`. LinkError: the other kernel is gone."""
-        writes = offer.writer.kernel == self.name
-        name = (offer.reader if writes else offer.writer).kernel
-        peer = next((one for one in self._lines if one.kernel == name), None)
-        if peer is None:
-            raise LinkError(f"{name}: is gone")
+        peer, writes = self.far_end(offer)
         key = (peer, writes, offer.number)
-        channel = self._channels[key] = _MemoryChannel(self, key, events)
-        return channel
-
-    def forget(self, key: tuple[Peer, bool, int], channel: _MemoryChannel) -> None:
-        """Deliver nothing more to a channel."""
-        if self._channels.get(key) is channel:
-            del self._channels[key]
+        return self.keep(key, _MemoryChannel(self, key, events))
 
     def take(self, peer: Peer, key: tuple[bool, int], frames: list[_Frame]) -> None:
         """Frames have arrived; those of a channel that is not open here are lost."""
-        if (channel := self._channels.get((peer, *key))) is not None:
+        if (channel := self.channels.get((peer, *key))) is not None:
             channel.events.on_frames(frames)
 
     # -- questions -------------------------------------------------------------------------------------------------
@@ -298,65 +263,42 @@ class _MemoryTransport:
     async def ask(self, peer: Peer, what: str, body: bytes, *, within: float) -> bytes:
         """See `Transport`. LinkTimeout: no answer came in time. LinkError: the kernel is gone, or refuses."""
         line = self.line_to(peer)
-        if len(line.asked) >= _ASKED:
+        if line.asked >= _ASKED:
             raise LinkError(f"{peer.kernel}: {_ASKED} questions are not answered yet")
-        number = next(self._questions)
-        future: asyncio.Future[bytes] = self.loop.create_future()
-        line.asked[number] = future
-        line.put(partial(line.far.hear, self, number, what, bytes(body)), self.network.delay)
+        line.asked += 1
         try:
-            async with asyncio.timeout(within):
-                return await future
-        except TimeoutError:
-            raise LinkTimeout(f"{peer.kernel}: no answer within {within:g} s") from None
+            return await self.asked(
+                peer,
+                within,
+                lambda number: line.put(partial(line.far.hear, self, number, what, bytes(body)), self.network.delay),
+            )
         finally:
-            line.asked.pop(number, None)
-
-    def answer(self, what: str, handler: _Handler) -> None:
-        """See `Transport`."""
-        self._handlers[what] = handler
+            line.asked -= 1
 
     def hear(self, asker: _MemoryTransport, number: int, what: str, body: bytes) -> None:
         """A question has arrived."""
-        self._kernel.run_in_background(self._reply(asker, number, what, body), f"aiorts answer {what:.20}")
+        self.kernel.run_in_background(self._reply(asker, number, what, body), f"aiorts answer {what:.20}")
 
     async def _reply(self, asker: _MemoryTransport, number: int, what: str, body: bytes) -> None:
-        result: bytes | LinkError
-        try:
-            caller = Caller(asker.peer, f"memory {asker.name}")
-            result = await answer_of(self._handlers.get(what), what, body, caller, self._kernel)
-        except LinkError as error:
-            result = LinkError(f"{self.name}: {error}")
+        good, answer = await self.answer_to(what, body, Caller(asker.peer, f"memory {asker.name}"))
         if (line := self._lines.get(asker.peer)) is not None:
-            line.put(partial(asker.settle, self.peer, number, result), self.network.delay)
-
-    def settle(self, peer: Peer, number: int, result: bytes | LinkError) -> None:
-        """An answer has arrived; one that comes too late is ignored."""
-        line = self._lines.get(peer)
-        future = line.asked.get(number) if line is not None else None
-        if future is None or future.done():
-            return
-        if isinstance(result, LinkError):
-            future.set_exception(result)
-        else:
-            future.set_result(result)
+            line.put(partial(asker.settle, self.peer, number, good, answer), self.network.delay)
 
 
-class _MemoryChannel:
+class _MemoryChannel(BaseChannel):
     """One end of a channel. See `aiorts.links.Channel`."""
 
     def __init__(self, transport: _MemoryTransport, key: tuple[Peer, bool, int], events: ChannelEvents) -> None:
-        self.events = events
-        self._transport, self._key = transport, key
+        super().__init__(key[0], events, partial(transport.forget, key))
+        self._transport = transport
         self._line = transport.line_to(key[0])
         self.far_key = (not key[1], key[2])
         self._under_way = 0
         """Bytes."""
         self._refused = False
-        self._is_open = True
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
-        if not self._is_open or self._line.ended:
+        if not self.is_open or self._line.ended:
             return False
         if self._under_way > _FULL:
             self._refused = True
@@ -374,22 +316,4 @@ class _MemoryChannel:
         self._under_way -= size
         if self._refused and self._under_way <= _FULL // 2:
             self._refused = False
-            self._transport.tell(self._room)
-
-    def _room(self) -> None:
-        if self._is_open:
-            self.events.on_room()
-
-    def end(self, why: str) -> None:
-        """The connection is over."""
-        self._transport.forget(self._key, self)
-        self._transport.tell(partial(self._down, why))
-
-    def _down(self, why: str) -> None:
-        if self._is_open:
-            self._is_open = False
-            self.events.on_state(False, why)
-
-    def close(self) -> None:
-        self._is_open = False
-        self._transport.forget(self._key, self)
+            self._transport.tell(self.on_room)

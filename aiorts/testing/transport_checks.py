@@ -68,7 +68,7 @@ class _Face:
     """A kernel, as far as a transport sees it."""
 
     def __init__(self, name: str, epoch: int) -> None:
-        self.name, self.epoch = name, epoch
+        self.name, self.epoch, self.host = name, epoch, "here"
         self.tasks: list[asyncio.Task[Any]] = []
 
     def run_in_background(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
@@ -159,6 +159,11 @@ class _Pair:
     def peer_of_two(self) -> Peer:
         """Two, as one knows it."""
         return self.told[0][0][0]
+
+    @property
+    def peer_of_one(self) -> Peer:
+        """One, as two knows it."""
+        return self.told[1][0][0]
 
     async def channel(self, number: int = 1, *, back: bool = False) -> tuple[_End, _End]:
         """The writer's end and the reader's end of a channel from one to two, or back."""
@@ -400,6 +405,29 @@ async def _refusal(pair: _Pair, what: str) -> str:
 
 
 @_played
+async def answers_beside_samples(pair: _Pair) -> None:
+    """Questions are answered in either direction while channels are full."""
+
+    async def echo(body: bytes, caller: Caller) -> bytes:
+        return body
+
+    for transport in (pair.one, pair.two):
+        transport.answer("echo", echo)
+    for end in await pair.channel():
+        sent = 0
+        while sent < _ENDLESS and end.send(bytes(65_536)):
+            sent += 1
+    ways = (pair.one, pair.peer_of_two), (pair.two, pair.peer_of_one)
+    try:
+        asked = [transport.ask(peer, "echo", b"beside", within=_WAIT_SECONDS) for transport, peer in ways]
+        answers = await asyncio.gather(*asked)
+    except LinkError as error:
+        expect(False, "an answer", f"{type(error).__name__}: {error}")
+    else:
+        expect(answers == [b"beside"] * 2, "an answer each", answers)
+
+
+@_played
 async def keeps_to_its_time(pair: _Pair) -> None:
     """A question without an answer ends in LinkTimeout when its time is over, and its late answer is ignored."""
     held = asyncio.Event()
@@ -449,6 +477,33 @@ async def tells_of_the_end(pair: _Pair) -> None:
         expect(False, "LinkError for a channel to a kernel that has ended", "a channel")
     await asyncio.sleep(_QUIET_SECONDS)
     expect(len(writer.events.ends) == 1, "one on_state(False, why)", len(writer.events.ends))
+
+
+@_played
+async def fails_what_is_not_answered(pair: _Pair) -> None:
+    """When the other kernel ends, what it was asked and has not answered ends in LinkError, long before its time."""
+    asked = asyncio.Event()
+
+    async def never(body: bytes, caller: Caller) -> bytes:
+        asked.set()
+        await asyncio.Event().wait()
+        return body
+
+    pair.two.answer("never", never)
+    questions = [
+        asyncio.ensure_future(pair.one.ask(pair.peer_of_two, "never", b"", within=2 * _WAIT_SECONDS)) for _ in range(3)
+    ]
+    await _until(asked.is_set, "a question to arrive")
+    await _closed(pair.two)
+    await asyncio.wait(questions, timeout=_WAIT_SECONDS)
+    for question in questions:
+        if not question.done():
+            question.cancel()
+            expect(False, "LinkError when the other kernel has ended", "nothing")
+        error = question.exception()
+        expect(isinstance(error, LinkError) and not isinstance(error, LinkTimeout), "LinkError", repr(error))
+    for task in pair.faces[1].tasks:
+        task.cancel()
 
 
 @_played

@@ -136,7 +136,9 @@ class Network(KernelService):
         _check_name("host", host)
         for endpoint in listed(settings.listen):
             check_free(endpoint)
-        secured = _secured(settings, self.kernel.service(Links).reached_as)
+        links = self.kernel.service(Links)
+        links.reach.host = host  # also for kernels of this host: one that both transports find is one
+        secured = _secured(settings, links.reached_as)
         self._security = "certificates" if secured else "insecure: plain TCP" if settings.insecure else ""
         own, clock = engine_settings(settings, secured), self.kernel.clock
         self._transport = ZenohTransport(host, settings.domain, own, now=clock.time_ns, rename=settings.rename)

@@ -2,7 +2,8 @@
 
 For each neighbour and priority the engine keeps a queue of 16 batches of 64 KiB. A message that finds the queue full
 blocks its sender, or is lost. So that neither happens to a sample, no more than one queue is under way to a neighbour,
-over all channels together; the rest waits here, within a bound, and a link is told when it has to wait.
+over all channels together; the rest waits here, within a bound, and a link is told when it has to wait. Samples and
+control have a queue of the engine each, so what is under way is counted for each: nothing of control waits for samples.
 
 What is under way costs at most ROOM, the 16 batches. `cost` is what a message takes up at the worst: when nothing of
 the queue is written to the network, as for a neighbour that stands still. One case goes beyond it: a frame of up to
@@ -44,7 +45,7 @@ _FULL: Final = 1 << 20
 
 
 class Budget:
-    """What is under way to one kernel, over all of its channels."""
+    """The cost of what is under way to one kernel, over all of its channels: of samples, or of control."""
 
     def __init__(self) -> None:
         self.used = 0
@@ -119,6 +120,36 @@ class Budget:
         for sender in tuple(self.refusing):
             if sender.room_made():
                 sender.on_room()
+
+
+class Budgets:
+    """The budgets of one kernel, one for each queue of the engine."""
+
+    def __init__(self) -> None:
+        self.samples = Budget()
+        """Frames of writers' ends."""
+        self.control = Budget()
+        """Frames of readers' ends: acknowledgements, questions for samples, their end."""
+        self.both = self.samples, self.control
+
+    @property
+    def count(self) -> int:
+        """Channels to the kernel."""
+        return sum(len(budget.senders) for budget in self.both)
+
+    def pump(self) -> None:
+        """Send what there is room for, ask how far the other kernel has come where there is none, and tell of room."""
+        for budget in self.both:
+            budget.pump()
+            if not budget.has_room:
+                budget.look()
+            budget.tell_room()
+
+    def look_again(self) -> None:
+        """Ask the other kernel again where no frame may be sent."""
+        for budget in self.both:
+            if not budget.has_room:
+                budget.look_again()
 
 
 class Sender:

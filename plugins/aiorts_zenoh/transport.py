@@ -6,19 +6,30 @@ import asyncio
 import socket
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
-from aiorts.errors import DeniedError, LinkError, LinkTimeout
-from aiorts.links import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
+from aiorts.errors import DeniedError, LinkError
+from aiorts.links import (
+    BaseChannel,
+    BaseTransport,
+    Caller,
+    Channel,
+    ChannelEvents,
+    KernelFace,
+    LinkOffer,
+    Peer,
+    Turn,
+    turn_of,
+)
 from aiorts_zenoh.clocks import ClockOffset
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read
 from aiorts_zenoh.gate import Gate
 from aiorts_zenoh.keys import BY_READER, BY_WRITER, ClientKeys, Keys, asked
 from aiorts_zenoh.presence import AnyName, Presence, Trust, this_machine
-from aiorts_zenoh.sending import Budget, Receiver, Sender
+from aiorts_zenoh.sending import Budgets, Receiver, Sender
 from aiorts_zenoh.sessions import Sessions
 
 _LOOK_AGAIN: Final = 0.5
@@ -40,7 +51,6 @@ _SHORT: Final = 4_096
 """Bytes of a message that takes no long time to read, whatever is in it."""
 _MARGIN: Final = 1.0
 """Seconds that the engine keeps a question longer than who asks waits."""
-_LONGEST: Final = 2_000
 _GIVEN: Final = 10 << 16
 """Bytes of questions and answers that the engine surely has room for: its queue is of 16 times 64 KiB."""
 _DECLARED: Final = 32
@@ -50,10 +60,8 @@ It finds the way of a message with such a key at once. Any other key it compares
 kernels, 32 in some 15 us. But a declaration takes the longer the more there are: some ms beside 3,000.
 """
 
-Handler = Callable[[bytes, Caller], Awaitable[bytes]]
 
-
-class ZenohTransport:
+class ZenohTransport(BaseTransport["_ZenohChannel"]):
     """Carries links to kernels that a Zenoh session reaches.
 
     Args:
@@ -79,25 +87,20 @@ class ZenohTransport:
         *,
         rename: bool = False,
     ) -> None:
+        super().__init__()
         self.host, self.domain, self._renames = host, domain, rename
         self._machine = this_machine() if machine is None else machine
         self._settings, self.engine = dict(engine or {}), Engine()
-        self._handlers: dict[str, Handler] = {_CLOCK: self._tell_time}
+        self.answer(_CLOCK, self._tell_time)
         self._now = now
         self._clocks: dict[Peer, ClockOffset] = {}
         """Of those whose links end here."""
         self._comparing: asyncio.TimerHandle | None = None
-        self._tells: list[Callable[[Peer, bool], None]] = []
-        self._peers: dict[Peer, Budget] = {}
         self._named: Counter[str] = Counter()
-        """The same, as host/kernel; the engine's threads look into it."""
+        """The peers, as host/kernel; the engine's threads look into it."""
         self._bad: set[Peer] = set()
         """Those that have sent what is no message, which is said once."""
         self._gate: Gate
-        self._channels: dict[str, _ZenohChannel] = {}
-        """By the key under which the other end sends."""
-        self._asked: dict[int, tuple[Peer, asyncio.Future[bytes]]] = {}
-        self._last = 0
         self._answers: dict[tuple[str, bytes, int], asyncio.Future[tuple[bool, bytes]]] = {}
         """What was asked last, by who asks and its number: a question that comes twice is answered once."""
         self._ways: dict[Peer, _Way] = {}
@@ -118,8 +121,6 @@ class ZenohTransport:
         """Why this kernel may not ask others for operations; "" where it may."""
         self.trust: Trust = AnyName()
         """The rules of which kernels may be there, and which may tell of others."""
-        self.kernel: KernelFace
-        self.loop: asyncio.AbstractEventLoop
         self.keys: Keys
         self._sessions: Sessions
         self._presence: Presence | None = None
@@ -130,7 +131,7 @@ class ZenohTransport:
         Raises:
             LinkError: the engine refuses.
         """
-        self.kernel, self.loop = kernel, asyncio.get_running_loop()
+        self.begin(kernel)
         own = Peer(self.host, kernel.name, kernel.epoch)
         self.keys = Keys(self.domain, own, time.time_ns(), self._machine)
         self._sessions = Sessions(self.engine, ClientKeys(self.domain, kernel.name))
@@ -185,16 +186,9 @@ class ZenohTransport:
         if self._closed:
             return
         self._closed = True
-        self._tells.clear()
-        for channel in tuple(self._channels.values()):
-            channel.close()
+        self.end_all()
         for task in self._answers.values():
             task.cancel()
-        for _, future in self._asked.values():
-            if not future.done():
-                future.set_exception(LinkError("this kernel ends"))
-        self._asked.clear()
-        self._peers.clear()
         if self._looking is not None:
             self._looking.cancel()
         if self._comparing is not None:
@@ -216,17 +210,10 @@ class ZenohTransport:
 
     # -- other kernels ---------------------------------------------------------------------------------------------
 
-    def presence(self, tell: Callable[[Peer, bool], None]) -> Callable[[], None]:
-        """Tell of each kernel that is there or comes, and of each that goes; until the returned function is called."""
-        self._tells.append(tell)
-        for peer in tuple(self._peers):
-            tell(peer, True)
-        return lambda: self._tells.remove(tell)
-
     @property
-    def peers(self) -> tuple[Peer, ...]:
-        """The kernels that are there."""
-        return tuple(self._peers)
+    def own(self) -> Peer:
+        """This kernel, which may have another name here."""
+        return self.keys.own
 
     @property
     def left_out(self) -> int:
@@ -254,39 +241,19 @@ class ZenohTransport:
             self._inbox.put(self.kernel.report, text)
 
     def _present(self, peer: Peer, up: bool) -> None:
+        name = f"{peer.host}/{peer.kernel}"
         if up:
-            self._peers[peer], self._ways[peer] = Budget(), _Way()
-            self._named[f"{peer.host}/{peer.kernel}"] += 1
-        else:
-            del self._peers[peer]
-            name = f"{peer.host}/{peer.kernel}"
-            self._named[name] -= 1
-            if not self._named[name]:
-                del self._named[name]
-            self._bad.discard(peer)
-            self._clocks.pop(peer, None)
-            del self._ways[peer]
-        for tell in tuple(self._tells):
-            tell(peer, up)
-        if not up:
-            self._gone(peer)
-
-    def _gone(self, peer: Peer) -> None:
-        self._sessions.end(peer)
-        error = LinkError(f"{peer.kernel}: is gone")
-        for whom, future in tuple(self._asked.values()):
-            if whom == peer and not future.done():
-                future.set_exception(error)
-        for channel in [one for one in self._channels.values() if one.peer == peer]:
-            if channel.is_open:  # what is called for one may close another
-                channel.close()
-                channel.events.on_state(False, str(error))
-
-    def _peer_at(self, host: str, kernel: str) -> Peer:
-        found = [one for one in self._peers if one.kernel == kernel and host in ("", one.host)]
-        if not found:
-            raise LinkError(f"{kernel}: is gone")
-        return found[-1]
+            self._ways[peer] = _Way()
+            self._named[name] += 1
+            return self.found(peer)
+        del self._ways[peer]
+        self._named[name] -= 1
+        if not self._named[name]:
+            del self._named[name]
+        self._bad.discard(peer)
+        self._clocks.pop(peer, None)
+        self.lost(peer, "is gone")
+        return self._sessions.end(peer)
 
     # -- channels --------------------------------------------------------------------------------------------------
 
@@ -296,42 +263,39 @@ class ZenohTransport:
         Raises:
             LinkError: the other kernel is gone.
         """
-        own = self.keys.own
-        writes = offer.writer.kernel == own.kernel and offer.writer.host in ("", own.host)
-        far = offer.reader if writes else offer.writer
-        peer = self._peer_at(far.host, far.kernel)
+        own, (peer, writes) = self.own, self.far_end(offer)
         ends = (own, peer) if writes else (peer, own)
         # The reader has given the number: the same one may be that of another link with another kernel.
         mine, theirs = (BY_WRITER, BY_READER) if writes else (BY_READER, BY_WRITER)
         at, of = (self.keys.link(*ends, str(offer.number), sender) for sender in (mine, theirs))
-        if (old := self._channels.get(of)) is not None:
-            old.close()
-        budget = self._peers[peer]
-        declared = len(budget.senders) < _DECLARED
+        self.drop(of)
+        budgets = self._ways[peer].budgets
+        declared = budgets.count < _DECLARED
         priority = _priority(offer) if writes else "INTERACTIVE_HIGH"
-        channel = self._channels[of] = _ZenohChannel(
+        channel = _ZenohChannel(
             [self.engine.publisher(at, one, declared=declared) for one in (priority, "INTERACTIVE_HIGH")],
-            budget,
+            budgets,
             peer,
+            writes,
             offer.writer_epoch & 0xFFFFFFFF,
             events,
-            partial(self._forget, of),
+            partial(self._closed_at, of, peer),
             self.engine.expect(of) if declared else None,
         )
+        self.keep(of, channel)
         if self._looking is None:
             self._looking = self.loop.call_later(_LOOK_AGAIN, self._look_again)
         if not writes:
             self.loop.call_soon(self._compares, channel)
         return channel
 
-    def _forget(self, key: str, channel: _ZenohChannel) -> None:
-        if self._channels.get(key) is channel:
-            del self._channels[key]
-            if not self._closed:
-                self.loop.call_soon(self._pump, channel.peer)  # what it had under way is free for others
+    def _closed_at(self, key: str, peer: Peer) -> None:
+        self.forget(key)
+        if not self._closed:
+            self.loop.call_soon(self._pump, peer)  # what it had under way is free for others
 
     def _arrived(self, key: str, data: bytes) -> None:
-        channel = self._channels.get(key)
+        channel = self.channels.get(key)
         if self._closed:
             return
         began = time.thread_time_ns() if len(data) > _SHORT else 0  # a look at the clock takes a microsecond
@@ -353,20 +317,14 @@ class ZenohTransport:
                 self._gate.took(key, size, time.thread_time_ns() - began)
 
     def _pump(self, peer: Peer) -> None:
-        budget = self._peers.get(peer)
-        if budget is None:
-            return
-        budget.pump()
-        if not budget.has_room:
-            budget.look()
-        budget.tell_room()
+        if (way := self._ways.get(peer)) is not None:
+            way.budgets.pump()
 
     def _look_again(self) -> None:
         """What waits for room must not wait for an answer that was lost."""
-        self._looking = self.loop.call_later(_LOOK_AGAIN, self._look_again) if self._channels else None
-        for budget in self._peers.values():
-            if not budget.has_room:
-                budget.look_again()
+        self._looking = self.loop.call_later(_LOOK_AGAIN, self._look_again) if self.channels else None
+        for way in self._ways.values():
+            way.budgets.look_again()
 
     # -- clocks ----------------------------------------------------------------------------------------------------
 
@@ -385,8 +343,8 @@ class ZenohTransport:
             self._comparing = self.loop.call_later(_COMPARED, self._compare_all)
 
     def _compare_all(self) -> None:
-        self._comparing = self.loop.call_later(_COMPARED, self._compare_all) if self._channels else None
-        for peer in {channel.peer for channel in self._channels.values()} & self._clocks.keys():
+        self._comparing = self.loop.call_later(_COMPARED, self._compare_all) if self.channels else None
+        for peer in {channel.peer for channel in self.channels.values()} & self._clocks.keys():
             self.kernel.run_in_background(self._compare(peer), "aiorts clock")
 
     async def _compare(self, peer: Peer) -> None:
@@ -400,7 +358,7 @@ class ZenohTransport:
             return
         clock.add(asked, int.from_bytes(answer, "little", signed=True), now)
         if (offset := clock.at(now)) is not None:
-            for channel in tuple(self._channels.values()):
+            for channel in tuple(self.channels.values()):
                 if channel.peer == peer and channel.is_open:
                     channel.events.on_clock(*offset)
 
@@ -416,44 +374,33 @@ class ZenohTransport:
             LinkTimeout: there was none within so many seconds.
             LinkError: the kernel is gone, or refuses to answer.
         """
-        if peer not in self._peers:
-            raise LinkError(f"{peer.kernel}: is gone")
-        self._last = number = self._last + 1
-        future: asyncio.Future[bytes] = self.loop.create_future()
-        self._asked[number] = peer, future
         until = self.loop.time() + within
-        key, own = self.keys.question(peer, what), self.keys.own
-        beside = own.epoch.to_bytes(8, "little") + number.to_bytes(8, "little") + f"{own.host}/{own.kernel}".encode()
+        key, own = self.keys.question(peer, what), self.own
 
-        def answered(good: bool | None, data: bytes) -> None:
-            if good is not None and peer in self._ways:
-                self._ways[peer].given = 0
-            if future.done():
-                return
-            if good is None:  # nobody has answered: who will may not be known here yet
-                if (left := until - self.loop.time()) > _ASK_AGAIN:
+        def begin(number: int) -> None:
+            epoch, beside = own.epoch.to_bytes(8, "little"), number.to_bytes(8, "little")
+            beside = epoch + beside + f"{own.host}/{own.kernel}".encode()
+
+            def answered(good: bool | None, data: bytes) -> None:
+                if good is not None:
+                    if peer in self._ways:
+                        self._ways[peer].given = 0
+                    self.settle(peer, number, good, data)
+                elif (left := until - self.loop.time()) > _ASK_AGAIN:
+                    # Nobody has answered: who will may not be known here yet.
                     self.loop.call_later(_ASK_AGAIN, again, left)
-            elif good:
-                future.set_result(data)
-            else:
-                future.set_exception(LinkError(f"{peer.kernel}: {data[:_LONGEST].decode(errors='replace')}"))
 
-        def give(left: float) -> None:
-            if not future.done():  # else an old offer would come behind the new one, and be the one that counts
-                self.engine.ask(key, body, beside, left + _MARGIN, answered)
+            def give(left: float) -> None:
+                if self.is_awaited(number):  # else an old offer would come behind the new one, and be what counts
+                    self.engine.ask(key, body, beside, left + _MARGIN, answered)
 
-        def again(left: float) -> None:
-            if not future.done() and not self._closed:
-                self._give(peer, len(body), partial(give, left))
+            def again(left: float) -> None:
+                if self.is_awaited(number) and not self._closed:
+                    self._give(peer, len(body), partial(give, left))
 
-        try:
             again(within)
-            async with asyncio.timeout(within):
-                return await future
-        except TimeoutError:
-            raise LinkTimeout(f"{peer.kernel}: no answer within {within:g} s") from None
-        finally:
-            self._asked.pop(number, None)
+
+        return await self.asked(peer, within, begin)
 
     async def session(self, peer: Peer) -> socket.socket:
         """A connection for a session with another kernel, in which this one operates it if it is let, else looks.
@@ -469,10 +416,6 @@ class ZenohTransport:
         reader, writer = await asyncio.open_unix_connection(sock=theirs)
         self.kernel.run_in_background(self._sessions.carry(peer, reader, writer), "aiorts session")
         return ours
-
-    def answer(self, what: str, handler: Handler) -> None:
-        """Answer such questions with `handler` from now on."""
-        self._handlers[what] = handler
 
     def _was_asked(self, key: str, body: bytes, beside: bytes, query: Any) -> None:
         if self._closed:
@@ -498,17 +441,13 @@ class ZenohTransport:
 
     async def _answer_of(self, name: str, what: str, body: bytes, who: bytes) -> tuple[bool, bytes]:
         until = self.loop.time() + _MARGIN
-        while (peer := self._who(name, who)) is None or not self._tells:
+        while (peer := self._who(name, who)) is None or not self.is_watched:
             if self.loop.time() > until:
                 return False, b"who asks is not known here"
             await asyncio.sleep(_ASK_AGAIN)  # its token is on the way, or nobody here has heard of it yet
         if len(self._answers) > _ASKED:
             return False, b"too many questions at the same time"
-        try:
-            caller = Caller(peer, f"kernel {peer.host}/{peer.kernel}")
-            return True, await answer_of(self._handlers.get(what), what, body, caller, self.kernel)
-        except LinkError as error:
-            return False, str(error).encode()[:_LONGEST]
+        return await self.answer_to(what, body, Caller(peer, f"kernel {peer.host}/{peer.kernel}"))
 
     def _give(self, peer: Peer | None, size: int, work: Callable[[], None]) -> None:
         """Give a question or answer to the engine, at once where that has room for it."""
@@ -536,13 +475,15 @@ class ZenohTransport:
         """The kernel that asks: its name is in the key, where it cannot be another's."""
         host, _, kernel = who[8:].decode(errors="replace").partition("/")
         peer = Peer(host, kernel, int.from_bytes(who[:8], "little"))
-        return peer if kernel == name and peer in self._peers else None
+        return peer if kernel == name and peer in self._ways else None
 
 
 class _Way:
-    """Where the engine has no room for a question or answer to one kernel, it waits: in a thread, not on the loop."""
+    """The way to one kernel. Where the engine has no room for a question or answer, it waits: in a thread, not on the
+    loop."""
 
     def __init__(self) -> None:
+        self.budgets = Budgets()
         self.turn = asyncio.Lock()
         """Held while one waits; all others to this kernel wait for it."""
         self.given = 0
@@ -559,31 +500,37 @@ def _priority(offer: LinkOffer) -> str:
     return "DATA_LOW" if offer.profile.push == "new" else "DATA"
 
 
-class _ZenohChannel:
+class _ZenohChannel(BaseChannel):
     """One end of a link."""
 
     def __init__(
         self,
         publishers: Sequence[Any],
-        budget: Budget,
+        budgets: Budgets,
         peer: Peer,
+        writes: bool,
         epoch: int,
         events: ChannelEvents,
-        closed: Callable[[_ZenohChannel], None],
+        closed: Callable[[], object],
         ignore: Callable[[], None] | None,
     ) -> None:
-        self.peer, self.events = peer, events
-        self._epoch, self._closed, self._ignore = epoch, closed, ignore
+        super().__init__(peer, events, closed)
+        self._epoch, self._ignore = epoch, ignore
         self._publisher, self._urgent = publishers
-        self.sender = Sender(budget, self._publisher.put, epoch, time.time_ns, events.on_room)
-        self._receiver, self._whole = Receiver(budget, self._tell), Whole()
-        self.is_open = True
+        mine, theirs = budgets.both if writes else reversed(budgets.both)
+        self.sender = Sender(mine, self._publisher.put, epoch, time.time_ns, events.on_room)
+        self._receiver, self._whole = Receiver(theirs, self._tell), Whole()
+        self._writes = writes
         self.came = 0
         """Bytes of the long frame that the last message made whole."""
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if not self.is_open:
             return False
+        if self._writes and turn_of(head) is Turn.CONTROL:
+            # Not in the queue of the samples, which it may overtake. It counts as nothing that was sent there.
+            self._urgent.put(message(FRAME, self._epoch, 0, time.time_ns(), (head,)))
+            return True
         if not parts:
             return self.sender.send((head,))
         flat = [part.cast("B") if part.format != "B" or part.ndim != 1 else part for part in parts]
@@ -615,8 +562,7 @@ class _ZenohChannel:
     def close(self) -> None:
         if not self.is_open:
             return
-        self.is_open = False
-        self._closed(self)
+        super().close()
         self.sender.close()
         self._receiver.close()
         if self._ignore is not None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from aiorts import Component, Goal, InPort, OutPort, Param, Provided, Required
 from aiorts.errors import ServiceError
-from aiorts.types import TimedDoubleSeq, TimedLong, TimedPose2D
+from aiorts.types import TimedDoubleSeq, TimedLong, TimedOctetSeq, TimedPose2D
 from campaign import CAMPAIGN
 
 LINES = 15_625 if CAMPAIGN else 500
@@ -306,3 +306,35 @@ class Asked(Component):
     async def on_execute(self) -> None:
         for _ in self.ask.drain():
             self.out.write_nowait(await self.inp.read())
+
+
+class Camera(Component):
+    """Writes 1 MiB in each cycle."""
+
+    out = OutPort(TimedOctetSeq)
+    waits: bool = Param(False)
+    number = 0
+
+    async def on_execute(self) -> None:
+        self.number += 1
+        sample = TimedOctetSeq(self.number, self.number.to_bytes(8, "little") * 131_072)
+        if self.waits:
+            await self.out.write(sample)
+        else:
+            self.out.write_nowait(sample)
+
+
+class Detector(Component):
+    """Takes 0.1 s for what has come, and its loop stands still meanwhile."""
+
+    inp = InPort(TimedOctetSeq)
+    level: int = Param(0)
+    fails: bool = Param(False)
+
+    def on_execute(self) -> None:
+        time.sleep(0.1)
+        if self.fails:
+            raise RuntimeError("told to")
+        for sample in self.inp.drain():
+            if bytes(sample.data[:8]) != sample.tm.to_bytes(8, "little"):
+                raise RuntimeError(f"sample {sample.tm} is another one")

@@ -69,7 +69,7 @@ async def test_arrays_arrive_and_keep_their_values_whoever_sent_them(programs: t
                     kept.append(sample.data[5:7])
                 del sample
         assert [int(one[0]) for one in kept] == [number % 251 for number in range(0, 300, 10)]
-        ((connection,),) = one.service(Links).reach._transport._peers.values()  # type: ignore[union-attr]
+        ((connection,),) = one.service(Links).reach._transport._ways.values()  # type: ignore[union-attr]
         assert connection.rings._sending._used is not None
 
 
@@ -290,7 +290,7 @@ async def test_a_peer_that_gives_nothing_back_stops_nobody() -> None:
     async with hostile_to_a_kernel() as (two, hostile):
         transport = two.service(Links).reach._transport
         await hostile.next(PROOF)
-        ((connection,),) = transport._peers.values()  # type: ignore[union-attr]
+        ((connection,),) = transport._ways.values()  # type: ignore[union-attr]
         block = memoryview(bytes(SIZE))
         async with asyncio.timeout(10):
             connection.send_parts(BY_WRITER, 1, b"head", [block])

@@ -120,6 +120,39 @@ async def test_many_that_never_say_who_they_are_keep_nobody_out_and_are_closed()
 
 
 @fault("E12")
+async def test_of_those_that_never_say_who_they_are_256_are_kept_at_the_most() -> None:
+    async with reachable("station") as station:
+        sink = await station.add(Sink("sink"))
+        await station.service(Links).opened()
+        before = descriptors()
+        async with flooded(station, 600, "idle"):
+            await has_descriptors(before + 256 + 10)
+            await link_works(station, sink, "robot")
+            await has_descriptors(before + 10)
+
+
+@fault("E12")
+async def test_who_asks_without_end_and_takes_no_answers_is_cut_off(caplog: pytest.LogCaptureFixture) -> None:
+    async with reachable("station") as station:
+        links = station.service(Links)
+        await links.opened()
+        (path,) = private_folder().glob("*.link")
+        loop = asyncio.get_running_loop()
+        with socket.socket(socket.AF_UNIX) as caller:
+            caller.setblocking(False)
+            caller.connect(str(path))
+            hello, question = packed(["host", "asker", 1]), packed(["no such question", b""])
+            await loop.sock_sendall(caller, struct.pack("<IBBHI", len(hello), 1, 0, 0, 0) + hello)
+            asks = (struct.pack("<IBBHI", len(question), 2, 0, 0, 7) + question) * 200_000
+            with fail_after(60), pytest.raises(ConnectionError):
+                await loop.sock_sendall(caller, asks)
+        with fail_after(10):
+            while links.peers:
+                await sleep(0.01)
+        assert "it asks, and takes no answers" in caplog.text
+
+
+@fault("E12")
 @pytest.mark.parametrize(
     "greeting", [["host", "a/b", 1], ["host", "x" * 101, 1], ["host", "", 1], ["h" * 254, "a", 1], ["a/b", "a", 1]]
 )

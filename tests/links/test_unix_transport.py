@@ -19,12 +19,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aiorts import Kernel
+from aiorts import Component, InPort, Kernel, OutPort
 from aiorts.errors import LinkError
-from aiorts.links import Links, Transport, checked_peer
+from aiorts.links import Caller, Links, Transport, checked_peer
+from aiorts.links.messages import packed
 from aiorts.links.stream import Message, Stream
 from aiorts.links.unix import UnixTransport
 from aiorts.testing import TRANSPORT_CHECKS, check_transport
+from aiorts.types import TimedLong
+
+
+class _Source(Component):
+    out = OutPort(TimedLong)
+
+
+class _Sink(Component):
+    inp = InPort(TimedLong)
 
 
 def unix() -> tuple[Transport, Transport]:
@@ -191,3 +201,142 @@ def test_of_kernels_of_one_name_that_start_at_the_same_time_one_has_it() -> None
             return has_it
 
     assert sorted(in_threads(main, "same", "same")) == [False, True]
+
+
+class _Asked:
+    """A kernel that never reads what it is sent, at the other end of a socket, and what it has asked."""
+
+    def __init__(self, path: Path) -> None:
+        self.socket = socket.socket(socket.AF_UNIX)
+        self.socket.connect(str(path))
+        self.socket.setblocking(False)
+
+    async def send(self, kind: int, number: int, body: bytes) -> None:
+        message = struct.pack("<IBBHI", len(body), kind, 0, 0, number) + body
+        await asyncio.get_running_loop().sock_sendall(self.socket, message)
+
+    async def answers(self, count: int) -> list[tuple[int, int]]:
+        """Kind and number of so many answers."""
+        found: list[tuple[int, int]] = []
+        loop, data = asyncio.get_running_loop(), b""
+        while len(found) < count:
+            data += await loop.sock_recv(self.socket, 1 << 20)
+            while len(data) >= 12 and len(data) >= 12 + struct.unpack_from("<I", data)[0]:
+                length, kind, _, _, number = struct.unpack_from("<IBBHI", data)
+                if kind in (3, 4):
+                    found.append((kind, number))
+                data = data[12 + length :]
+        return found
+
+
+def test_no_answer_is_lost_when_the_other_end_reads_late() -> None:
+    """As while it stands still: more answers wait than the stream takes, and each waits for its turn."""
+
+    async def main() -> list[tuple[int, int]]:
+        async with Kernel("answers", services={"links": {}}) as kernel:
+            links = kernel.service(Links)
+            await links.opened()
+            transport = links.reach._transport
+            assert isinstance(transport, UnixTransport)
+
+            async def large(body: bytes, caller: Caller) -> bytes:
+                return bytes(60_000)
+
+            transport.answer("large", large)
+            asked = _Asked(transport._path)
+            with asked.socket:
+                await asked.send(1, 0, packed(["here", "asks", 1]))
+                for number in range(1, 901):
+                    await asked.send(2, number, packed(["large", b""]))
+                await asyncio.sleep(1.0)  # 54 MB of answers wait, and the stream takes 16
+                async with asyncio.timeout(20.0):
+                    return await asked.answers(900)
+
+    assert asyncio.run(main()) == [(3, number) for number in range(1, 901)]
+
+
+async def _found(kernel: Kernel, name: str, within: float = 10.0) -> None:
+    async with asyncio.timeout(within):
+        while name not in [peer.kernel for peer in kernel.service(Links).peers]:
+            await asyncio.sleep(0.01)
+
+
+def test_a_kernel_whose_queue_is_full_is_found_when_it_takes_connections_again() -> None:
+    """While it stands still others may come until its queue is full; `connect` fails then, and is made again."""
+
+    async def main() -> None:
+        async with Kernel("late", services={"links": {}}) as late:
+            await late.service(Links).opened()
+            transport = late.service(Links).reach._transport
+            assert isinstance(transport, UnixTransport)
+            listener, loop = transport._listener, asyncio.get_running_loop()
+            assert listener is not None
+            loop.remove_reader(listener.fileno())  # it stands still
+            callers = []
+            with suppress(BlockingIOError):
+                while True:
+                    callers.append(socket.socket(socket.AF_UNIX))
+                    callers[-1].setblocking(False)
+                    callers[-1].connect(str(transport._path))
+            async with Kernel("other", services={"links": {}}) as other:
+                await other.service(Links).opened()
+                assert not other.service(Links).peers
+                loop.add_reader(listener.fileno(), transport._accept)
+                await _found(other, "late")
+                await _found(late, "other")
+            for one in callers:
+                one.close()
+
+    asyncio.run(main())
+
+
+def test_a_connection_that_was_ended_before_its_greeting_is_made_again() -> None:
+    """Who accepts ends one that is silent; who has connected may only have stood still."""
+
+    async def main() -> None:
+        async with Kernel("one", services={"links": {}}) as one:
+            await one.service(Links).opened()
+            async with Kernel("two", services={"links": {}}) as two:
+                await two.service(Links).opened()
+                await _found(two, "one")
+                transport = one.service(Links).reach._transport
+                assert isinstance(transport, UnixTransport)
+                for _ in range(3):
+                    (connection,) = transport._connections
+                    connection.close()
+                    assert not one.service(Links).peers
+                    await _found(one, "two")
+                    await _found(two, "one")
+            async with asyncio.timeout(10.0):  # and not once it is gone
+                while one.service(Links).peers or transport._connections:
+                    await asyncio.sleep(0.01)
+
+    asyncio.run(main())
+
+
+def test_of_two_connections_with_one_kernel_the_other_one_carries_on() -> None:
+    """Kernels that open at the same time have two; frames of a channel whose one ended were never taken again."""
+
+    async def main() -> None:
+        async with Kernel("one") as one, Kernel("two") as two:
+            ends = [kernel.service(Links) for kernel in (one, two)]
+            transports = [UnixTransport(), UnixTransport()]
+            for links, transport in zip(ends, transports, strict=True):
+                links.use(transport)
+                await links.opened()
+            await _found(one, "two")
+            second = transports[0]._connect(transports[1]._path)
+            assert second is not None
+            await second.greeted
+            source, sink = await one.add(_Source("source")), await two.add(_Sink("sink"))
+            connector = await one.connect(source.out, "two/sink.inp")
+            first = next(iter(transports[0]._ways.values()))[0]
+            source.out.write_nowait(TimedLong(0, 1))
+            assert (await sink.inp.read(timeout=10.0)).data == 1
+            first.close()
+            source.out.write_nowait(TimedLong(0, 2))
+            assert (await sink.inp.read(timeout=10.0)).data == 2
+            assert links.report()
+            assert connector.statistics.dropped == {}
+
+    asyncio.run(main())

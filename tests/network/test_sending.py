@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 pytest.importorskip("zenoh")
 
 from aiorts_zenoh.envelope import BATCH, FRAME, LONG, LOOK, PIECE, PIECES, Whole, cost, read
-from aiorts_zenoh.sending import Budget, Receiver, Sender
+from aiorts_zenoh.sending import Budget, Budgets, Receiver, Sender
 
 
 class Way:
@@ -215,6 +215,34 @@ def test_what_says_that_a_link_has_ended_goes_out_though_there_is_no_room() -> N
     while way.under_way:
         way.step()
     assert way.came[-1] == b"ends"
+
+
+def test_an_acknowledgement_goes_out_though_samples_wait_for_room() -> None:
+    budgets = Budgets()
+    samples, control = Way(budgets.samples), Way(budgets.control)
+    while budgets.samples.has_room:
+        samples.sender.send([bytes(PIECES // 2)])
+    assert samples.sender.send([b"waits"])
+    assert control.sender.send([b"acknowledged"])
+    control.step()
+    assert (control.came, budgets.samples.has_room, budgets.count) == ([b"acknowledged"], False, 2)
+    while samples.under_way:
+        samples.step()
+        budgets.pump()
+    assert samples.came[-1] == b"waits"
+
+
+def test_it_is_asked_again_at_each_that_has_no_room() -> None:
+    budgets = Budgets()
+    ways = Way(budgets.samples), Way(budgets.control)
+    for way, budget in zip(ways, budgets.both, strict=True):
+        while budget.has_room:
+            way.sender.send([bytes(PIECES // 2)])
+        way.under_way.clear()  # all is lost
+    budgets.look_again()
+    for way in ways:
+        way.step()
+    assert [budget.has_room for budget in budgets.both] == [True, True]
 
 
 def test_who_cuts_a_long_frame_asks_at_some_of_thousands_of_channels() -> None:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import pytest
 
+from aiorts.processes import Launcher
 from campaign import cases, time_limit
 from process_parts import DAEMON, GONE, WAIT, all_gone, marked, program, started, there
 
@@ -161,6 +165,85 @@ async def test_a_helper_that_is_killed_takes_its_children_along_and_the_next_sta
         while (left := set(there(its.mark))) != {its.helper} and time.monotonic() < until:
             await asyncio.sleep(0.01)
         assert left == {its.helper} != {helper}
+
+
+def kill_marked(mark: str) -> None:
+    """The net below a test: whatever of its processes is there, for some seconds."""
+    until = time.monotonic() + WAIT
+    while (left := there(mark)) and time.monotonic() < until:
+        for pid in left:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+
+BOMB = Path(__file__).with_name("bomb.py")
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("ends", ["closed", "killed"])
+async def test_nothing_is_left_of_processes_that_start_one_another_anew(ends: str, tmp_path: Path) -> None:
+    with marked() as mark:
+        try:
+            launcher, (ours, its) = Launcher(), socket.socketpair()
+            said: list[str] = []
+            child = await launcher.start(
+                program(
+                    "import subprocess, sys, time\n"
+                    f"command = [sys.executable, '-S', {str(BOMB)!r}, {str(tmp_path / 'seen')!r}]\n"
+                    "subprocess.Popen([*command, str(time.monotonic() + 6)], start_new_session=True)\n"
+                    "import os; os.read(3, 1)"
+                ),
+                descriptor=its.fileno(),
+                name="bomber",
+                on_line=lambda _stream, line: said.append(line),
+            )
+            async with asyncio.timeout(WAIT):
+                while len(there(mark)) < 30:
+                    await asyncio.sleep(0.05)
+            if ends == "killed":
+                child.kill()
+                async with asyncio.timeout(WAIT):
+                    await child.ended
+                assert set(all_gone(mark)) == {launcher._helper.pid if launcher._helper else 0}
+            await launcher.close(WAIT)
+            assert (all_gone(mark), said) == ({}, [])
+            for end in (ours, its):
+                end.close()
+        finally:
+            kill_marked(mark)
+
+
+@pytest.mark.anyio
+async def test_a_helper_that_is_stopped_while_it_is_closed_goes_on_and_kills_what_is_left() -> None:
+    """Killed in the place of it, it left what it had adopted of children that have ended."""
+    with marked() as mark:
+        try:
+            launcher, (ours, its) = Launcher(), socket.socketpair()
+            lines: list[str] = []
+            child = await launcher.start(
+                program(DAEMON + "print('daemons', flush=True)\nimport os; os.read(3, 1)"),
+                descriptor=its.fileno(),
+                name="child",
+                on_line=lambda _stream, line: lines.append(line),
+            )
+            async with asyncio.timeout(WAIT):
+                while "daemons" not in lines:
+                    await asyncio.sleep(0.01)
+            assert launcher._helper is not None
+            os.kill(launcher._helper.pid, signal.SIGSTOP)
+            ours.send(b"x")
+            async with asyncio.timeout(WAIT):
+                while Path(f"/proc/{child.pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z":
+                    await asyncio.sleep(0.01)
+            await launcher.close(0.2)
+            assert all_gone(mark, WAIT) == {}
+            for thread in threading.enumerate():
+                if thread.name == "aiorts-helper":
+                    thread.join(WAIT)
+            for end in (ours, its):
+                end.close()
+        finally:
+            kill_marked(mark)
 
 
 @pytest.mark.anyio

@@ -19,7 +19,12 @@ class End:
         """Whether messages can be sent now."""
         self.descriptor: int | None = None
         self._loop = asyncio.get_running_loop()
-        self.rings = Rings(self._loop, self._say, lambda: None, self._received, self.reports.append)
+        self.rooms = 0
+        """How often it was told that parts which had to wait may be sent."""
+        self.rings = Rings(self._loop, self._say, lambda: None, self._received, self.reports.append, self._room)
+
+    def _room(self) -> None:
+        self.rooms += 1
 
     def _say(self, body: bytes, descriptor: int | None) -> bool:
         if self.takes:
@@ -38,7 +43,7 @@ class End:
         """The parts of a frame as the other end has them."""
         views = [memoryview(part) for part in parts]
         put = self.rings.put(views)
-        if put is None:
+        if put is None or not put.places:
             return tuple(views)
         places, beside = put
         head, found = self.other.rings.frame_of(memoryview(self.rings.frame(places, b"head")), beside)

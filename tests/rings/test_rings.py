@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from aiorts.errors import LinkError
-from aiorts.rings import Rings
+from aiorts.rings import Rings, sending
 from aiorts.rings.frames import FREED, OFFERED, freed_bytes, places_bytes
 from aiorts.rings.memory import LARGEST
 from aiorts.types import NDArray, record
@@ -111,6 +111,42 @@ def test_a_larger_ring_takes_the_place_of_one_that_is_full() -> None:
         assert (first[0], later[0]) == (1, 40)
         assert (await near.through_ring(block(50, 1 << 20)))[0][-1] == 50
         assert first[-1] == 1
+        close(ends)
+
+    asyncio.run(run())
+
+
+def test_large_parts_wait_for_the_ring_that_is_being_made_and_hear_of_it() -> None:
+    async def run() -> None:
+        ends = near, _ = pair()
+        large, small = memoryview(block(1)), memoryview(b"small")
+        assert near.rings.put([large]) is None
+        assert near.rings.put([small]) == ([], [small])  # which is not to wait for anything
+        assert near.rooms == 0
+        async with asyncio.timeout(5):
+            while not near.rooms:
+                await turns()
+        assert near.rooms == 1
+        put = near.rings.put([large])
+        assert put is not None
+        assert put.beside == []
+        close(ends)
+
+    asyncio.run(run())
+
+
+def test_large_parts_do_not_wait_for_a_ring_that_the_other_end_never_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sending, "_HELD", 0.05)
+
+    async def run() -> None:
+        ends = near, far = pair()
+        far.takes = False
+        large = memoryview(block(1))
+        assert near.rings.put([large]) is None
+        async with asyncio.timeout(5):
+            while not near.rooms:
+                await asyncio.sleep(0.01)
+        assert near.rings.put([large]) == ([], [large])
         close(ends)
 
     asyncio.run(run())

@@ -7,7 +7,7 @@ import time
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
-from aiorts.errors import LinkError
+from aiorts.errors import LinkError, LinkTimeout
 from aiorts.links import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, Transport
 from aiorts.testing import MemoryNetwork
 
@@ -137,6 +137,43 @@ class _Secretive(Passing):
             raise type(error)("it went wrong") from None
 
 
+class _Behind(Passing):
+    """Answers nothing while a channel is full."""
+
+    async def channel(self, offer: LinkOffer, events: ChannelEvents) -> Channel:
+        channel = await self.inner.channel(offer, events)
+        self.__dict__.setdefault("full", [])
+        return _Noting(channel, events, self.__dict__["full"])
+
+    async def ask(self, peer: Peer, what: str, body: bytes, *, within: float) -> bytes:
+        if self.__dict__.get("full"):
+            raise LinkTimeout(f"{peer.kernel}: behind samples")
+        return await self.inner.ask(peer, what, body, within=within)
+
+
+class _Noting(PassingChannel):
+    def __init__(self, inner: Channel, events: ChannelEvents, full: list[bool]) -> None:
+        super().__init__(inner, events)
+        self.full = full
+
+    def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
+        taken = self.inner.send(head, parts)
+        if not taken:
+            self.full.append(True)
+        return taken
+
+
+class _Hopeful(Passing):
+    """Waits for an answer of who has ended."""
+
+    async def ask(self, peer: Peer, what: str, body: bytes, *, within: float) -> bytes:
+        try:
+            return await self.inner.ask(peer, what, body, within=within)
+        except LinkError:
+            await asyncio.sleep(within)
+            raise
+
+
 def _of(channel: Callable[[Channel, ChannelEvents], Channel]) -> type[Passing]:
     return type(channel.__name__, (Passing,), {"kind": staticmethod(channel)})
 
@@ -163,6 +200,8 @@ WRONG_TRANSPORTS: dict[str, tuple[type[Passing], str]] = {
     "it never tells that a channel is down": (_Deaf, "tells_of_the_end"),
     "it waits longer than it may": (_Patient, "keeps_to_its_time"),
     "it does not say why": (_Secretive, "answers_questions"),
+    "its answers wait behind samples": (_Behind, "answers_beside_samples"),
+    "it waits for who has ended": (_Hopeful, "fails_what_is_not_answered"),
     "it hangs in close": (_Hanging, "ends_in_time"),
 }
 """Each with the check that must find it."""

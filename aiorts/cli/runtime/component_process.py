@@ -78,12 +78,13 @@ class _Process:
         self._reports: set[asyncio.Task[None]] = set()
         self._own: dict[str, Callable[..., Awaitable[Any]]] = {
             "bind": self._bind,
+            "configure": self._configure,
             "hold": self._hold,
             "state": self._state,
             "unread": self._unread,
             "give": self._give,
         }
-        """What is asked for beside the operations of the control table."""
+        """The operations beside those of the control table, and those with another answer."""
 
     async def serve(self) -> None:
         first = self._first
@@ -99,9 +100,14 @@ class _Process:
             kernel.bus.subscribe(StateChanged, self._changed)
             kernel.bus.subscribe(PortAdded, self._ports_changed)
             kernel.bus.subscribe(PortRemoved, self._ports_changed)
-            self._transport.take(self._socket)
+            greeted = self._transport.take(self._socket).greeted
+            greeted.add_done_callback(self._is_greeted)
             await self._over.wait()
             self._session.end()
+
+    def _is_greeted(self, _: asyncio.Future[None]) -> None:
+        if self._parent is None:  # the connection is over before the other kernel has said who it is
+            self._over.set()
 
     def _present(self, peer: Peer, up: bool) -> None:
         self._parent = peer
@@ -138,6 +144,11 @@ class _Process:
         if name == "create" and self._first.memory is not None:
             limit_memory(self._first.memory)
         return value
+
+    async def _configure(self, **given: Any) -> list[list[Any]]:
+        """Put parameters in force; returns the ports of the component: a busy process is asked once for both."""
+        await self._run("configure", given)
+        return described(self._component)
 
     async def _bind(self, required: str, provided: str) -> str:
         """Connect an interface that the component requires; the connector's name."""

@@ -302,7 +302,8 @@ class Life:
             done(_because(member, "on_activated", (yield from self.activate(member))))
         elif event is Event.DEACTIVATE:
             yield from self.deactivate(member)
-            done(None)
+            # Its hook is recorded and no more; what has moved it to error meanwhile is what the caller has to know.
+            done(_because(member, "on_deactivated", member.failure))
         else:
             done(_because(member, "on_reset", (yield from self._reset(member))))
 

@@ -7,7 +7,7 @@ may lose, double, reorder and delay frames. Time comes as `now`, in nanoseconds 
 
 from __future__ import annotations
 
-from aiorts.model.links.frames import Buffer, Send
+from aiorts.model.links.frames import Buffer, Send, Turn, turn_of
 from aiorts.model.links.ledger import Joined, join
 from aiorts.model.links.reader import ReaderEnd, ReaderLedger, Received
 from aiorts.model.links.state import LinkState
@@ -21,7 +21,9 @@ __all__ = (
     "ReaderLedger",
     "Received",
     "Send",
+    "Turn",
     "WriterEnd",
     "WriterLedger",
     "join",
+    "turn_of",
 )

@@ -6,6 +6,7 @@ says is no frame: `BadFrame`.
 
 from __future__ import annotations
 
+import enum
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final, TypeAlias
@@ -41,6 +42,24 @@ _NUMBERED: Final = struct.Struct("<BBHIQQ")
 _FATE: Final = struct.Struct("<QB")
 
 
+class Turn(enum.Enum):
+    """When a message to another kernel is sent."""
+
+    CONTROL = enum.auto()
+    """Before all samples that wait."""
+    SAMPLE = enum.auto()
+    """After the samples that wait."""
+    LAST = enum.auto()
+    """After the samples that wait, though so much waits that no sample is taken any more."""
+
+
+_TURNS: Final[Mapping[int, Turn]] = {
+    **dict.fromkeys((HELLO, ACK, WANT), Turn.CONTROL),
+    **dict.fromkeys((BYE, NONE), Turn.LAST),
+}
+"""Bye and none speak of the samples before them, and are said once. What is not known has the bound of samples."""
+
+
 class BadFrame(ValueError):
     """Bytes that are no frame of this link."""
 
@@ -49,6 +68,11 @@ def check_window(window: int) -> None:
     """ValueError: an acknowledgement cannot say what became of so many samples."""
     if not 1 <= window <= _WIDEST:
         raise ValueError(f"window = {window}: expected 1 to {_WIDEST:,} samples")
+
+
+def turn_of(frame: Buffer) -> Turn:
+    """When a frame is sent."""
+    return _TURNS.get(frame[0], Turn.SAMPLE)
 
 
 def hello(link: int, epoch: int, received: int) -> bytes:
