@@ -23,8 +23,11 @@ if TYPE_CHECKING:
         checked_peer,
     )
     from aiorts.links.unix import UnixTransport
+    from aiorts.model.links import RIGHTS, Allowed
 
 __all__ = (
+    "RIGHTS",
+    "Allowed",
     "Caller",
     "Channel",
     "ChannelEvents",
@@ -52,6 +55,7 @@ _late(
             "Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of checked_peer"
         ),
         "aiorts.links.reaching": "find_transport",
+        "aiorts.model.links": "RIGHTS Allowed",
         "aiorts.links.unix": "UnixTransport",
     },
 )

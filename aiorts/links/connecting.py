@@ -40,6 +40,7 @@ from aiorts.links.reader_link import ReaderLink, of_shape, reader_options
 from aiorts.links.serving import Serving
 from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
 from aiorts.links.writer_link import WriterLink
+from aiorts.model.links import READ, WRITE
 from aiorts.model.names import MAX_NAME_LENGTH, Path, check_name
 from aiorts.model.options import chosen_options, link_options
 from aiorts.model.policy import Dataflow, OnLinkLost
@@ -471,7 +472,13 @@ class Links(KernelService):
             self._try(link)
 
     async def _offer(self, link: WriterLink, peer: Peer) -> None:
-        offer = link.offer(self.path_of(link.connector.out, peer), self.far_of(link))
+        out = link.connector.out
+        if not (out.is_tap or out.is_far):  # it is a component's
+            try:
+                self.reach.check(peer, READ, out.path)
+            except WiringError as error:
+                return self._not_now(link, Answer(refused=str(error)), self.reached_as)
+        offer = link.offer(self.path_of(out, peer), self.far_of(link))
         answer = await self._question(peer, "offer", offer.to_bytes())
         if not answer.number:
             return self._not_now(link, answer)
@@ -507,14 +514,15 @@ class Links(KernelService):
             return Answer(refused=str(error))
         return answer
 
-    def _not_now(self, link: Link, answer: Answer) -> None:
+    def _not_now(self, link: Link, answer: Answer, by: str = "") -> None:
+        """It waits, or is ended where it was refused, `by` the other kernel unless another name is given."""
         connector = link.connector
         link.why = answer.refused or answer.absent
         if answer.absent:
             _LOG.warning("W-LINK: %s: waits: %s", connector.name, answer.absent)
             return
         self._answer_first(link, WiringError(f"{connector.out.path} -> {connector.in_.path}: {answer.refused}"))
-        _LOG.error("%s: refused by %s: %s", connector.name, self.far_of(link).kernel, answer.refused)
+        _LOG.error("%s: refused by %s: %s", connector.name, by or self.far_of(link).kernel, answer.refused)
         self.kernel.connections.end(connector)
 
     # -- answering -------------------------------------------------------------------------------------------------
@@ -529,7 +537,7 @@ class Links(KernelService):
         except WiringError as error:
             expected = None if offer is None else self._awaited(offer, caller)
             if expected is not None and self._peer(expected) == caller.peer:
-                self._not_now(expected, Answer(refused=str(error)))
+                self._not_now(expected, Answer(refused=str(error)), self.reached_as)
             return refusal("an offer", caller, error)
         if (asked := link or self._awaited(offer, caller)) is not None:
             self._answer_first(asked, None)  # also where it has to come again, since the reader does not run yet
@@ -545,7 +553,7 @@ class Links(KernelService):
         key = (f"{writer.host}/{writer.kernel}", offer.link)
         link = self._offers.get(key) or self._awaited(offer, caller)
         found: Any = None if link is None else self._awaits(link, caller)
-        found = found or self.there(offer.reader, caller)
+        found = found or self.there(offer.reader, caller, WRITE)
         if isinstance(found, Answer):
             return found, None
         if not isinstance(found, InPort):
@@ -607,7 +615,7 @@ class Links(KernelService):
         except AiortsError as error:
             raise WiringError(str(error)) from None
         check_theirs(reader, caller)
-        found = self.there(Path.parse(request.writer), caller)
+        found = self.there(Path.parse(request.writer), caller, READ)
         if isinstance(found, Answer):
             return found
         if not isinstance(found, OutPort):
@@ -629,9 +637,9 @@ class Links(KernelService):
             self._accepting = False
         return Answer()
 
-    def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
+    def there(self, path: Path, caller: Caller, right: str) -> Port[Any] | Answer:
         """See `Kernels.there`."""
-        return self._arrivals.there(path, caller)
+        return self._arrivals.there(path, caller, right)
 
     def making(self) -> AbstractContextManager[None]:
         return self._arrivals.making()

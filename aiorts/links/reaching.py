@@ -13,6 +13,7 @@ from aiorts.errors import LinkError, PluginError, format_error
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.registry import known
+from aiorts.links.transport import EVERYTHING
 
 if TYPE_CHECKING:
     import socket
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.extensions.catalogue import Catalogue
     from aiorts.links.kernels import Kernels
     from aiorts.links.transport import Caller, Peer, Transport
+    from aiorts.model.links import Allowed
     from aiorts.model.names import Path
 
 _LOG: Final = KernelLog()
@@ -202,6 +204,11 @@ class Reach:
         if peer is None or peer.kernel in self.carried or self.peers.get(peer) in (None, self._transport):
             return ""
         return peer.host
+
+    def check(self, peer: Peer, right: str, port: str) -> None:
+        """WiringError: another kernel may not do this to a port of this one, `component.port`."""
+        allowed: Allowed = getattr(self.peers.get(peer), "allowed", EVERYTHING)
+        allowed.check(peer.kernel, right, port)
 
     @property
     def known_as(self) -> str:

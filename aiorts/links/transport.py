@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from aiorts.errors import AiortsError, InvalidNameError, LinkError, WiringError, format_error
 from aiorts.late import dataclass
 from aiorts.links.messages import checked, fields, packed
+from aiorts.model.links import Allowed
 from aiorts.model.names import MAX_HOST_LENGTH, Path, check_name
 from aiorts.model.options import chosen_options, connector_profile
 
@@ -42,6 +43,9 @@ def checked_peer(host: str, kernel: str, epoch: int) -> Peer:
     return Peer(host, kernel, epoch)
 
 
+EVERYTHING: Final = Allowed()
+
+
 @dataclass(frozen=True, slots=True)
 class Caller:
     """Who asks."""
@@ -49,6 +53,12 @@ class Caller:
     peer: Peer | None
     identity: str
     """As the transport knows it, such as a user or a certificate: never what the caller says of itself."""
+    allowed: Allowed = EVERYTHING
+    """What kernels that this transport reaches may do with ports of this one."""
+
+    def check(self, right: str, port: str) -> None:
+        """WiringError: who asks may not do this to a port, `component.port`."""
+        self.allowed.check("" if self.peer is None else self.peer.kernel, right, port)
 
 
 class Channel(Protocol):
@@ -163,8 +173,9 @@ class KernelFace(Protocol):
 class Transport(Protocol):
     """Carries links between kernels.
 
-    It may have two things more: `known_as`, the name by which others know this kernel where its own is taken there, and
-    `async def session(peer)`, a connected socket for a control session with another kernel.
+    It may have three things more: `known_as`, the name by which others know this kernel where its own is taken there;
+    `async def session(peer)`, a connected socket for a control session with another kernel; and `allowed`, what the
+    kernels that it reaches may do with ports of this one, which it also gives with each `Caller`.
     """
 
     async def open(self, kernel: KernelFace) -> None: ...

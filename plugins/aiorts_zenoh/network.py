@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts import KernelService, setting
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
+from aiorts.links import RIGHTS, Allowed
 from aiorts_zenoh.keys import base_of
 from aiorts_zenoh.security.access import COORDINATOR, KERNELS, OPERATORS, Access
 from aiorts_zenoh.security.tls import Secured, secured_by, tls_settings
@@ -53,6 +54,13 @@ _HARDENED: Final[Mapping[str, Any]] = {
 """So that who reaches the engine finds nothing open that is not needed, and holds nothing up for long."""
 
 
+_PORTS: Final = {
+    "type": "object",
+    "additionalProperties": {"type": "array", "items": {"type": "string"}},
+}
+"""The schema of a right in `allow`: patterns by name."""
+
+
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
     """How kernels of other hosts are reached. Nothing is looked for by itself, and nothing listens without `listen`."""
@@ -74,6 +82,14 @@ class NetworkSettings:
         "folder says.",
         type="object",
         additionalProperties={"type": "array", "items": {"type": "string"}},
+    )
+    allow: Any = setting(
+        None,
+        "What the kernels of which names may read, write and call here: patterns of COMPONENT.PORT by name, or * for "
+        "all other names. A right that is not there all have.",
+        type="object",
+        properties={right: _PORTS for right in RIGHTS},
+        additionalProperties=False,
     )
     insecure: bool = setting(
         False,
@@ -106,6 +122,10 @@ class NetworkSettings:
             raise ConfigurationError("rename: with certificates a kernel has the name in its certificate, and no other")
         if self.access is not None:
             Access.of_table(self.access)
+        if self.allow is not None:
+            Allowed.of_table(self.allow)
+            if self.certificates is None:
+                raise ConfigurationError("allow: names are known by certificates alone; give their folder (--certs)")
         _check_name("domain", self.domain)
         if self.host:
             _check_name("host", self.host)
@@ -136,10 +156,13 @@ class Network(KernelService):
         _check_name("host", host)
         for endpoint in listed(settings.listen):
             check_free(endpoint)
-        secured = _secured(settings, self.kernel.service(Links).reached_as)
+        name = self.kernel.service(Links).reached_as
+        secured = _secured(settings, name)
+        allowed = _allowed(settings, secured, f"[zenoh.allow] of {host}/{name}:")
         self._security = "certificates" if secured else "insecure: plain TCP" if settings.insecure else ""
         own, clock = engine_settings(settings, secured), self.kernel.clock
         self._transport = ZenohTransport(host, settings.domain, own, now=clock.time_ns, rename=settings.rename)
+        self._transport.allowed = allowed
         if secured is not None and (role := secured.access.roles[secured.identity.name]) not in OPERATORS:
             self._transport.sessions_denied = (
                 f"{secured.identity.name} has the role {role}, which operates no other kernel; "
@@ -209,6 +232,14 @@ def _secured(settings: NetworkSettings, kernel: str) -> Secured | None:
     if settings.certificates is None:
         return None
     return secured_by(settings.certificates, kernel, KERNELS, settings.access)
+
+
+def _allowed(settings: NetworkSettings, secured: Secured | None, where: str) -> Allowed:
+    """What other kernels may do with ports here. ConfigurationError: a name is that of no kernel, which is mistaken."""
+    allowed = Allowed.of_table(settings.allow or {}, where)
+    if secured is not None and (other := sorted(name for name in allowed.names if not secured.access.is_kernel(name))):
+        raise ConfigurationError(f"allow: {other[0]!r} is the name of no kernel; expected a {' or '.join(KERNELS)}")
+    return allowed
 
 
 def engine_settings(settings: NetworkSettings, secured: Secured | None = None) -> Mapping[str, Any]:

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, Final
 
 from aiorts.errors import DeniedError, LinkError, LinkTimeout
-from aiorts.links import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
+from aiorts.links import Allowed, Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
 from aiorts_zenoh.clocks import ClockOffset
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read
@@ -116,6 +116,8 @@ class ZenohTransport:
         """Called before the session ends, in a thread; each may wait a moment."""
         self.sessions_denied = ""
         """Why this kernel may not ask others for operations; "" where it may."""
+        self.allowed = Allowed()
+        """What the kernels that it reaches may do with ports of this one."""
         self.admits: Callable[[str], bool] = lambda name: True
         """Whether a kernel of this name may be there."""
         self.kernel: KernelFace
@@ -505,7 +507,7 @@ class ZenohTransport:
         if len(self._answers) > _ASKED:
             return False, b"too many questions at the same time"
         try:
-            caller = Caller(peer, f"kernel {peer.host}/{peer.kernel}")
+            caller = Caller(peer, f"kernel {peer.host}/{peer.kernel}", self.allowed)
             return True, await answer_of(self._handlers.get(what), what, body, caller, self.kernel)
         except LinkError as error:
             return False, str(error).encode()[:_LONGEST]
