@@ -111,6 +111,11 @@ class KernelService:
         """What `aiorts ls` shows of it at once, such as that the kernel is not secured; "" for nothing."""
         return ""
 
+    @property
+    def risk(self) -> str:
+        """What `aiorts doctor` says of it as it is set, and behind "; " what to do; "" for nothing."""
+        return ""
+
     def component_added(self, component: Component) -> None:
         """A component came in; its `on_initialize` has run."""
 

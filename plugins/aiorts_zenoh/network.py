@@ -8,6 +8,7 @@ import platform
 import re
 import socket
 from collections.abc import Mapping
+from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -88,7 +89,7 @@ class NetworkSettings:
         "What the kernels of which names may read, write and call here: patterns of COMPONENT.PORT by name, or * for "
         "all other names. A right that is not there all have.",
         type="object",
-        properties={right: _PORTS for right in RIGHTS},
+        properties=dict.fromkeys(RIGHTS, _PORTS),
         additionalProperties=False,
     )
     insecure: bool = setting(
@@ -146,6 +147,8 @@ class Network(KernelService):
         self._serving: Serving | None = None
         self._neighbours: Neighbours | None = None
         self._security = ""
+        self._open_to_others: list[str] = []
+        """Where it listens, and other machines reach it."""
 
     def configure(self, settings: NetworkSettings) -> None:
         from aiorts.links import Links  # late: `aiorts at` needs the settings alone, and waits for no kernel
@@ -156,6 +159,7 @@ class Network(KernelService):
         _check_name("host", host)
         for endpoint in listed(settings.listen):
             check_free(endpoint)
+        self._open_to_others = [one for one in listed(settings.listen) if not is_loopback(one)]
         name = self.kernel.service(Links).reached_as
         secured = _secured(settings, name)
         allowed = _allowed(settings, secured, f"[zenoh.allow] of {host}/{name}:")
@@ -212,6 +216,15 @@ class Network(KernelService):
     @property
     def notice(self) -> str:
         return self._security if self._security.startswith("insecure") else ""
+
+    @property
+    def risk(self) -> str:
+        if self._security != "certificates" or not self._open_to_others:
+            return ""
+        return (
+            f"listens at {', '.join(self._open_to_others)}, where each connection that fails keeps newcomers out for "
+            "0.1 s; aiorts help secure-network has a firewall that counts them by address"
+        )
 
     def stopped(self) -> None:
         if self._neighbours is not None:
@@ -285,6 +298,15 @@ def check_free(endpoint: str) -> None:
     except (OSError, UnicodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "is no name of a host"
         raise ConfigurationError(f"listen: {endpoint}: {why}; choose another port or address") from None
+
+
+def is_loopback(endpoint: str) -> bool:
+    """Whether this machine alone reaches a place at which something listens."""
+    ((host, _),) = endpoints_of(endpoint)
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def listed(text: str) -> list[str]:

@@ -39,9 +39,7 @@ def rules() -> str:
 
 
 @pytest.mark.fault("E12")
-def test_a_newcomer_joins_soon_after_one_address_has_closed_800_connections_at_once(
-    tmp_path: Path, rules: str
-) -> None:
+def test_a_newcomer_joins_soon_after_one_address_has_closed_800_connections_at_once(tmp_path: Path, rules: str) -> None:
     folder(tmp_path, reader="component", writer="component")
     with own_network(rules), listening(tmp_path, f"127.0.0.1:{PORT}") as address:
         attack = subprocess.Popen(

@@ -4,9 +4,9 @@ The table has a list of patterns for each right and name:
 
     write: {station: ["drive.velocity", "lamp.*"], "*": ["display.text"]}
 
-A right that is not in the table everybody has. Of one that is there, a name has the ports of its own list, else those of
-the list of "*". The first pattern of the list that matches `component.port` decides; one that begins with "!" denies.
-Where none matches, the port is denied.
+A right that is not in the table everybody has. Of one that is there, a name has the ports of its own list, else those
+of the list of "*". The first pattern of the list that matches `component.port` decides; one that begins with "!"
+denies. Where none matches, the port is denied.
 """
 
 from __future__ import annotations
