@@ -537,7 +537,9 @@ class Links(KernelService):
         except WiringError as error:
             expected = None if offer is None else self._awaited(offer, caller)
             if expected is not None and self._peer(expected) == caller.peer:
-                self._not_now(expected, Answer(refused=str(error)), self.reached_as)
+                answer = Answer(refused=str(error))
+                self._not_now(expected, answer, self.reached_as)
+                return sent(answer)  # it is in the log, as that of the connector
             return refusal("an offer", caller, error)
         if (asked := link or self._awaited(offer, caller)) is not None:
             self._answer_first(asked, None)  # also where it has to come again, since the reader does not run yet

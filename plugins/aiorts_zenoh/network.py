@@ -146,7 +146,7 @@ class Network(KernelService):
         self._transport: ZenohTransport | None = None
         self._serving: Serving | None = None
         self._neighbours: Neighbours | None = None
-        self._security = ""
+        self._security, self._allow = "", None
         self._open_to_others: list[str] = []
         """Where it listens, and other machines reach it."""
 
@@ -162,6 +162,7 @@ class Network(KernelService):
         self._open_to_others = [one for one in listed(settings.listen) if not is_loopback(one)]
         name = self.kernel.service(Links).reached_as
         secured = _secured(settings, name)
+        self._allow = settings.allow
         allowed = _allowed(settings, secured, f"[zenoh.allow] of {host}/{name}:")
         self._security = "certificates" if secured else "insecure: plain TCP" if settings.insecure else ""
         own, clock = engine_settings(settings, secured), self.kernel.clock
@@ -203,15 +204,16 @@ class Network(KernelService):
 
     def report(self) -> Mapping[str, Any]:
         """The host, the domain, how this kernel stands with its name, the kernels that are seen there, messages
-        that found no room here, and who is cut off."""
+        that found no room here, who is cut off, and what others may do with ports."""
         transport = self._transport
         if transport is None:
             return {}
         seen = [f"{peer.host}/{peer.kernel}" for peer in transport.peers]
         where = {"host": transport.host, "domain": transport.domain, "name": transport.standing}
         where |= {"known_as": transport.known_as} if transport.known_as else {}
+        where |= {"security": self._security} if self._security else {}
         report = {**where, "kernels": seen, "left_out": transport.left_out, "cut_off": sorted(transport.cut_off)}
-        return {**report, "security": self._security} if self._security else report
+        return {**report, "allow": self._allow} if self._allow is not None else report
 
     @property
     def notice(self) -> str:

@@ -1,8 +1,8 @@
 """What each role may declare, read, write, call and create at a kernel: a matrix, with real engines and certificates.
 
 Who tries goes by no table of its own: its engine sends everything, and its kernel takes itself for a component. So what
-is refused is refused by the kernel that is asked. It is tried in two ways: as another kernel, over links, and as a client,
-in a session.
+is refused is refused by the kernel that is asked. It is tried in two ways: as another kernel, over links, and as a
+client, in a session.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from aiorts_zenoh.security.access import Access
 from aiorts_zenoh.security.folder import Folder
 from aiorts_zenoh.security.tls import Secured
 from network.certificate_parts import folder
-from network.engine_parts import session, unchecked
+from network.engine_parts import unchecked
 from network.network_parts import free_port
 
 ROLES: Final = ("component", "coordinator", "operator", "viewer", "router", "revoked")
@@ -92,7 +92,9 @@ class Target(NamedTuple):
 
 @asynccontextmanager
 async def target(path: Path, **more: Any) -> AsyncIterator[Target]:
-    made = folder(path, robot="component", arm="component", **{f"a-{role}": role for role in ROLES if role != "revoked"})
+    made = folder(
+        path, robot="component", arm="component", **{f"a-{role}": role for role in ROLES if role != "revoked"}
+    )
     made.issue("a-revoked", "coordinator")
     made.revoke("a-revoked")
     address = f"127.0.0.1:{free_port()}"
@@ -195,7 +197,9 @@ async def as_client(at: Target, role: str, path: Path) -> dict[str, bool]:
             "read": lambda client: next(iter(client.stream("tap", port="robot.out"))),
             "write": inject,
             "call": lambda client: client.call("call", path="robot.service.echo", args=[7])["value"] == 7,
-            "create": lambda client: client.call("create", type="FlexiDump", name=f"of-{role}", params={"inputs": "TimedLong"}),
+            "create": lambda client: client.call(
+                "create", type="FlexiDump", name=f"of-{role}", params={"inputs": "TimedLong"}
+            ),
         }
 
         def attempt() -> dict[str, bool]:
@@ -238,3 +242,22 @@ def test_a_role_may_what_the_table_says_and_nothing_else(
     tried: Callable[[str, str], dict[str, bool]], way: str, role: str, what: str
 ) -> None:
     assert tried(way, role)[what] is (role in MAY[way, what])
+
+
+@pytest.mark.parametrize(
+    ("way", "role", "may"),
+    [
+        ("link", "component", {"declare"}),
+        ("link", "coordinator", {"declare"}),
+        ("session", "operator", {"declare", "read", "write", "call", "create"}),
+        ("session", "viewer", {"declare", "read"}),
+    ],
+)
+def test_where_the_rights_allow_nothing_no_kernel_has_a_link_and_clients_are_as_before(
+    tmp_path: Path, way: str, role: str, may: set[str]
+) -> None:
+    async def main() -> dict[str, bool]:
+        async with target(tmp_path / "certificates", allow=NOTHING) as at:
+            return await WAYS[way](at, role, tmp_path / "own")
+
+    assert {what for what, done in asyncio.run(main()).items() if done} == may
