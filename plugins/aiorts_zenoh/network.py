@@ -86,8 +86,8 @@ class NetworkSettings:
     )
     allow: Any = setting(
         None,
-        "What the kernels of which names may read, write and call here: patterns of COMPONENT.PORT by name, or * for "
-        "all other names. A right that is not there all have.",
+        "What the kernels of which names may read, write and call here: patterns of COMPONENT.PORT by name; those of "
+        '"*" are for all other names. A right that is not there all have.',
         type="object",
         properties=dict.fromkeys(RIGHTS, _PORTS),
         additionalProperties=False,

@@ -33,6 +33,8 @@ _SLEEPS: Final = 100
 _SLEEP: Final = 0.002
 _GOOD: Final = 0.0005
 """Seconds of lateness beyond which a period of 2 ms is not kept."""
+_ANSWERS: Final = 5.0
+"""Seconds that a kernel has to answer, which may be busy."""
 _TRIED: Final = ((3, 11), (3, 13))
 _LEAST_DESCRIPTORS: Final = 256
 _FOR_DEVELOPERS: Final = ("test", "dev", "all")
@@ -244,7 +246,7 @@ async def _tick_once() -> None:
 def _running() -> Iterator[Finding]:
     """What the kernels of this user that run say of how they are set."""
     try:
-        with kernels() as found:
+        with kernels(_ANSWERS) as found:
             for one in found.running:
                 for said in one.names.get("risks", ()):
                     risk, _, remedy = said.partition("; ")
