@@ -34,7 +34,7 @@ class Names:
     notices: tuple[str, ...] = ()
     """What is to be seen of it at once, such as that others reach it without certificates."""
     risks: tuple[str, ...] = ()
-    """What `aiorts doctor` says of it as it is set, each with what to do behind "; "."""
+    """Risks of its settings, for `aiorts doctor`, each with its remedy behind "; "."""
     pid: int = 0
     """Of its process; 0 where it is not said."""
 

@@ -113,7 +113,7 @@ class KernelService:
 
     @property
     def risk(self) -> str:
-        """What `aiorts doctor` says of it as it is set, and behind "; " what to do; "" for nothing."""
+        """A risk of its settings, for `aiorts doctor`, with its remedy behind "; "; "" for none."""
         return ""
 
     def component_added(self, component: Component) -> None:

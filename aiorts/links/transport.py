@@ -54,7 +54,7 @@ class Caller:
     identity: str
     """As the transport knows it, such as a user or a certificate: never what the caller says of itself."""
     allowed: Allowed = EVERYTHING
-    """What kernels that this transport reaches may do with ports of this one."""
+    """Rights of the kernels that this transport reaches, to ports of this one."""
 
     def check(self, right: str, port: str) -> None:
         """WiringError: who asks may not do this to a port, `component.port`."""
@@ -174,8 +174,8 @@ class Transport(Protocol):
     """Carries links between kernels.
 
     It may have three things more: `known_as`, the name by which others know this kernel where its own is taken there;
-    `async def session(peer)`, a connected socket for a control session with another kernel; and `allowed`, what the
-    kernels that it reaches may do with ports of this one, which it also gives with each `Caller`.
+    `async def session(peer)`, a connected socket for a control session with another kernel; and `allowed`, the
+    rights of the kernels that it reaches to ports of this one, which it also gives with each `Caller`.
     """
 
     async def open(self, kernel: KernelFace) -> None: ...

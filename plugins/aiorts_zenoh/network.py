@@ -148,7 +148,7 @@ class Network(KernelService):
         self._neighbours: Neighbours | None = None
         self._security, self._allow = "", None
         self._open_to_others: list[str] = []
-        """Where it listens, and other machines reach it."""
+        """Endpoints that other machines reach."""
 
     def configure(self, settings: NetworkSettings) -> None:
         from aiorts.links import Links  # late: `aiorts at` needs the settings alone, and waits for no kernel
@@ -250,7 +250,7 @@ def _secured(settings: NetworkSettings, kernel: str) -> Secured | None:
 
 
 def _allowed(settings: NetworkSettings, secured: Secured | None, where: str) -> Allowed:
-    """What other kernels may do with ports here. ConfigurationError: a name is that of no kernel, which is mistaken."""
+    """Rights of other kernels to ports here. ConfigurationError: a name is that of no kernel, which is mistaken."""
     allowed = Allowed.of_table(settings.allow or {}, where)
     if secured is not None and (other := sorted(name for name in allowed.names if not secured.access.is_kernel(name))):
         raise ConfigurationError(f"allow: {other[0]!r} is the name of no kernel; expected a {' or '.join(KERNELS)}")

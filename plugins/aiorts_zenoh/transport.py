@@ -117,7 +117,7 @@ class ZenohTransport:
         self.sessions_denied = ""
         """Why this kernel may not ask others for operations; "" where it may."""
         self.allowed = Allowed()
-        """What the kernels that it reaches may do with ports of this one."""
+        """Rights of the kernels that it reaches, to ports of this one."""
         self.admits: Callable[[str], bool] = lambda name: True
         """Whether a kernel of this name may be there."""
         self.kernel: KernelFace

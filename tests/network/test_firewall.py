@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -90,7 +91,7 @@ def test_doctor_names_the_risk_of_a_kernel_that_others_reach(tmp_path: Path, mon
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     folder(tmp_path / "certificates", reader="component")
     listen = f"0.0.0.0:{free_port()}"
-    services = {
+    services: dict[str, Any] = {
         "zenoh": {"listen": listen, "host": "far", "certificates": tmp_path / "certificates"},
         "control": {"name": "reader"},
     }

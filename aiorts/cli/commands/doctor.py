@@ -244,7 +244,7 @@ async def _tick_once() -> None:
 
 
 def _running() -> Iterator[Finding]:
-    """What the kernels of this user that run say of how they are set."""
+    """Risks that the running kernels of this user name."""
     try:
         with kernels(_ANSWERS) as found:
             for one in found.running:

@@ -1,4 +1,4 @@
-"""Which ports of a kernel others may read, write and call: this file decides it from a table; it looks nothing up.
+"""Rights of other kernels to read, write and call the ports of this one: a table decides, and nothing is looked up.
 
 The table has a list of patterns for each right and name:
 
@@ -29,7 +29,7 @@ _PATTERN: Final = re.compile(r"!?[A-Za-z0-9_*-]+\.[A-Za-z0-9_*-]+")
 
 
 class Allowed:
-    """What other kernels may do with the ports of this one; by default all of them everything.
+    """Rights of other kernels to the ports of this one; without a table all have all.
 
     Args:
         table: patterns by right and name, checked.
@@ -41,7 +41,7 @@ class Allowed:
 
     @classmethod
     def of_table(cls, table: Any, where: str = "allow") -> Allowed:
-        """Of lists of patterns by name by right. ConfigurationError: it is no such table."""
+        """Rights of a table: lists of patterns by name by right. ConfigurationError: it is no such table."""
         rights = _mapping("allow", table, "a table by right")
         if unknown := next((right for right in rights if right not in RIGHTS), None):
             raise ConfigurationError(f"allow: expected {', '.join(RIGHTS)}, got {unknown!r:.80}")
