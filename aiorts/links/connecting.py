@@ -472,13 +472,9 @@ class Links(KernelService):
             self._try(link)
 
     async def _offer(self, link: WriterLink, peer: Peer) -> None:
-        out = link.connector.out
-        if not (out.is_tap or out.is_far):  # it is a component's
-            try:
-                self.reach.check(peer, READ, out.path)
-            except WiringError as error:
-                return self._not_now(link, Answer(refused=str(error)), self.reached_as)
-        offer = link.offer(self.path_of(out, peer), self.far_of(link))
+        if refused := self.reach.refusal(peer, READ, link.connector.out):
+            return self._not_now(link, Answer(refused=refused), self.reached_as)
+        offer = link.offer(self.path_of(link.connector.out, peer), self.far_of(link))
         answer = await self._question(peer, "offer", offer.to_bytes())
         if not answer.number:
             return self._not_now(link, answer)
@@ -515,7 +511,6 @@ class Links(KernelService):
         return answer
 
     def _not_now(self, link: Link, answer: Answer, by: str = "") -> None:
-        """It waits, or is ended where it was refused, `by` the other kernel unless another name is given."""
         connector = link.connector
         link.why = answer.refused or answer.absent
         if answer.absent:
@@ -537,9 +532,8 @@ class Links(KernelService):
         except WiringError as error:
             expected = None if offer is None else self._awaited(offer, caller)
             if expected is not None and self._peer(expected) == caller.peer:
-                answer = Answer(refused=str(error))
-                self._not_now(expected, answer, self.reached_as)
-                return sent(answer)  # it is in the log, as that of the connector
+                self._not_now(expected, Answer(refused=str(error)), self.reached_as)
+                return sent(Answer(refused=str(error)))  # it is in the log, as that of the connector
             return refusal("an offer", caller, error)
         if (asked := link or self._awaited(offer, caller)) is not None:
             self._answer_first(asked, None)  # also where it has to come again, since the reader does not run yet
@@ -640,7 +634,6 @@ class Links(KernelService):
         return Answer()
 
     def there(self, path: Path, caller: Caller, right: str) -> Port[Any] | Answer:
-        """See `Kernels.there`."""
         return self._arrivals.there(path, caller, right)
 
     def making(self) -> AbstractContextManager[None]:
@@ -697,7 +690,6 @@ class Links(KernelService):
             _LOG.error("links: %s failed: %s", task.get_name(), format_error(error), exc_info=error)
 
     def path_of(self, port: Port[Any], peer: Peer | None = None) -> Path:
-        """See `Kernels.path_of`."""
         return replace(Path.parse(port.path), kernel=self.reach.name_for(peer))
 
     def _as_reader(self, port: InPort[Any], peer: Peer | None = None) -> str:

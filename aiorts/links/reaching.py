@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import socket
 
     from aiorts.kernel.extensions.catalogue import Catalogue
+    from aiorts.kernel.ports import InPort, OutPort
     from aiorts.links.kernels import Kernels
     from aiorts.links.transport import Caller, Peer, Transport
     from aiorts.model.links import Allowed
@@ -205,10 +206,10 @@ class Reach:
             return ""
         return peer.host
 
-    def check(self, peer: Peer, right: str, port: str) -> None:
-        """WiringError: another kernel may not do this to a port of this one, `component.port`."""
+    def refusal(self, peer: Peer, right: str, port: InPort[Any] | OutPort[Any]) -> str:
+        """Why another kernel has not this right to a port; "" where it has, or no component of this one has the port."""
         allowed: Allowed = getattr(self.peers.get(peer), "allowed", EVERYTHING)
-        allowed.check(peer.kernel, right, port)
+        return "" if port.is_tap or port.is_far else allowed.refusal(peer.kernel, right, port.path)
 
     @property
     def known_as(self) -> str:

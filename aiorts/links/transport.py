@@ -57,8 +57,9 @@ class Caller:
     """Rights of the kernels that this transport reaches, to ports of this one."""
 
     def check(self, right: str, port: str) -> None:
-        """WiringError: who asks may not do this to a port, `component.port`."""
-        self.allowed.check("" if self.peer is None else self.peer.kernel, right, port)
+        """WiringError: who asks has not this right to a port, `component.port`."""
+        if refused := self.allowed.refusal("" if self.peer is None else self.peer.kernel, right, port):
+            raise WiringError(refused)
 
 
 class Channel(Protocol):

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
-from aiorts.errors import ConfigurationError, WiringError
+from aiorts.errors import ConfigurationError
 
 READ: Final = "read"
 WRITE: Final = "write"
@@ -56,23 +56,23 @@ class Allowed:
         """All names that have a list of their own."""
         return frozenset(name for lists in self._table.values() for name in lists) - {OTHERS}
 
-    def check(self, name: str, right: str, port: str) -> None:
-        """WiringError, with the rule: the kernel of this name may not do this to a port, `component.port`."""
+    def refusal(self, name: str, right: str, port: str) -> str:
+        """Why a name has not this right to a port, `component.port`, with the rule; "" where it has."""
         if (lists := self._table.get(right)) is None:
-            return
+            return ""
         entry = name if name in lists else OTHERS
-        rule = next((one for one in lists.get(entry, ()) if fnmatchcase(port, one.lstrip(_DENIES))), None)
+        rule = next((one for one in lists.get(entry, ()) if fnmatchcase(port, one.removeprefix(_DENIES))), None)
         if rule is not None and not rule.startswith(_DENIES):
-            return
+            return ""
         if entry not in lists:
             why = f"has neither {name!r} nor {OTHERS!r}"
         else:
             why = f"{entry!r}: " + (f"{rule!r} denies it" if rule else "no pattern matches it")
-        raise WiringError(f"{port}: {name!r} may not {right} it: {self._where} {right} {why}")
+        return f"{port}: {name!r} may not {right} it: {self._where} {right} {why}"
 
 
 def _mapping(where: str, given: Any, expected: str) -> Mapping[str, Any]:
-    if not isinstance(given, Mapping):
+    if not (isinstance(given, Mapping) and all(isinstance(key, str) for key in given)):
         raise ConfigurationError(f"{where}: expected {expected}, got {given!r:.80}")
     return given
 
@@ -84,7 +84,8 @@ def _patterns(where: str, given: Any) -> Iterator[str]:
     for number, one in enumerate(given):
         if not (isinstance(one, str) and _PATTERN.fullmatch(one)):
             raise ConfigurationError(f"{where}: expected COMPONENT.PORT, with * for any letters, got {one!r:.80}")
-        before = next((each for each in given[:number] if fnmatchcase(one.lstrip(_DENIES), each.lstrip(_DENIES))), None)
+        bare = one.removeprefix(_DENIES)
+        before = next((each for each in given[:number] if fnmatchcase(bare, each.removeprefix(_DENIES))), None)
         if before is not None:
             raise ConfigurationError(f"{where}: {one!r} is never looked at: {before!r} before it matches all of it")
         yield one
