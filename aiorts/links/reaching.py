@@ -207,7 +207,7 @@ class Reach:
         return peer.host
 
     def refusal(self, peer: Peer, right: str, port: InPort[Any] | OutPort[Any]) -> str:
-        """Why another kernel has not this right to a port; "" where it has, or no component of this one has the port."""
+        """Why another kernel has not this right to a port; "" where it has, or the port is no component's here."""
         allowed: Allowed = getattr(self.peers.get(peer), "allowed", EVERYTHING)
         return "" if port.is_tap or port.is_far else allowed.refusal(peer.kernel, right, port.path)
 
