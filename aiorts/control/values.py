@@ -33,6 +33,8 @@ class Names:
     """The name by which links of other kernels reach it; "" where they cannot."""
     notices: tuple[str, ...] = ()
     """What is to be seen of it at once, such as that others reach it without certificates."""
+    risks: tuple[str, ...] = ()
+    """Risks of its settings, for `aiorts doctor`, each with its remedy behind "; "."""
     pid: int = 0
     """Of its process; 0 where it is not said."""
 

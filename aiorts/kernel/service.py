@@ -111,6 +111,11 @@ class KernelService:
         """What `aiorts ls` shows of it at once, such as that the kernel is not secured; "" for nothing."""
         return ""
 
+    @property
+    def risk(self) -> str:
+        """A risk of its settings, for `aiorts doctor`, with its remedy behind "; "; "" for none."""
+        return ""
+
     def component_added(self, component: Component) -> None:
         """A component came in; its `on_initialize` has run."""
 

@@ -25,9 +25,11 @@ if TYPE_CHECKING:
         checked_peer,
     )
     from aiorts.links.unix import UnixTransport
-    from aiorts.model.links import Turn, turn_of
+    from aiorts.model.links import RIGHTS, Allowed, Turn, turn_of
 
 __all__ = (
+    "RIGHTS",
+    "Allowed",
     "BaseChannel",
     "BaseTransport",
     "Caller",
@@ -61,6 +63,6 @@ _late(
         ),
         "aiorts.links.reaching": "find_transport",
         "aiorts.links.unix": "UnixTransport",
-        "aiorts.model.links": "Turn turn_of",
+        "aiorts.model.links": "RIGHTS Allowed Turn turn_of",
     },
 )

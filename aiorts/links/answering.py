@@ -16,7 +16,7 @@ from aiorts.links.messages import Answer, LinkRequest, fields, versions_of
 from aiorts.links.reader_link import ReaderLink, reader_options
 from aiorts.links.transport import LinkOffer
 from aiorts.links.writer_link import WriterLink
-from aiorts.model.links import versions
+from aiorts.model.links import READ, WRITE, versions
 from aiorts.model.links.negotiation import LinkEvent
 from aiorts.model.names import Path
 
@@ -96,7 +96,8 @@ class Answering:
         except WiringError as error:
             expected = None if offer is None else self._expected(offer, caller)
             if expected is not None and self._is_of(expected, caller):
-                expected.refused(str(error))
+                expected.refused(str(error), self._links.reached_as)
+                return sent(Answer(refused=str(error)))  # it is in the log, as that of the connector
             return refusal("an offer", caller, error)
         if end is not None:
             writer = replace(offer.writer, host="" if caller.peer is None else caller.peer.host)
@@ -118,7 +119,7 @@ class Answering:
         if end is not None and end.negotiation.is_stale(epoch, offer.number):
             raise LinkError(f"{offer.link}: was offered again since")
         found: Any = None if end is None else self._awaits(end, caller)
-        found = found or self._links.there(offer.reader, caller)
+        found = found or self._links.there(offer.reader, caller, WRITE)
         if isinstance(found, Answer):
             return found, None
         if not isinstance(found, InPort):
@@ -172,7 +173,7 @@ class Answering:
         except AiortsError as error:
             raise WiringError(str(error)) from None
         _check_theirs(reader, caller)
-        found = self._links.there(Path.parse(request.writer), caller)
+        found = self._links.there(Path.parse(request.writer), caller, READ)
         if isinstance(found, Answer):
             return found
         if not isinstance(found, OutPort):

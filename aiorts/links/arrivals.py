@@ -44,21 +44,23 @@ class Arrivals:
         """Components that were made and do not run yet."""
         links.kernel.bus.subscribe(StateChanged, self._state_changed)
 
-    def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
+    def there(self, path: Path, caller: Caller, right: str) -> Port[Any] | Answer:
         """The port of this kernel that another one means; where it is not there, the other hears when it comes."""
-        kernel = self._links.kernel
+        kernel, asked = self._links.kernel, str(replace(path, kernel="", host=""))
         try:
-            port = kernel.registry.port(str(replace(path, kernel="", host="")))
-            # What is written to it would be dropped; what it writes must have a way; calls are answered in any state.
-            if caller.peer is not None and isinstance(port, InPort) and self._is_coming(path.component):
-                self._awaited.setdefault(path.component, set()).add(caller.peer)
-                return Answer(absent=f"{path.component} is being started")
-            return port
+            port = kernel.registry.port(asked)
         except WiringError as error:
+            caller.check(right, asked)  # before it is told what there is
             if path.component in kernel.components or caller.peer is None or len(self._awaited) >= _AWAITED:
                 raise
             self._awaited.setdefault(path.component, set()).add(caller.peer)
             return Answer(absent=str(error))
+        caller.check(right, port.path)  # that of a composite has the name that it has in its member
+        # What is written to it would be dropped; what it writes must have a way; calls are answered in any state.
+        if caller.peer is not None and isinstance(port, InPort) and self._is_coming(path.component):
+            self._awaited.setdefault(path.component, set()).add(caller.peer)
+            return Answer(absent=f"{path.component} is being started")
+        return port
 
     def _is_coming(self, component: str) -> bool:
         """Whether it does not run yet. One that is being added is about to be connected by who adds it."""

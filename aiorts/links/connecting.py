@@ -272,9 +272,8 @@ class Links(KernelService):
         """See `Kernels.path_of`."""
         return replace(Path.parse(port.path), kernel=self.reach.name_for(peer))
 
-    def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
-        """See `Kernels.there`."""
-        return self._arrivals.there(path, caller)
+    def there(self, path: Path, caller: Caller, right: str) -> Port[Any] | Answer:
+        return self._arrivals.there(path, caller, right)
 
     def come(self, component: str, peer: Peer | None) -> None:
         """See `Kernels.come`."""

@@ -24,7 +24,7 @@ from aiorts.links.pulling import PulledWriterLink, PullingReaderLink
 from aiorts.links.reaching import new_epoch
 from aiorts.links.reader_link import ReaderLink, of_shape
 from aiorts.links.writer_link import WriterLink
-from aiorts.model.links import versions
+from aiorts.model.links import READ, versions
 from aiorts.model.links.negotiation import LinkAction, LinkEvent, LinkRole, Negotiation, NegotiationState
 from aiorts.model.names import MAX_NAME_LENGTH, Path
 from aiorts.model.options import chosen_options
@@ -101,6 +101,7 @@ class LinkEnd(Generic[Side]):
         """The kernel that was late, and the epoch of its end."""
         self._timer: Cancellable | None = None
         self._watchers: list[asyncio.Future[None]] = []
+        self._refused_by = ""
         self._said = ""
         """The reason to wait that was logged last since it was up."""
 
@@ -155,9 +156,13 @@ class LinkEnd(Generic[Side]):
         if self._links.peer_of(self.far) is not None:
             self.on(LinkEvent.PRESENT)  # a kernel may be back before its former process has gone
 
-    def refused(self, why: str) -> None:
-        """The link is refused: `connect` fails with this reason."""
-        connector = self.connector
+    def refused(self, why: str, by: str = "") -> None:
+        """The link is refused: `connect` fails with this reason.
+
+        Args:
+            by: the kernel that refuses it; the other one where it is not said.
+        """
+        connector, self._refused_by = self.connector, by or self.far.kernel
         self.answer_first(WiringError(f"{connector.out.path} -> {connector.in_.path}: {why}"))
         self.on(LinkEvent.REFUSED, why)
 
@@ -233,6 +238,8 @@ class LinkEnd(Generic[Side]):
 
     async def _make_offer(self, step: int, peer: Peer) -> None:
         assert isinstance(self.link, WriterLink)  # noqa: S101 - a reader's end requests
+        if refusal := self._links.reach.refusal(peer, READ, self.connector.out):
+            return self.refused(refusal, self._links.reached_as)
         offer = self.link.offer(self._links.path_of(self.connector.out, peer), self.far)
         offer = replace(offer, number=next(self._links.numbers))
         answer = await self._question(peer, "offer", offer.to_bytes())
@@ -339,7 +346,7 @@ class LinkEnd(Generic[Side]):
             kernel.registry.task_failed(component, connector.name, error)
 
     def _refuse(self) -> None:
-        _LOG.error("%s: refused by %s: %s", self.connector.name, self.far.kernel, self.link.why)
+        _LOG.error("%s: refused by %s: %s", self.connector.name, self._refused_by, self.link.why)
         self._end()
 
     def _abandon(self) -> None:

@@ -95,8 +95,11 @@ class Kernels(Protocol):
         """Of a port of this kernel, as others know it; this one, where it has another name there."""
         ...
 
-    def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
-        """The port of this kernel that another one means, or the answer that it is not there yet."""
+    def there(self, path: Path, caller: Caller, right: str) -> Port[Any] | Answer:
+        """The port of this kernel that another one means, or the answer that it is not there yet.
+
+        WiringError: there is none, or who asks has not this right to it.
+        """
         ...
 
     def come(self, component: str, peer: Peer | None) -> None:

@@ -14,13 +14,16 @@ from aiorts.errors import LinkError, PluginError, format_error
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.registry import known
+from aiorts.links.transport import EVERYTHING
 
 if TYPE_CHECKING:
     import socket
 
     from aiorts.kernel.extensions.catalogue import Catalogue
+    from aiorts.kernel.ports import InPort, OutPort
     from aiorts.links.kernels import Kernels
     from aiorts.links.transport import Caller, Peer, Transport
+    from aiorts.model.links import Allowed
     from aiorts.model.names import Path
 
 _LOG: Final = KernelLog()
@@ -222,6 +225,11 @@ class Reach:
     def host_of(self, peer: Peer | None) -> str:
         """The host of a kernel that the general transport has not found, where another may have its name; else ""."""
         return "" if peer is None else self._hosts.get(peer, "")
+
+    def refusal(self, peer: Peer, right: str, port: InPort[Any] | OutPort[Any]) -> str:
+        """Why another kernel has not this right to a port; "" where it has, or the port is no component's here."""
+        allowed: Allowed = getattr(self.peers.get(peer), "allowed", EVERYTHING)
+        return "" if port.is_tap or port.is_far else allowed.refusal(peer.kernel, right, port.path)
 
     @property
     def known_as(self) -> str:

@@ -37,6 +37,7 @@ from aiorts.links.call_values import (
     values_of,
 )
 from aiorts.links.messages import Answer
+from aiorts.model.links import CALL
 from aiorts.model.names import Path
 from aiorts.services import Goal, OutsideCaller, Provided, ServicePort, goal_types
 
@@ -91,7 +92,7 @@ class Serving:
         """Another kernel wants an interface of this one."""
         required, instance, provided, text = values_of(body, (str, str, str, list))
         try:
-            found = self._links.there(Path.parse(provided), caller)
+            found = self._links.there(Path.parse(provided), caller, CALL)
             if isinstance(found, Answer):
                 return sent(found)
             end = self._fitting(found, text, instance, provided)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 from aiorts.errors import AiortsError, InvalidNameError, LinkError, LinkTimeout, WiringError, format_error
 from aiorts.late import dataclass
 from aiorts.links.messages import checked, fields, packed
+from aiorts.model.links import Allowed
 from aiorts.model.names import MAX_HOST_LENGTH, Path, check_name
 from aiorts.model.options import chosen_options, connector_profile
 
@@ -46,6 +47,9 @@ def checked_peer(host: str, kernel: str, epoch: int) -> Peer:
     return Peer(host, kernel, epoch)
 
 
+EVERYTHING: Final = Allowed()
+
+
 @dataclass(frozen=True, slots=True)
 class Caller:
     """Who asks."""
@@ -53,6 +57,13 @@ class Caller:
     peer: Peer | None
     identity: str
     """As the transport knows it, such as a user or a certificate: never what the caller says of itself."""
+    allowed: Allowed = EVERYTHING
+    """Rights of the kernels that this transport reaches, to ports of this one."""
+
+    def check(self, right: str, port: str) -> None:
+        """WiringError: who asks has not this right to a port, `component.port`."""
+        if refused := self.allowed.refusal("" if self.peer is None else self.peer.kernel, right, port):
+            raise WiringError(refused)
 
 
 class Channel(Protocol):
@@ -169,8 +180,9 @@ class KernelFace(Protocol):
 class Transport(Protocol):
     """Carries links between kernels.
 
-    It may have two things more: `known_as`, the name by which others know this kernel where its own is taken there, and
-    `async def session(peer)`, a connected socket for a control session with another kernel.
+    It may have three things more: `known_as`, the name by which others know this kernel where its own is taken there;
+    `async def session(peer)`, a connected socket for a control session with another kernel; and `allowed`, the
+    rights of the kernels that it reaches to ports of this one, which it also gives with each `Caller`.
     """
 
     async def open(self, kernel: KernelFace) -> None: ...

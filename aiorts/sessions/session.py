@@ -42,8 +42,8 @@ Said = Literal["ok", "began", "item", "end", "error", "cancel", "leave"]
 """The answers of a kernel ("began": the "ok" of a stream), and the ways in which this end gives a call up: "cancel" has
 the kernel end it, with "leave" the kernel carries it out."""
 Do = Literal["take", "skip", "send", "forget", "fault"]
-"""The effect: it is taken, or passed over; the kernel is notified; the call's number is forgotten; the session ends, since
-it is no answer."""
+"""The effect: it is taken, or passed over; the kernel is notified; the call's number is forgotten; the session ends,
+since it is no answer."""
 Table = Mapping[Any, Mapping[Any, tuple[Any, Do]]]
 
 

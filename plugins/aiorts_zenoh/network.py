@@ -8,12 +8,14 @@ import platform
 import re
 import socket
 from collections.abc import Mapping
+from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts import KernelService, setting
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
+from aiorts.links import RIGHTS, Allowed
 from aiorts_zenoh.keys import base_of
 from aiorts_zenoh.security.access import COORDINATOR, KERNELS, OPERATORS, Access
 from aiorts_zenoh.security.tls import Secured, secured_by, tls_settings
@@ -53,6 +55,13 @@ _HARDENED: Final[Mapping[str, Any]] = {
 """So that who reaches the engine finds nothing open that is not needed, and holds nothing up for long."""
 
 
+_PORTS: Final = {
+    "type": "object",
+    "additionalProperties": {"type": "array", "items": {"type": "string"}},
+}
+"""The schema of a right in `allow`: patterns by name."""
+
+
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
     """How kernels of other hosts are reached. Nothing is looked for by itself, and nothing listens without `listen`."""
@@ -74,6 +83,14 @@ class NetworkSettings:
         "folder says.",
         type="object",
         additionalProperties={"type": "array", "items": {"type": "string"}},
+    )
+    allow: Any = setting(
+        None,
+        "What the kernels of which names may read, write and call here: patterns of COMPONENT.PORT by name; those of "
+        '"*" are for all other names. A right that is not there all have.',
+        type="object",
+        properties=dict.fromkeys(RIGHTS, _PORTS),
+        additionalProperties=False,
     )
     insecure: bool = setting(
         False,
@@ -106,6 +123,10 @@ class NetworkSettings:
             raise ConfigurationError("rename: with certificates a kernel has the name in its certificate, and no other")
         if self.access is not None:
             Access.of_table(self.access)
+        if self.allow is not None:
+            Allowed.of_table(self.allow)
+            if self.certificates is None:
+                raise ConfigurationError("allow: names are known by certificates alone; give their folder (--certs)")
         _check_name("domain", self.domain)
         if self.host:
             _check_name("host", self.host)
@@ -125,7 +146,9 @@ class Network(KernelService):
         self._transport: ZenohTransport | None = None
         self._serving: Serving | None = None
         self._neighbours: Neighbours | None = None
-        self._security = ""
+        self._security, self._allow = "", None
+        self._open_to_others: list[str] = []
+        """Endpoints that other machines reach."""
 
     def configure(self, settings: NetworkSettings) -> None:
         from aiorts.links import Links  # late: `aiorts at` needs the settings alone, and waits for no kernel
@@ -138,10 +161,15 @@ class Network(KernelService):
             check_free(endpoint)
         links = self.kernel.service(Links)
         links.reach.host = host  # also for kernels of this host: one that both transports find is one
-        secured = _secured(settings, links.reached_as)
+        self._open_to_others = [one for one in listed(settings.listen) if not is_loopback(one)]
+        name = links.reached_as
+        secured = _secured(settings, name)
+        self._allow = settings.allow
+        allowed = _allowed(settings, secured, f"[zenoh.allow] of {host}/{name}:")
         self._security = "certificates" if secured else "insecure: plain TCP" if settings.insecure else ""
         own, clock = engine_settings(settings, secured), self.kernel.clock
         self._transport = ZenohTransport(host, settings.domain, own, now=clock.time_ns, rename=settings.rename)
+        self._transport.allowed = allowed
         if secured is not None and (role := secured.access.roles[secured.identity.name]) not in OPERATORS:
             self._transport.sessions_denied = (
                 f"{secured.identity.name} has the role {role}, which operates no other kernel; "
@@ -180,19 +208,29 @@ class Network(KernelService):
 
     def report(self) -> Mapping[str, Any]:
         """The host, the domain, how this kernel stands with its name, the kernels that are seen there, messages
-        that found no room here, and who is cut off."""
+        that found no room here, who is cut off, and what others may do with ports."""
         transport = self._transport
         if transport is None:
             return {}
         seen = [f"{peer.host}/{peer.kernel}" for peer in transport.peers]
         where = {"host": transport.host, "domain": transport.domain, "name": transport.standing}
         where |= {"known_as": transport.known_as} if transport.known_as else {}
+        where |= {"security": self._security} if self._security else {}
         report = {**where, "kernels": seen, "left_out": transport.left_out, "cut_off": sorted(transport.cut_off)}
-        return {**report, "security": self._security} if self._security else report
+        return {**report, "allow": self._allow} if self._allow is not None else report
 
     @property
     def notice(self) -> str:
         return self._security if self._security.startswith("insecure") else ""
+
+    @property
+    def risk(self) -> str:
+        if self._security != "certificates" or not self._open_to_others:
+            return ""
+        return (
+            f"listens at {', '.join(self._open_to_others)}, where each connection that fails keeps newcomers out for "
+            "0.1 s; aiorts help secure-network has a firewall that counts them by address"
+        )
 
     def stopped(self) -> None:
         if self._neighbours is not None:
@@ -213,6 +251,14 @@ def _secured(settings: NetworkSettings, kernel: str) -> Secured | None:
     if settings.certificates is None:
         return None
     return secured_by(settings.certificates, kernel, KERNELS, settings.access)
+
+
+def _allowed(settings: NetworkSettings, secured: Secured | None, where: str) -> Allowed:
+    """Rights of other kernels to ports here. ConfigurationError: a name is that of no kernel, which is mistaken."""
+    allowed = Allowed.of_table(settings.allow or {}, where)
+    if secured is not None and (other := sorted(name for name in allowed.names if not secured.access.is_kernel(name))):
+        raise ConfigurationError(f"allow: {other[0]!r} is the name of no kernel; expected a {' or '.join(KERNELS)}")
+    return allowed
 
 
 def engine_settings(settings: NetworkSettings, secured: Secured | None = None) -> Mapping[str, Any]:
@@ -258,6 +304,15 @@ def check_free(endpoint: str) -> None:
     except (OSError, UnicodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "is no name of a host"
         raise ConfigurationError(f"listen: {endpoint}: {why}; choose another port or address") from None
+
+
+def is_loopback(endpoint: str) -> bool:
+    """Whether this machine alone reaches a place at which something listens."""
+    ((host, _),) = endpoints_of(endpoint)
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def listed(text: str) -> list[str]:

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from aiorts.errors import DeniedError, LinkError
 from aiorts.links import (
+    Allowed,
     BaseChannel,
     BaseTransport,
     Caller,
@@ -121,6 +122,8 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         """Why this kernel may not ask others for operations; "" where it may."""
         self.trust: Trust = AnyName()
         """The rules of which kernels may be there, and which may tell of others."""
+        self.allowed = Allowed()
+        """Rights of the kernels that it reaches, to ports of this one."""
         self.keys: Keys
         self._sessions: Sessions
         self._presence: Presence | None = None
@@ -447,7 +450,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
             await asyncio.sleep(_ASK_AGAIN)  # its token is on the way, or nobody here has heard of it yet
         if len(self._answers) > _ASKED:
             return False, b"too many questions at the same time"
-        return await self.answer_to(what, body, Caller(peer, f"kernel {peer.host}/{peer.kernel}"))
+        return await self.answer_to(what, body, Caller(peer, f"kernel {peer.host}/{peer.kernel}", self.allowed))
 
     def _give(self, peer: Peer | None, size: int, work: Callable[[], None]) -> None:
         """Give a question or answer to the engine, at once where that has room for it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 import subprocess
@@ -61,3 +62,35 @@ def wire_of(host: Sequence[str]) -> Callable[[str], float]:
         return time.monotonic()
 
     return set_to
+
+
+_NETWORK = 0x4000_0000
+"""What `setns` calls the namespace of a network."""
+
+
+@contextmanager
+def own_network(rules: str = "") -> Iterator[None]:
+    """What is started within has a network of its own, with a loopback alone, and this firewall (of `nft`)."""
+    missing = [one for one in ("ip", "nft") if shutil.which(one) is None]
+    if missing or os.geteuid() != 0:
+        pytest.skip(f"not run: a firewall needs root, and {' and '.join(missing) or 'its programs'}")
+    name = f"aiorts-{os.getpid()}-own"
+    done = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True, check=False, timeout=10)
+    if done.returncode:
+        pytest.skip(f"not run: no network namespaces here: {done.stderr.strip()[:200]}")
+    libc = ctypes.CDLL(None, use_errno=True)
+    with open("/proc/thread-self/ns/net") as before, open(f"/run/netns/{name}") as own:
+        try:
+            _check(libc.setns(own.fileno(), _NETWORK))
+            subprocess.run(["ip", "link", "set", "lo", "up"], check=True, timeout=10)
+            subprocess.run(["nft", "-f", "-"], input=rules, text=True, check=True, timeout=10)
+            yield
+        finally:
+            _check(libc.setns(before.fileno(), _NETWORK))
+            subprocess.run(["ip", "netns", "del", name], check=False, timeout=10)
+
+
+def _check(result: int) -> None:
+    if result:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))

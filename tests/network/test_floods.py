@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -55,8 +55,14 @@ asyncio.run(main(*sys.argv[1:]))
 def address(tmp_path: Path) -> Iterator[str]:
     """Where a kernel in a process of its own listens."""
     folder(tmp_path, reader="component", writer="component")
-    where = f"127.0.0.1:{free_port()}"
-    command = [sys.executable, "-c", LISTENS, where, str(tmp_path)]
+    with listening(tmp_path, f"127.0.0.1:{free_port()}") as where:
+        yield where
+
+
+@contextmanager
+def listening(certificates: Path, where: str) -> Iterator[str]:
+    """A kernel in a process of its own listens there, and ends in order afterwards."""
+    command = [sys.executable, "-c", LISTENS, where, str(certificates)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None

@@ -24,6 +24,7 @@ import click
 from aiorts import Catalogue, ExternalContext, Kernel, RealtimeContext, __version__, exits, run
 from aiorts.cli.console.output import say, say_json, table
 from aiorts.cli.console.plugins_option import catalogue_of
+from aiorts.control import kernels
 from aiorts.errors import AiortsError
 from aiorts.late import dataclass
 
@@ -32,6 +33,8 @@ _SLEEPS: Final = 100
 _SLEEP: Final = 0.002
 _GOOD: Final = 0.0005
 """Seconds of lateness beyond which a period of 2 ms is not kept."""
+_ANSWERS: Final = 5.0
+"""Seconds that a kernel has to answer, which may be busy."""
 _TRIED: Final = ((3, 11), (3, 13))
 _LEAST_DESCRIPTORS: Final = 256
 _FOR_DEVELOPERS: Final = ("test", "dev", "all")
@@ -51,7 +54,7 @@ class Finding:
 @click.option("--plugins", "folders", multiple=True, type=click.Path(path_type=Path), help="A folder with plugins.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document.")
 def doctor(folders: tuple[Path, ...], as_json: bool) -> int:
-    """Look at Python, the event loop, timers, real-time privileges, extras, plugins, terminal and limits.
+    """Look at Python, the event loop, kernels that run, timers, real-time privileges, extras, plugins and limits.
 
     Each line is ok, a note (it works and could be better) or a problem. Exit status 1 when there is a problem.
     """
@@ -240,6 +243,18 @@ async def _tick_once() -> None:
         await context.tick()
 
 
+def _running() -> Iterator[Finding]:
+    """Risks that the running kernels of this user name."""
+    try:
+        with kernels(_ANSWERS) as found:
+            for one in found.running:
+                for said in one.names.get("risks", ()):
+                    risk, _, remedy = said.partition("; ")
+                    yield Finding(f"kernel {one.name}", NOTE, risk, remedy)
+    except AiortsError as error:
+        yield Finding("kernels", NOTE, f"those that run cannot be asked: {error}", "aiorts ls")
+
+
 # -- terminal and limits -----------------------------------------------------------------------------------------------
 
 
@@ -286,6 +301,7 @@ _LOOKS: Final[tuple[Callable[[], Iterator[Finding]], ...]] = (
     _packages,
     _loop,
     _cycle,
+    _running,
     _timers,
     _realtime,
     _terminal,

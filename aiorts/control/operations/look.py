@@ -36,6 +36,7 @@ def _names(session: Session, _: Nothing) -> Names:
         finished=tuple(name for name, one in kernel.components.items() if one.has_finished),
         links="" if far is None else far.open_as(elsewhere=session.carried),
         notices=tuple(one.notice for one in kernel.services if one.notice),
+        risks=tuple(one.risk for one in kernel.services if one.risk),
         pid=os.getpid(),
     )
 

@@ -7,6 +7,7 @@ may lose, double, reorder and delay frames. Time comes as `now`, in nanoseconds 
 
 from __future__ import annotations
 
+from aiorts.model.links.allowed import CALL, READ, RIGHTS, WRITE, Allowed
 from aiorts.model.links.frames import Buffer, Send, Turn, turn_of
 from aiorts.model.links.ledger import Joined, join
 from aiorts.model.links.reader import ReaderEnd, ReaderLedger, Received
@@ -14,6 +15,11 @@ from aiorts.model.links.state import LinkState
 from aiorts.model.links.writer import WriterEnd, WriterLedger
 
 __all__ = (
+    "CALL",
+    "READ",
+    "RIGHTS",
+    "WRITE",
+    "Allowed",
     "Buffer",
     "Joined",
     "LinkState",
