@@ -42,8 +42,8 @@ Said = Literal["ok", "began", "item", "end", "error", "cancel", "leave"]
 """The answers of a kernel ("began": the "ok" of a stream), and the ways in which this end gives a call up: "cancel" has
 the kernel end it, with "leave" the kernel carries it out."""
 Do = Literal["take", "skip", "send", "forget", "fault"]
-"""The effect: it is taken, or passed over; the kernel is notified; the call's number is forgotten; the session ends,
-since it is no answer."""
+"""The effect: it is taken, or passed over; the kernel is to hear of it; the call's number is forgotten; the session
+ends, since it is no answer."""
 Table = Mapping[Any, Mapping[Any, tuple[Any, Do]]]
 
 
@@ -139,7 +139,7 @@ class Call:
         return answer
 
     def missed_last(self) -> int:
-        """Items that are missing after the last answer; they are told once."""
+        """Items that are missing after the last answer; each is counted once."""
         missed, self._missed = self._missed, 0
         return missed
 
@@ -323,7 +323,7 @@ class ClientSession:
 
 
 def _said(frame: Mapping[Any, Any]) -> Said | None:
-    """What a frame says of its call; of several the first counts."""
+    """The answer that a frame is; of several in one the first counts."""
     if "error" in frame:
         return "error"
     if "ok" in frame:
