@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.control.operation import Operation, Right
 from aiorts.control.protocol import BYE, REQUESTS, STALL_SECONDS, WAITING, agreed, framed, frames, has_frame, request_in
 from aiorts.errors import AiortsError, BusyError, ControlError, DeniedError, StaleError, WireError
+from aiorts.kernel.execution.file_access import acting
 from aiorts.model.reading import from_plain
 
 if TYPE_CHECKING:
@@ -197,7 +198,13 @@ class Connection:
             return
         self._open[number] = operation.streams
         view = operation.right is Right.VIEW
-        self._listener.hand_over(Call(self, number, lambda: session.begin(number, operation, arguments), view=view))
+        access = None if self.right.allows(Right.CODE) else self._listener.files
+
+        def begin() -> None:
+            with acting(access):
+                session.begin(number, operation, arguments)
+
+        self._listener.hand_over(Call(self, number, begin, view=view))
 
     def _greet(self, request: dict[Any, Any]) -> None:
         hello = request.get("hello")

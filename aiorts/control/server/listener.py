@@ -29,6 +29,7 @@ from aiorts.wire.limits import MIB
 
 if TYPE_CHECKING:
     from aiorts.control.folder import Claim
+    from aiorts.kernel.execution.file_access import FileAccess
     from aiorts.kernel.microkernel import Microkernel
 
 _CLIENTS: Final = 256
@@ -63,10 +64,14 @@ class Listener:
         claim: the socket that listens, and the kernel's entry.
         right: what clients may do.
         hello: what the kernel says of itself.
+        files: those that clients may name who may not bring code.
     """
 
-    def __init__(self, kernel: Microkernel, claim: Claim, right: Right, hello: Mapping[str, Any]) -> None:
+    def __init__(
+        self, kernel: Microkernel, claim: Claim, right: Right, hello: Mapping[str, Any], files: FileAccess
+    ) -> None:
         self.right = right
+        self.files = files
         self.hello = hello
         self.epoch = claim.entry.epoch
         self._kernel, self._operators = kernel, Operators(kernel)
