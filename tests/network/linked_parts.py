@@ -33,15 +33,18 @@ class Linked:
     Args:
         log: what it says.
         before: words before the command, such as those that run it on another host.
+        program: what runs there; it takes commands and answers them as `linked_program.py` does.
     """
 
-    def __init__(self, settings: Mapping[str, Any], log: Path, before: Sequence[str] = ()) -> None:
-        self.settings, self.log, self._before = settings, log, before
+    def __init__(
+        self, settings: Mapping[str, Any], log: Path, before: Sequence[str] = (), program: Path = PROGRAM
+    ) -> None:
+        self.settings, self.log, self._before, self._program = settings, log, before, program
         self.start()
 
     def start(self) -> None:
         """Start it, the first time or again."""
-        command = [*self._before, sys.executable, str(PROGRAM), json.dumps(self.settings)]
+        command = [*self._before, sys.executable, str(self._program), json.dumps(self.settings)]
         with self.log.open("ab") as output:
             self.process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=output, text=True
