@@ -89,7 +89,8 @@ class Client:
         try:
             self._socket.settimeout(TIMEOUT)
             self._connect(self.entry, time.monotonic() + patience)
-            self._socket.sendall(framed({"hello": hello}))
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it has said why, which is read
+                self._socket.sendall(framed({"hello": hello}))
         except BaseException:
             self._socket.close()
             raise
