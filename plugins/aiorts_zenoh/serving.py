@@ -30,7 +30,7 @@ _ANSWERS: Final = 8 << 20
 _ANSWER_SECONDS: Final = 30.0
 _SESSIONS: Final = {INFO: 192, CTL: 256}
 """Of all clients, when another is to begin below this branch: those that operate have the rest for themselves."""
-_OF_ONE: Final = {INFO: 48, CTL: 128}
+_OF_ONE: Final = {INFO: 24, CTL: 128}
 """Sessions of one client's name: a few more than the kernel lets in, which says why to these."""
 _REMEMBERED: Final = 256
 """Names and texts that are reported once."""

@@ -1,7 +1,8 @@
 """An attacker that makes single calls with a viewer's certificate, all at once: no session, no waiting for answers.
 
 `python calling_program.py HOST:PORT CERTIFICATES NAME COUNT OPERATION`; it says how many were answered, how many refused
-as too many, and how many in another way. It ends when its standard input does.
+as too many, and how many in another way. With "session" it begins as many sessions, each with a hello, and says how many
+messages have come back. It ends when its standard input does.
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ from pathlib import Path
 import msgpack
 import zenoh
 
+from aiorts.control import NEWEST, OLDEST, framed
 from aiorts.errors import BusyError
 from aiorts.links import Peer
 from aiorts_zenoh import NetworkSettings
+from aiorts_zenoh.envelope import FRAME, message
 from aiorts_zenoh.keys import HELLO, INFO, ClientKeys, peer_of
 from aiorts_zenoh.network import engine_settings
 from aiorts_zenoh.security.access import VIEWER
@@ -58,12 +61,32 @@ def victim(session: zenoh.Session) -> Peer:
     raise SystemExit("there is no kernel")
 
 
-with zenoh.open(config) as session:
-    key = keys.session(INFO, victim(session), OPERATION)
-    print(flush=True)
+def calls(session: zenoh.Session, peer: Peer) -> None:
+    key = keys.session(INFO, peer, OPERATION)
     for _ in range(int(COUNT)):
         if ended.is_set():
             break
         session.get(key, zenoh.handlers.Callback(came, indirect=False), timeout=SECONDS)
     ended.wait()
+
+
+def sessions(session: zenoh.Session, peer: Peer) -> None:
+    def heard(_: zenoh.Sample) -> None:
+        found["answered"] += 1
+
+    hello = framed({"hello": {"oldest": OLDEST, "newest": NEWEST, "who": "it"}})
+    subscribers = [session.declare_subscriber(keys.answers(INFO), heard)]
+    for number in range(int(COUNT)):
+        if ended.is_set():
+            break
+        key = keys.session(INFO, peer, f"{number:016x}")
+        session.put(f"{key}/c", message(FRAME, number, 0, time.time_ns(), [hello]))
+    ended.wait()
+    subscribers.clear()
+
+
+with zenoh.open(config) as session:
+    peer = victim(session)
+    print(flush=True)
+    (sessions if OPERATION == "session" else calls)(session, peer)
 print(f"answered={found['answered']} refused={found['refused']} other={found['other']}", flush=True)

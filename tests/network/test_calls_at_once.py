@@ -16,8 +16,8 @@ from network.attack_parts import Target, beside
 CALLS = Path(__file__).with_name("calling_program.py")
 
 
-@pytest.mark.parametrize("operation", ["names", "profile"])
-def test_two_thousand_calls_of_a_viewer_hold_nothing_up(operation: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("operation", ["names", "profile", "session"])
+def test_two_thousand_calls_or_sessions_of_a_viewer_hold_nothing_up(operation: str, tmp_path: Path) -> None:
     def attack(target: Target) -> Sequence[str]:
         return [sys.executable, str(CALLS), target.address, str(target.certificates), "anna", "2000", operation]
 

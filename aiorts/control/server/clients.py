@@ -17,7 +17,7 @@ CONNECTIONS: Final = 256
 """Of all clients."""
 LOOKING: Final = 192
 """Of all clients that may only look."""
-OF_ONE: Final = {Right.VIEW: 32, Right.OPERATE: 128, Right.CODE: 128}
+OF_ONE: Final = {Right.VIEW: 16, Right.OPERATE: 128, Right.CODE: 128}
 """Connections of one client, by its right."""
 CALLS: Final = {Right.VIEW: 256, Right.OPERATE: 1_024, Right.CODE: 1_024}
 """Calls of one client without their last answer, by its right."""
