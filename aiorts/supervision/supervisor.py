@@ -196,9 +196,7 @@ class Supervisor:
 
     def _look_at(self, one: Supervised) -> None:
         if one._task is None and one.policy.restart != "never" and not one.exhausted and _in_error(one.component):
-            task = one._task = kernel_task(
-                self._kernel.loop, self._help(one), f"aiorts help {one.name}", own_context()
-            )
+            task = one._task = kernel_task(self._kernel.loop, self._help(one), f"aiorts help {one.name}", own_context())
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 

@@ -29,7 +29,7 @@ _ANSWERS: Final = 8 << 20
 """Bytes of an answer to a question that stands alone."""
 _ANSWER_SECONDS: Final = 30.0
 _SESSIONS: Final = {INFO: 192, CTL: 256}
-"""Of all clients, when another is to begin below this branch: those that operate have the rest for themselves."""
+"""Sessions of all clients, when another is to begin below this branch: the rest is for those that operate."""
 _OF_ONE: Final = {INFO: 24, CTL: 128}
 """Sessions of one client's name: a few more than the kernel lets in, which says why to these."""
 _REMEMBERED: Final = 256

@@ -123,7 +123,10 @@ async def test_a_file_that_is_written_by_default_is_named_by_who_creates_the_com
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    create = "create", {"type": "FlexiLogger", "name": "new", "params": {"inputs": ["TimedDouble"], "existing": "overwrite"}}
+    create = (
+        "create",
+        {"type": "FlexiLogger", "name": "new", "params": {"inputs": ["TimedDouble"], "existing": "overwrite"}},
+    )
     async with filing(tmp_path) as kernel:
         assert await asked(kernel, Right.OPERATE, create) == DeniedError.code
         assert await asked(kernel, Right.CODE, create) == ""
@@ -169,7 +172,7 @@ async def test_a_change_that_is_taken_back_has_the_files_that_were_there(tmp_pat
 
 async def test_the_first_bytes_of_a_file_are_in_no_message_of_a_kernel(tmp_path: Path) -> None:
     async with filing(tmp_path) as kernel:
-        for text in ("rootx:0:0", "{\"a\": 1}\n{secret", "secret;text\n"):
+        for text in ("rootx:0:0", '{"a": 1}\n{secret', "secret;text\n"):
             (tmp_path / "secret.txt").write_text(text)
             with pytest.raises(ConfigurationError) as refused:
                 await kernel.create(FlexiLogger, "new", mode="replay", logfile=tmp_path / "secret.txt")

@@ -1,4 +1,4 @@
-"""Who is connected with a kernel: how many connections and calls each client has, and what its calls took of late.
+"""The clients of a kernel: how many connections and calls each has, and how much time its calls took of late.
 
 A client is a process of this host, or a name of another one, with its right. Some connections are kept for clients that
 may do more than look: those that only look never have all of them.
@@ -14,9 +14,9 @@ from aiorts.control.operation import Right
 from aiorts.errors import BusyError
 
 CONNECTIONS: Final = 256
-"""Of all clients."""
+"""Connections of all clients."""
 LOOKING: Final = 192
-"""Of all clients that may only look."""
+"""Connections of all clients that may only look."""
 OF_ONE: Final = {Right.VIEW: 16, Right.OPERATE: 128, Right.CODE: 128}
 """Connections of one client, by its right."""
 CALLS: Final = {Right.VIEW: 256, Right.OPERATE: 1_024, Right.CODE: 1_024}
@@ -73,7 +73,9 @@ class Clients:
             if client.connections >= OF_ONE[right]:
                 raise BusyError(f"{name} has {OF_ONE[right]} connections with this kernel already; end one of them")
             if looks and self._looking >= LOOKING:
-                raise BusyError(f"{LOOKING} clients look into this kernel already; the rest is for those who operate it")
+                raise BusyError(
+                    f"{LOOKING} clients look into this kernel already; the rest is for those who operate it"
+                )
             if self._connections >= CONNECTIONS:
                 raise BusyError(f"{CONNECTIONS} clients are connected with this kernel already; end one of them")
             client.connections += 1

@@ -64,9 +64,7 @@ class Call:
 class Connection:
     """One client. Everything here is called in the thread of the socket, `put` and `has_room` excepted."""
 
-    def __init__(
-        self, listener: Listener, connected: socket.socket, client: Client, *, carried: bool = False
-    ) -> None:
+    def __init__(self, listener: Listener, connected: socket.socket, client: Client, *, carried: bool = False) -> None:
         self.socket = connected
         self.client = client
         self.carried = carried

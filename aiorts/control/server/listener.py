@@ -410,7 +410,7 @@ class Listener:
         self._connections.add(Connection(self, connected, client))
 
     def _forget_stranger(self) -> None:
-        """Have the client that has waited longest without a hello make room for another."""
+        """The client that has been without a hello for longest makes room for another."""
         strangers = [one for one in self._connections if one.session is None]
         if strangers:
             min(strangers, key=lambda one: one.since).closed = True

@@ -1,4 +1,4 @@
-"""Which files a client may have the kernel open: one question, asked of each path that a client gives.
+"""The files that a client may have the kernel open: one question, asked of each path that a client gives.
 
 The program, the system file and clients with the right `code` name any file. The call of any other client runs with a
 `FileAccess`, also what it has done between two cycles. Hooks run without one: a component names what it likes.
@@ -54,7 +54,7 @@ class FileAccess:
 
 
 _access: Final[contextvars.ContextVar[FileAccess | None]] = contextvars.ContextVar("aiorts file access", default=None)
-"""What the client may name whose call runs; None: it is no client's, or that of one who names any file."""
+"""The files that the client of the call under way may name; None: no client's call, or one that names any file."""
 
 
 @contextmanager

@@ -597,7 +597,7 @@ class Transport:
         self.push_in(self.stamp_in(sample))
 
     def spare_newest(self) -> None:
-        """Have the newest sample that waits be sent whatever the push policy says; the caller holds the lock."""
+        """The newest sample that waits is sent whatever the push policy says; the caller holds the lock."""
 
     def take_back(self) -> None:
         """What was offered and lies unread, with nothing taken or lost, was not written; the caller holds the lock."""

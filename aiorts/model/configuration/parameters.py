@@ -46,7 +46,7 @@ WIDGETS: Final = {
 """What an editor can show, and what each needs to be declared. "slider.0.1" is a slider that moves in steps of 0.1."""
 
 FILES: Final = ("read", "write")
-"""What a component does with the file that a parameter names; who writes it may read it, too."""
+"""Words for what a component does with the file that a parameter names; who writes it may read it, too."""
 
 
 @dataclass(frozen=True, slots=True)
