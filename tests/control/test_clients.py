@@ -33,12 +33,10 @@ def test_a_client_has_its_connections_and_those_who_look_leave_some() -> None:
     assert len(set(made)) == 1
     with pytest.raises(BusyError, match=rf"anna has {OF_ONE[Right.VIEW]} connections with this kernel already"):
         clients.connect("anna", Right.VIEW)
-    for number in range(LOOKING - len(made)):
-        made.append(clients.connect(f"viewer {number}", Right.VIEW))
+    made += [clients.connect(f"viewer {number}", Right.VIEW) for number in range(LOOKING - len(made))]
     with pytest.raises(BusyError, match=f"{LOOKING} clients look into this kernel already"):
         clients.connect("one more", Right.VIEW)
-    for number in range(CONNECTIONS - LOOKING):
-        made.append(clients.connect(f"operator {number}", Right.OPERATE))
+    made += [clients.connect(f"operator {number}", Right.OPERATE) for number in range(CONNECTIONS - LOOKING)]
     with pytest.raises(BusyError, match=f"{CONNECTIONS} clients are connected with this kernel already"):
         clients.connect("one more", Right.CODE)
     clients.disconnect(made[0])

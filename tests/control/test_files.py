@@ -236,7 +236,8 @@ def test_a_parameter_that_names_a_file_says_what_is_done_with_it(tmp_path: Path)
         '    said = Param(Path("a"), file="read")\n    unsaid = Param(Path("b"))\n'
     )
     (tmp_path / "system.toml").write_text(
-        'schema = 1\n[components.reads]\ntype = "reads.py:Reads"\n[contexts.loop]\nkind = "event"\nmembers = ["reads"]\n'
+        'schema = 1\n[components.reads]\ntype = "reads.py:Reads"\n[contexts.loop]\n'
+        'kind = "event"\nmembers = ["reads"]\n'
     )
     found = [one for one in check(tmp_path / "system.toml") if one.code == "W-FILE"]
     assert [(one.severity, one.where) for one in found] == [("warning", "components.reads")]
@@ -251,5 +252,5 @@ async def test_a_report_says_which_parameters_name_files() -> None:
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="files: .*there is no such folder"):
+    with pytest.raises(ConfigurationError, match=r"files: .*there is no such folder"):
         Kernel(services={"control": {"name": "it", "files": tmp_path / "none"}})

@@ -197,7 +197,7 @@ def test_each_of_many_readers_has_everything_in_order_and_the_last_sample_once(
 
 def test_a_new_reader_of_a_link_that_pulls_has_the_last_sample_once() -> None:
     async def run() -> None:
-        network = MemoryNetwork(delay=0.001)
+        network, written = MemoryNetwork(delay=0.001), -1
         async with kernel_of(network, "one") as one:
             source = await one.add(Source())
             for count in (2, 0, 1, 9):

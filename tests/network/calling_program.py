@@ -1,8 +1,8 @@
 """An attacker that makes single calls with a viewer's certificate, all at once: no session, no waiting for answers.
 
-`python calling_program.py HOST:PORT CERTIFICATES NAME COUNT OPERATION`; it says how many were answered, how many refused
-as too many, and how many in another way. With "session" it begins as many sessions, each with a hello, and says how many
-messages have come back. It ends when its standard input does.
+`python calling_program.py HOST:PORT CERTIFICATES NAME COUNT OPERATION`; it says how many were answered, how many were
+refused as too many, and how many in another way. With "session" it begins as many sessions, each with a hello, and says
+how many messages have come back. It ends when its standard input does.
 """
 
 from __future__ import annotations
