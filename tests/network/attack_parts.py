@@ -14,8 +14,8 @@ which a link leads to; and `otto`, an operator with an open session who gives a 
 process of its own on the other processor. It prints a line when it begins, and ends when its standard input does; it is
 killed where it does not. In a baseline a loop that does nothing takes the attacker's processor.
 
-Four rounds are run: baseline, attack, baseline, attack. Nothing is asserted here but that the system is whole before the
-first round; `names` are further names with certificates and their roles, besides `victim`, `reader` and `otto`.
+Four rounds are run: baseline, attack, baseline, attack. Nothing is asserted here but that the system is whole before
+the first round; `names` are further names with certificates and their roles, besides `victim`, `reader` and `otto`.
 """
 
 from __future__ import annotations
@@ -126,9 +126,9 @@ class Outcome:
 
     def __str__(self) -> str:
         lines = [
-            f"{'attacked' if one.attacked else 'alone':8} {one.rate:6.2f} cycles/s, longest gap {one.gap * 1e3:.0f} ms, "
-            f"{one.written} written, {one.read} read, {one.lost} lost, answers up to "
-            f"{max(one.answers, default=float('inf')) * 1e3:.0f} ms {one.faults or ''}, "
+            f"{'attacked' if one.attacked else 'alone':8} {one.rate:6.2f} cycles/s, "
+            f"longest gap {one.gap * 1e3:.0f} ms, {one.written} written, {one.read} read, {one.lost} lost, "
+            f"answers up to {max(one.answers, default=float('inf')) * 1e3:.0f} ms {one.faults or ''}, "
             f"{one.memory >> 10} KiB, {one.standing}; {one.said}"
             for one in self.rounds
         ]

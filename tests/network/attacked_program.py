@@ -19,6 +19,8 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+from linked_program import lines, resident  # its folder is the first where this program looks
+
 from aiorts import Component, InPort, Kernel, OutPort, Param, PeriodicContext
 from aiorts.control import Client, Entry
 from aiorts.errors import AiortsError
@@ -30,7 +32,6 @@ from aiorts_zenoh.keys import ClientKeys
 from aiorts_zenoh.network import engine_settings
 from aiorts_zenoh.security.access import OPERATORS
 from aiorts_zenoh.security.tls import secured_by
-from linked_program import lines, resident  # its folder is the first where this program looks
 
 RATE = 100.0
 """Cycles of the system a second."""
