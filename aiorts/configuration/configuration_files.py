@@ -16,6 +16,7 @@ from aiorts.kernel.commit import Edit, try_out
 from aiorts.kernel.configuring import put
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.file_access import acting
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.service import KernelService
@@ -155,7 +156,8 @@ async def _take_back(
 ) -> None:
     for component, before, after in reversed(done):
         try:
-            await put(kernel, component, partial(_as_before, before, after))
+            with acting(None):  # the files that it had were not named by the client
+                await put(kernel, component, partial(_as_before, before, after))
         except AiortsError as error:
             _LOG.warning("%s: its configuration could not be taken back: %s", component.name, error)
 

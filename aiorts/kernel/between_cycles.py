@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 from aiorts.errors import AiortsError, TransitionTimeout
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.cycle import Action, Call
+from aiorts.kernel.execution.file_access import carried
 from aiorts.kernel.execution.hooks import HookKind
 from aiorts.kernel.execution.runner import Logged
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of
@@ -37,7 +38,7 @@ async def between_cycles(kernel: KernelSide, component: ComponentSide, change: C
     Raises:
         TransitionTimeout: that moment did not come in time; nothing was changed. What `change` returns.
     """
-    contexts = component.contexts
+    contexts, change = component.contexts, carried(change)
     if cell(component).entry_lock.open and (not contexts or _at_rest(component)):
         _raise(change())
     elif len(contexts) == 1:
@@ -51,7 +52,7 @@ async def between_cycles(kernel: KernelSide, component: ComponentSide, change: C
 
 def soon(kernel: KernelSide, component: ComponentSide, change: Change) -> None:
     """Do `change` between two cycles and do not wait for it; from the loop, or from a hook in its own thread."""
-    change = _counted(component, change)
+    change = _counted(component, carried(change))
     contexts = component.contexts
     if len(contexts) == 1 and (kernel.on_loop_thread() or contexts[0].exclusive):
         logged = Logged(component, _WHAT)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from aiorts.errors import AiortsError, ClosedError, ConfigurationError
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.file_access import check_files
 from aiorts.kernel.loop.exceptions import text_of
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.origins import in_brackets, origin_of
@@ -35,10 +36,14 @@ _LOOP_PATIENCE = 5.0
 """Real seconds that a context's thread waits for the loop to change ports."""
 
 
-def commit(component: Configured, edit: Edit) -> AiortsError | None:
-    """Put in force what `edit` makes of the configuration; why not, if not."""
+def commit(component: Configured, edit: Edit, *, old: ConfigurationState | None = None) -> AiortsError | None:
+    """Put in force what `edit` makes of the configuration; why not, if not.
+
+    Args:
+        old: the configuration of the instance whose place it takes.
+    """
     try:
-        _Change(cell(component).successor or component, edit).put()
+        _Change(cell(component).successor or component, edit, old).put()
     except AiortsError as error:
         return error
     return None
@@ -58,12 +63,13 @@ class _Change:
 
     __slots__ = ("_component", "_new", "_old", "_ports", "_use")
 
-    def __init__(self, component: Configured, edit: Edit) -> None:
+    def __init__(self, component: Configured, edit: Edit, replaced: ConfigurationState | None = None) -> None:
         if not cell(component).alive:
             raise ClosedError(f"{component.name}: was removed; its configuration cannot be changed")
         self._component = component
         self._old = cell(component).configuration
         self._new = edit(self._old)
+        check_files(component.name, self._new, replaced or (self._old if cell(component).judged else None))
         for name in self._new.specs.keys() - self._old.specs.keys():
             _check_free(component, name)
         self._use = self._judge()

@@ -17,6 +17,7 @@ from aiorts.kernel.between_cycles import between_cycles, soon
 from aiorts.kernel.commit import Edit, commit
 from aiorts.kernel.declarations import declarations, kinds_of
 from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.file_access import check_files
 from aiorts.kernel.parameters import Declared, Parameters
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
@@ -152,8 +153,11 @@ class Configuration:
 
 async def put(kernel: KernelSide, component: Configured, edit: Edit) -> None:
     """Put a change in force between two cycles, after what stands for another kernel's has been accepted there."""
+    state = cell(component).configuration
     for kind in kinds_of(component):
-        await kind.configuring(component, edit(cell(component).configuration))
+        wanted = edit(state)
+        check_files(component.name, wanted, state)  # what is accepted there is in force there
+        await kind.configuring(component, wanted)
     await between_cycles(kernel, component, partial(commit, component, edit))
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import ClosedError, HookAbandoned, HookTimeout
 from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.file_access import own_context
 from aiorts.kernel.execution.hook_timeout import too_late
 from aiorts.kernel.execution.hooks import HookKind, bad_return
 from aiorts.kernel.loop.bus import HookAfter, HookBefore
@@ -60,7 +61,7 @@ async def _contain(
 ) -> BaseException | None:
     where = f"{component.name}.{hook}"
     limit = limit if budget is None else None
-    task = kernel_task(kernel.loop, _run(kernel, component, hook, args, limit), f"aiorts {where}")
+    task = kernel_task(kernel.loop, _run(kernel, component, hook, args, limit), f"aiorts {where}", own_context())
     task._aiorts_component = component  # type: ignore[attr-defined] # read by tasks.owner_of
     closing = kernel.closing
     waited: list[asyncio.Future[Any]] = [task] if budget is not None else [task, closing]

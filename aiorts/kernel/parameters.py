@@ -8,7 +8,7 @@ replaced between cycles only, so a hook never sees half a change. The parameter 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from aiorts.errors import DeclarationError
 from aiorts.kernel.execution.cell import cell
@@ -33,6 +33,7 @@ class Declared:
     constraint: Constraint
     widget: str
     validator: Callable[[Any], object] | None = None
+    file: str = ""
 
     def named(self, name: str, owner: str) -> ParameterSpec:
         """The specification under its name; DeclarationError when the default does not fit."""
@@ -45,6 +46,7 @@ class Declared:
             self.constraint,
             self.widget,
             self.validator,
+            self.file,
             owner=owner,
         )
 
@@ -64,6 +66,7 @@ def Param(  # noqa: N802 - a declaration reads as a type does
     constraint: str | None = None,
     widget: str = "",
     validator: Callable[[T], object] | None = None,
+    file: Literal["read", "write", ""] = "",
 ) -> T:
     """Declare a parameter in a component's class body; on an instance the attribute is the value in force.
 
@@ -75,6 +78,8 @@ def Param(  # noqa: N802 - a declaration reads as a type does
         constraint: the same as text, in OpenRTM's grammar ("0<=x<=10"); see
             `aiorts.model.configuration.constraint_text`.
         validator: asked, between cycles, for each new value; a ValueError that it raises refuses the whole change.
+        file: what the component does with the file that the value, a path or text, names. A client without the right
+            `code` names files below the folder `aiorts run --files` alone. A Path that says nothing counts as "write".
 
     Raises:
         DeclarationError: the declaration contradicts itself.
@@ -88,7 +93,7 @@ def Param(  # noqa: N802 - a declaration reads as a type does
         from aiorts.model.configuration.constraint_text import parse_constraint
 
         allowed = parse_constraint(constraint)
-    declared: Any = Declared(default, type, unit, doc, allowed, widget, validator)
+    declared: Any = Declared(default, type, unit, doc, allowed, widget, validator, file)
     result: T = declared
     return result
 

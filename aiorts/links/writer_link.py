@@ -86,6 +86,8 @@ class WriterLink:
         self.acknowledged_before = 0
         """By reader's ends that are no more."""
         self._confirmations: deque[Confirmation] = deque()
+        self._confirmed_at = 0
+        """How much was written when a sample was taken last whose writer waits for its acknowledgement."""
         self._unsendable = False
         self._ended = False
         self._idle: asyncio.Future[None] | None = None
@@ -164,6 +166,7 @@ class WriterLink:
                     continue
                 if self._ages:
                     end.date = now
+                self._confirmed_at = transport.position
                 entry.number = end.offer(now, head, parts, confirm=True)
                 self._confirmations.append(entry)
 
@@ -217,15 +220,24 @@ class WriterLink:
         if is_another:
             self._dropped, self.refused = added(self._dropped, self.refused), {}
             self.acknowledged_before = self._acknowledged
-        if is_another and self.connector.profile.keep_last and not self.busy and not self._transport().queue:
-            self._offer_last()
         self.pump()
+        if is_another and self.connector.profile.keep_last:
+            self._offer_last()
+            self.pump()
 
     def _offer_last(self) -> None:
-        """Give a new reader the sample that the writer wrote last, as a new connector in one kernel does."""
-        if (sample := last_written(self.connector.out)) is not NOTHING:
-            transport = self._transport()
-            with transport.guard():
+        """Give a new reader the sample that the writer wrote last, as a new connector in one kernel does.
+
+        It comes once and in order: with what waits if it is among that, else behind it.
+        """
+        transport = self._transport()
+        with transport.guard():
+            transport.settle()
+            # The out-port keeps a sample that a write waits for, too, though that is on its way.
+            is_missed = transport.missed == transport.position != self._confirmed_at
+            if (self.busy or transport.buffered) and not is_missed:
+                transport.spare_newest()
+            elif (sample := last_written(self.connector.out)) is not NOTHING:
                 transport.put_last(sample)
 
     @property

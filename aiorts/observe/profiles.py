@@ -52,6 +52,8 @@ class ParameterReport:
     pattern: str | None = None
     declared: bool = True
     """Whether the class declares it; else it was added at run time."""
+    file: str = ""
+    """"read" or "write" when the value names a file that the component reads, or writes."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,7 +150,8 @@ def _rest(kind: _Kind, params: Mapping[str, Any], name: str) -> tuple[Any, ...]:
 def _described(spec: ParameterSpec, declared: bool) -> tuple[Any, ...]:
     """All fields of a ParameterReport but the value."""
     limits = (getattr(spec.constraint, name) for name in _BOUNDS)
-    return (spec.default, spec.type_text, spec.unit, spec.doc, spec.widget, str(spec.constraint), *limits, declared)
+    words = spec.unit, spec.doc, spec.widget, str(spec.constraint)
+    return (spec.default, spec.type_text, *words, *limits, declared, spec.names_file)
 
 
 def _versions() -> Mapping[str, str]:

@@ -22,6 +22,7 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.context import Context
+from aiorts.kernel.execution.file_access import acting
 from aiorts.kernel.execution.member import is_open
 from aiorts.kernel.extensions.arguments import settings_of
 from aiorts.kernel.extensions.loading import load_aside
@@ -181,7 +182,8 @@ class Application:
         for step in reversed(self._begun):
             back = step.reverse()
             try:
-                await self.carry_out(back)
+                with acting(None):  # the files that are named again were not named by the client
+                    await self.carry_out(back)
             except Exception as error:  # noqa: BLE001 - the rest is taken back all the same, and this is said
                 failed.append(f"{back.text}: {format_error(error)}")
         self._begun = []

@@ -159,7 +159,7 @@ class Replacement:
             handed, self.lost = handed_over(seen, state, declared, self._is_free, old.name)
             return handed
 
-        refused = commit(new, edit)
+        refused = commit(new, edit, old=seen)
         if refused is not None:
             raise refused
 

@@ -68,7 +68,8 @@ class Client:
         try:
             self._socket.settimeout(TIMEOUT)
             self._connect(self.entry, time.monotonic() + patience)
-            self._socket.sendall(self._session.greeting(self._who, carried=self.entry.carried))
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it has said why, which is read
+                self._socket.sendall(self._session.greeting(self._who, carried=self.entry.carried))
         except BaseException:
             self._socket.close()
             raise

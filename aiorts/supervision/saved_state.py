@@ -47,7 +47,7 @@ class SavedState:
 
         Those that its class no longer declares are left out. ConfigurationError: it refuses a value.
         """
-        refused = commit(new, lambda state: self._configured(state, new.name))
+        refused = commit(new, lambda state: self._configured(state, new.name), old=self.configuration)
         if refused is not None:
             raise refused
 

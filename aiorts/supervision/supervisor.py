@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.composites import bring_back, group_of, outer_of, stopped_with
 from aiorts.errors import ClosedError, DeclarationError, format_error
 from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.file_access import own_context
 from aiorts.kernel.loop.bus import ComponentRemoved, Event, StateChanged
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import current_task, kernel_task
@@ -195,7 +196,7 @@ class Supervisor:
 
     def _look_at(self, one: Supervised) -> None:
         if one._task is None and one.policy.restart != "never" and not one.exhausted and _in_error(one.component):
-            task = one._task = kernel_task(self._kernel.loop, self._help(one), f"aiorts help {one.name}")
+            task = one._task = kernel_task(self._kernel.loop, self._help(one), f"aiorts help {one.name}", own_context())
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 

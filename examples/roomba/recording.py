@@ -29,7 +29,7 @@ class Recording(Component):
     acceleration = OutPort(TimedDoubleSeq, unit="m/s^2", doc="linear acceleration x, y, z")
     truth = OutPort(TimedDouble, unit="rad", doc="the robot's own heading, clockwise positive")
 
-    path = Param(Path("imu.txt"), doc="the file to play")
+    path = Param(Path("imu.txt"), file="read", doc="the file to play")
     speed = Param(1.0, gt=0.0, doc="times as fast as recorded")
 
     def on_initialize(self) -> None:

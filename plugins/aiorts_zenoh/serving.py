@@ -29,9 +29,12 @@ if TYPE_CHECKING:
 _ANSWERS: Final = 8 << 20
 """Bytes of an answer to a question that stands alone."""
 _ANSWER_SECONDS: Final = 30.0
-_SESSIONS: Final = 256
-_OF_ONE: Final = 128
-"""Sessions of one client's name."""
+_SESSIONS: Final = {INFO: 192, CTL: 256}
+"""Sessions of all clients, when another is to begin below this branch: the rest is for those that operate."""
+_OF_ONE: Final = {INFO: 24, CTL: 128}
+"""Sessions of one client's name: a few more than the kernel lets in, which says why to these."""
+_REMEMBERED: Final = 256
+"""Names and texts that are reported once."""
 _KEPT: Final = 4_096
 _STARTS: Final = 5.0
 _LAST_WORDS: Final = 1.5
@@ -144,7 +147,7 @@ class Serving:
         except ValueError as error:
             if self._engine.gate is not None:
                 self._engine.gate.was_bad(key)
-            if (caller := session_in(key)[0]) not in self._bad and len(self._bad) < _SESSIONS:
+            if (caller := session_in(key)[0]) not in self._bad and len(self._bad) < _REMEMBERED:
                 self._bad.add(caller)
                 self._report(f"zenoh: {caller} sent what is no message: {error}")
             return
@@ -157,7 +160,7 @@ class Serving:
             if name in self._ended or not (begins or (message.kind == LOOK and name in self._there)):
                 return
             of_caller = sum(one[1] == name[1] for one in self._sessions)
-            if len(self._sessions) >= _SESSIONS or of_caller >= _OF_ONE:
+            if len(self._sessions) >= _SESSIONS[branch] or of_caller >= _OF_ONE[branch]:
                 no_more = message_of(END, message.epoch, 0, time.time_ns())
                 self._engine.put(self._keys.session(*name), no_more, urgent=branch == CTL)
                 return
@@ -173,7 +176,7 @@ class Serving:
         try:
             await carried.run(*await self._let_in(*name[:2]))
         except (AiortsError, OSError) as error:
-            if (text := f"zenoh: {name[1]}: {error}") not in self._refused and len(self._refused) < _SESSIONS:
+            if (text := f"zenoh: {name[1]}: {error}") not in self._refused and len(self._refused) < _REMEMBERED:
                 self._refused.add(text)
                 self._report(text)
             await carried.refuse(framed(_said(error)))
@@ -184,9 +187,12 @@ class Serving:
                 del self._ended[next(iter(self._ended))]
 
     async def _let_in(self, branch: str, caller: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        return await asyncio.open_unix_connection(sock=self._admitted(branch, caller))
+
+    def _admitted(self, branch: str, caller: str) -> socket.socket:
+        """The client's end of a connection with the kernel."""
         self._check(branch, caller)
-        connected: socket.socket = self._control.admit(self._branches[branch], f"{caller}, another host")
-        return await asyncio.open_unix_connection(sock=connected)
+        return self._control.admit(self._branches[branch], f"{caller}, another host")
 
     def _check(self, branch: str, caller: str) -> None:
         if not self._admits(caller, branch == CTL):
@@ -209,26 +215,41 @@ class Serving:
     # -- calls without a session -----------------------------------------------------------------------------------
 
     def _asked(self, branch: str, key: str, body: bytes, beside: bytes, query: Any) -> None:
-        self._run(self._answer(branch, key, body, query))
-
-    async def _answer(self, branch: str, key: str, body: bytes, query: Any) -> None:
         *_, caller, operation = key.split("/")
+        reply = partial(self._reply, query, self._keys.call(branch, caller, operation))
         try:
-            answer = {"ok": await self._call(branch, caller, operation, body)}
+            if operation == HELLO:
+                self._check(branch, caller)
+                reply({"ok": {**self._control.hello, "right": self._branches[branch].value}})
+                return
+            hello = self._control.hello
+            session = ClientSession(str(hello.get("address", "")), str(hello.get("epoch", "")), longest=_ANSWERS)
+            _, call = session.begin(operation, answer_in(body) if body else {})
+            connected = self._admitted(branch, caller)  # refused here and now, it costs no task and no descriptor
         except (AiortsError, OSError) as error:
-            answer = _said(error)
-        at = self._keys.call(branch, caller, operation)
-        self._engine.reply(query, cast("bytes", msgpack.packb(answer)), good=True, key=at)
+            reply(_said(error))
+            return
+        self._run(self._answer(connected, session, operation, call, reply))
 
-    async def _call(self, branch: str, caller: str, operation: str, body: bytes) -> Any:
+    def _reply(self, query: Any, key: str, answer: dict[Any, Any]) -> None:
+        self._engine.reply(query, cast("bytes", msgpack.packb(answer)), good=True, key=key)
+
+    async def _answer(
+        self,
+        connected: socket.socket,
+        session: ClientSession,
+        operation: str,
+        call: bytes,
+        reply: Callable[[dict[Any, Any]], None],
+    ) -> None:
+        try:
+            reply({"ok": await self._call(connected, session, operation, call)})
+        except (AiortsError, OSError) as error:
+            reply(_said(error))
+
+    async def _call(self, connected: socket.socket, session: ClientSession, operation: str, call: bytes) -> Any:
         """The result of one call, in a session of its own. AiortsError: the kernel refuses it."""
-        hello = self._control.hello
-        if operation == HELLO:
-            self._check(branch, caller)
-            return {**hello, "right": self._branches[branch].value}
-        session = ClientSession(str(hello.get("address", "")), str(hello.get("epoch", "")), longest=_ANSWERS)
-        _, call = session.begin(operation, answer_in(body) if body else {})
-        reader, writer = await self._let_in(branch, caller)
+        reader, writer = await asyncio.open_unix_connection(sock=connected)
         try:
             writer.write(session.greeting("a call") + call)
             async with asyncio.timeout(_ANSWER_SECONDS):

@@ -173,6 +173,7 @@ async def test_everything_a_tool_needs_to_know_of_parameters_is_plain_data() -> 
             "choices": None,
             "pattern": None,
             "widget": "slider.0.1",
+            "file": "",
             "declared": True,
             "remark": "",
         }

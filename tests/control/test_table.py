@@ -43,15 +43,19 @@ def given(kind: Any) -> Any:
     return 1
 
 
+def hints(kind: Any) -> dict[str, Any]:
+    """The annotations of a class of arguments."""
+    return typing.get_type_hints(kind)
+
+
 def made(kind: Any) -> Any:
     """A value of a class of arguments: each field that has to be given."""
-    hints = typing.get_type_hints(kind)
     required = [
         one
         for one in dataclasses.fields(kind)
         if one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING
     ]
-    return kind(**{one.name: given(hints[one.name]) for one in required})
+    return kind(**{one.name: given(hints(kind)[one.name]) for one in required})
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)

@@ -409,8 +409,8 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo")
     (tmp_path / "loop").symlink_to("loop")
     refused = {
-        made("magic", b"\x89PNG\r\n\x1a\n" + bytes(100)): "no recording: it begins with",
-        made("text", b"hello, world\n" * 10): "no recording: it begins with",
+        made("magic", b"\x89PNG\r\n\x1a\n" + bytes(100)): "no recording: it does not begin with",
+        made("text", b"hello, world\n" * 10): "no recording: it does not begin with",
         made("empty", b""): "it is empty",
         made("short", MAGIC[:5]): "it ends after 5 bytes",
         tmp_path: "is a folder",

@@ -221,12 +221,12 @@ def test_what_is_no_recording_is_one_clear_error(tmp_path: Path, monkeypatch: py
     path = tmp_path / "it"
     for protocol in range(6):
         path.write_bytes(pickle.dumps(_Bomb(), protocol))
-        with pytest.raises(RecordingError, match=r"it: no recording: it begins with"):
+        with pytest.raises(RecordingError, match=r"it: no recording: it begins as no recording does"):
             open_recording(path)
     assert not (tmp_path / "canary").exists()
     for raw, why in (
         (b"", "no recording: it is empty"),
-        (b"hello\n", "no recording: it begins with b'hello.n'"),
+        (b"hello\n", "no recording: it begins as no recording does"),
         (b"t,x,y\n0,1,2\n", "CSV: aiorts log convert"),
         (b'[{"data": 1}]', "no recording"),
         (b"\0" * 5000, "no recording"),

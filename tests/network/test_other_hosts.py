@@ -60,12 +60,13 @@ class Far:
     """A run on another host, and what commands of this one do with it."""
 
     security: tuple[str, ...] = ("--insecure-network",)
+    system = SYSTEM
     parts = PARTS
     client: tuple[str, ...] = ("--as", "tester", "--insecure-network")
 
     def __init__(self, folder: Path, *options: str) -> None:
         self.address = f"127.0.0.1:{free_port()}"
-        (folder / "system.toml").write_text(SYSTEM)
+        (folder / "system.toml").write_text(self.system)
         (folder / "parts.py").write_text(self.parts)
         self.log = folder / "log.txt"
         self.folders = [tempfile.mkdtemp(prefix="ai") for _ in range(2)]

@@ -195,6 +195,7 @@ def _parameter(spec: Any) -> dict[str, Any]:
         "pattern": rule.pattern,
         "doc": spec.doc,
         "widget": spec.widget,
+        "file": spec.names_file,
         "constraint": str(rule),
     }
 

@@ -106,8 +106,8 @@ CODES: Final[dict[str, Code]] = {
     ),
     "E-DENIED": Code(
         "The kernel does not allow this operation over this connection.",
-        "It was started with --control=view; or, over a network, without --allow-control, or the client may only look.",
-        "Start it without --control=view; for other hosts with --allow-control, and certify who operates as operator.",
+        "--control=view; over a network no --allow-control, or a client that only looks; a file outside of --files.",
+        "Start it without --control=view; for other hosts with --allow-control and --files DIR; certify the operator.",
     ),
     "E-EXTRA": Code(
         "A package that is needed for this is not installed.",
@@ -388,6 +388,11 @@ CODES: Final[dict[str, Code]] = {
         "A rule of the system file has not connected ports that fit it.",
         "It has as many connectors as its max lets it make, or the two ports do not go together.",
         "Raise max, make the pattern narrower, or correct the ports as the message says.",
+    ),
+    "W-FILE": Code(
+        "A parameter is a path, and its class does not say what the component does with the file.",
+        "It counts as written: who operates the kernel without the right code may name files below --files alone.",
+        'Declare it with Param(..., file="read"), or file="write".',
     ),
     "W-LATE": Code(
         "Cycles of a context that runs were not done when the next was due: a warning of aiorts check.",

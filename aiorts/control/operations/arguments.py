@@ -5,13 +5,16 @@ from __future__ import annotations
 import enum
 import types
 import typing
-from collections.abc import Mapping, Sequence
-from dataclasses import is_dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from inspect import Parameter, Signature
+from itertools import chain
 from json import loads
+from pathlib import PurePath
 from typing import Any, Final
 
 from aiorts.errors import InterfaceMismatch
+from aiorts.kernel.execution.file_access import check_file
 from aiorts.model.interface import spelled
 from aiorts.model.values import convert_value, is_path, shown
 from aiorts.types import from_plain
@@ -27,6 +30,7 @@ def read_arguments(
 
     Raises:
         InterfaceMismatch: names the parameter, what it takes and what was given.
+        DeniedError: a path names a file that the client may not name.
     """
     parameters = signature.parameters
     order = [one for one in parameters.values() if one.kind is not Parameter.KEYWORD_ONLY]
@@ -40,10 +44,25 @@ def read_arguments(
 
 def _argument(where: str, parameter: Parameter, value: Any) -> Any:
     try:
-        return _read(value, parameter.annotation)
+        read = _read(value, parameter.annotation)
     except (TypeError, ValueError, RecursionError) as error:
         kind = spelled(parameter.annotation)
         raise InterfaceMismatch(f"{where}: {parameter.name}: {kind} = {shown(value)}: {error}") from None
+    for path in _paths(read):
+        check_file(f"{where}: {parameter.name}", path)
+    return read
+
+
+def _paths(value: Any) -> Iterator[PurePath]:
+    """The paths in an argument."""
+    if isinstance(value, PurePath):
+        yield value
+    elif isinstance(value, Mapping):
+        yield from chain.from_iterable(map(_paths, (*value, *value.values())))
+    elif isinstance(value, list | tuple | set | frozenset):
+        yield from chain.from_iterable(map(_paths, value))
+    elif is_dataclass(value):
+        yield from chain.from_iterable(_paths(getattr(value, one.name)) for one in fields(value))
 
 
 def _read(value: Any, hint: Any) -> Any:

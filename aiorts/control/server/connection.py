@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
 from aiorts.errors import AiortsError, BusyError, ControlError, DeniedError, StaleError, WireError
+from aiorts.kernel.execution.file_access import acting
 from aiorts.model.reading import from_plain
 from aiorts.sessions import BYE, REQUESTS, STALL_SECONDS, WAITING, agreed, framed, frames, has_frame, request_in
 
 if TYPE_CHECKING:
+    from aiorts.control.server.clients import Client
     from aiorts.control.server.listener import Listener
     from aiorts.control.session import Session
 
@@ -62,13 +64,12 @@ class Call:
 class Connection:
     """One client. Everything here is called in the thread of the socket, `put` and `has_room` excepted."""
 
-    def __init__(
-        self, listener: Listener, connected: socket.socket, right: Right, where: str, *, carried: bool = False
-    ) -> None:
+    def __init__(self, listener: Listener, connected: socket.socket, client: Client, *, carried: bool = False) -> None:
         self.socket = connected
+        self.client = client
         self.carried = carried
         """Whether another carrier has let it in."""
-        self.right = right
+        self.right = client.right
         self.since = time.monotonic()
         self.session: Session | None = None
         self.closed = False
@@ -89,9 +90,6 @@ class Connection:
         """Calls without their last answer, by number; whether each streams."""
         self._tokens = float(_BURST)
         self._filled_at = self.since
-        self._used = 0.0
-        self._used_at = self.since
-        self._where = where
 
     # -- in --------------------------------------------------------------------------------------------------------
 
@@ -116,15 +114,6 @@ class Connection:
         if self.closing or not self.asks or not self.has_room():
             return None
         return self._filled_at if self._tokens >= 1 else self._filled_at + _PAUSE
-
-    def used(self, now: float) -> float:
-        """Seconds of loop and thread that its calls took of late: half as much after each second."""
-        return float(self._used * 0.5 ** (now - self._used_at))
-
-    def use(self, seconds: float) -> None:
-        """Its calls took so many seconds."""
-        now = time.monotonic()
-        self._used, self._used_at = self.used(now) + seconds, now
 
     def overdue(self, now: float) -> bool:
         """Whether it is to be cut off; not for a hello that it has said and nobody has looked at."""
@@ -196,15 +185,22 @@ class Connection:
             self._answer({"id": number, "error": {"code": error.code, "text": str(error)}})
             return
         self._open[number] = operation.streams
+        self.client.calls += 1
         view = operation.right is Right.VIEW
-        self._listener.hand_over(Call(self, number, lambda: session.begin(number, operation, arguments), view=view))
+        access = None if self.right.allows(Right.CODE) else self._listener.files
+
+        def begin() -> None:
+            with acting(access):
+                session.begin(number, operation, arguments)
+
+        self._listener.hand_over(Call(self, number, begin, view=view))
 
     def _greet(self, request: dict[Any, Any]) -> None:
         hello = request.get("hello")
         if not isinstance(hello, dict):
             raise ControlError("expected hello first; what connects is no client of aiorts")
         client = "".join(one if one.isprintable() else " " for one in f"{hello.get('who', ''):.100}")
-        who = f"{client} [{self._where}]"
+        who = f"{client} [{self.client.name}]"
         try:
             protocol = agreed(hello.get("oldest"), hello.get("newest"), who)
         except ControlError as error:
@@ -239,6 +235,7 @@ class Connection:
             raise BusyError(f"{name}: a call with the number {number} runs already")
         if len(self._open) >= WAITING:
             raise BusyError(f"{name}: {WAITING} calls of this client wait already; wait for their answers")
+        self.client.check_calls(operation.name)
         return operation, arguments
 
     def refuse(self, error: AiortsError) -> None:
@@ -270,7 +267,7 @@ class Connection:
         """Send what a call of it gave."""
         number: int = message["id"]
         if "error" in message or "end" in message or ("ok" in message and not self._open.get(number)):
-            self._open.pop(number, None)
+            self.client.calls -= self._open.pop(number, None) is not None
         self._queue(message, sent)
 
     def _queue(self, message: Mapping[str, Any], sent: Callable[[], None]) -> None:
@@ -318,10 +315,20 @@ class Connection:
         """Close it: what waits to be sent is not sent any more."""
         self.closed = True
         self.socket.close()
+        self.client.calls -= len(self._open)
+        self._open.clear()
         self._listener.unsent -= self.unsent
         self.unsent = 0
         while self._out:
             self._out.popleft()[1]()
+
+
+def turn_away(connected: socket.socket, error: AiortsError) -> None:
+    """Tell who has just connected why it is not let in, as far as it takes that at once, and close."""
+    with connected, contextlib.suppress(OSError):
+        connected.setblocking(False)
+        connected.send(framed({"error": {"code": error.code, "text": str(error)}}))
+        connected.recv(_CHUNK)  # unread, what it has said would make the end of the connection an error
 
 
 def peer_credentials(connected: socket.socket) -> tuple[int, int] | None:

@@ -21,18 +21,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operators import Operators
-from aiorts.control.server.connection import Call, Connection, peer_credentials
+from aiorts.control.server.clients import Clients
+from aiorts.control.server.connection import Call, Connection, peer_credentials, turn_away
 from aiorts.control.server.pace import Pace
 from aiorts.control.session import LOG, Session
 from aiorts.errors import BusyError, ControlError, format_error
 from aiorts.wire.limits import MIB
 
 if TYPE_CHECKING:
+    from aiorts.kernel.execution.file_access import FileAccess
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.sessions import Claim
 
-_CLIENTS: Final = 256
-"""At most; the oldest that has not said hello makes room for another."""
 _TICK: Final = 1.0
 """Seconds between two looks at clients that are overdue."""
 _ACCEPTED: Final = 16
@@ -63,10 +63,14 @@ class Listener:
         claim: the socket that listens, and the kernel's entry.
         right: what clients may do.
         hello: what the kernel says of itself.
+        files: those that clients may name who may not bring code.
     """
 
-    def __init__(self, kernel: Microkernel, claim: Claim, right: Right, hello: Mapping[str, Any]) -> None:
+    def __init__(
+        self, kernel: Microkernel, claim: Claim, right: Right, hello: Mapping[str, Any], files: FileAccess
+    ) -> None:
         self.right = right
+        self.files = files
         self.hello = hello
         self.epoch = claim.entry.epoch
         self._kernel, self._operators = kernel, Operators(kernel)
@@ -76,6 +80,7 @@ class Listener:
         self.unsent = 0
         """Bytes that wait for all clients."""
         self._thread_pace = Pace(*_THREAD)
+        self._clients = Clients()
         self._connections: set[Connection] = set()
         self._handed: deque[Call] = deque()
         """Calls that the loop may not have begun."""
@@ -132,13 +137,18 @@ class Listener:
 
         Raises:
             ControlError: the kernel ends.
+            BusyError: the client, or all clients together, have as many connections as they may have.
         """
         if self._ended:
             raise ControlError(f"{self.hello['address']}: ends")
-        theirs, ours = socket.socketpair()
+        client = self._clients.connect(where, right if self.right.allows(right) else self.right)
+        try:
+            theirs, ours = socket.socketpair()
+        except BaseException:
+            self._clients.disconnect(client)
+            raise
         ours.setblocking(False)
-        allowed = right if self.right.allows(right) else self.right
-        self._admitted.append(Connection(self, ours, allowed, where, carried=True))
+        self._admitted.append(Connection(self, ours, client, carried=True))
         self._wake()
         if self._ended:  # meanwhile, so that nobody may take it in any more
             ours.close()
@@ -206,7 +216,7 @@ class Listener:
             self._took(self._handed.popleft().connection, took)
 
     def _took(self, connection: Connection, seconds: float) -> None:
-        connection.use(seconds)
+        connection.client.use(seconds)
         self.loop_pace.spend(seconds)
 
     def hand_over(self, call: Call) -> None:
@@ -303,12 +313,12 @@ class Listener:
         """Take calls until so much time of the thread: first of those clients whose calls took least time of late."""
         now = time.monotonic()
         asking = [one for one in self._connections if one.resumes_at is not None and not one.closed]
-        for connection in sorted(asking, key=lambda one: (one.used(now), one.since)):
+        for connection in sorted(asking, key=lambda one: (one.client.used(now), one.since)):
             began = time.thread_time()
             if not self.ready or began >= until:
                 return
             self._guarded(connection, connection.work)
-            connection.use(time.thread_time() - began)
+            connection.client.use(time.thread_time() - began)
 
     def _guarded(self, connection: Connection, do: Callable[[], None]) -> None:
         try:
@@ -345,7 +355,7 @@ class Listener:
             self._wake_out.recv(64)
         self._awake = False  # what is put from here on wakes again; what was put before is delivered in this turn
         while self._admitted:
-            self._take_in(self._admitted.popleft())
+            self._connections.add(self._admitted.popleft())
 
     def _deliver(self) -> None:
         while self._outbox:
@@ -391,19 +401,23 @@ class Listener:
             return
         connected.setblocking(False)
         where = "a process" if credentials is None else f"process {credentials[0]}"
-        self._take_in(Connection(self, connected, self.right, where))
+        try:
+            client = self._clients.connect(where, self.right)
+        except BusyError as error:
+            turn_away(connected, error)
+            self._forget_stranger()
+            return
+        self._connections.add(Connection(self, connected, client))
 
-    def _take_in(self, connection: Connection) -> None:
-        if len(self._connections) >= _CLIENTS:
-            strangers = [one for one in self._connections if one.session is None]
-            if strangers:
-                min(strangers, key=lambda one: one.since).closed = True
-            else:
-                connection.refuse(BusyError(f"{_CLIENTS} clients look into this kernel already; end one of them"))
-        self._connections.add(connection)
+    def _forget_stranger(self) -> None:
+        """The client that has been without a hello for longest makes room for another."""
+        strangers = [one for one in self._connections if one.session is None]
+        if strangers:
+            min(strangers, key=lambda one: one.since).closed = True
 
     def _end(self, connection: Connection) -> None:
         self._connections.discard(connection)
+        self._clients.disconnect(connection.client)
         connection.hear_last()
         connection.end()
         if self._view is not None and self._view.connection is connection:

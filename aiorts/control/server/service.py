@@ -15,6 +15,7 @@ from aiorts.control.operation import Right
 from aiorts.control.server.listener import Listener
 from aiorts.control.session import LOG
 from aiorts.errors import ConfigurationError, ControlError
+from aiorts.kernel.execution.file_access import FileAccess
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.model.names import check_name
@@ -38,12 +39,17 @@ class ControlSettings:
     )
     name: str = setting("", "The name by which other terminals reach the run; PROGRAM-PID by default.", option="--name")
     program: str = setting("", "What its name begins with where it has none.")
+    files: Path | None = setting(
+        None, "The folder whose files clients may name who may not bring code; none by default.", option="--files"
+    )
 
     def __post_init__(self) -> None:
         if self.mode not in ("on", "view", "off"):
             raise ConfigurationError(f'mode: expected "on", "view" or "off", got {self.mode!r:.80}')
         if not isinstance(self.name, str) or not isinstance(self.program, str):
             raise ConfigurationError(f"name: expected text, got {self.name!r:.80}")
+        if self.files is not None and not self.files.is_dir():
+            raise ConfigurationError(f"files: {str(self.files)!r:.80}: there is no such folder")
         if self.name:
             try:
                 check_name(self.name, "kernel")
@@ -86,7 +92,8 @@ class Control(KernelService):
             "right": right.value,
         }
         self.kernel.address, self.kernel.epoch = address, epoch
-        self._listener = Listener(self.kernel, self._claim, right, hello)
+        files = FileAccess(None if settings.files is None else settings.files.resolve())
+        self._listener = Listener(self.kernel, self._claim, right, hello, files)
 
     def admit(self, right: Right, where: str) -> socket.socket:
         """See `Listener.admit`. ControlError: clients cannot look into this kernel, or it ends."""

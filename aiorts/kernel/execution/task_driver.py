@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import HookAbandoned, HookTimeout
 from aiorts.kernel.execution.cycle import TURN, Batch, Call, OwnStep, Wait, first_pass
+from aiorts.kernel.execution.file_access import own_context
 from aiorts.kernel.execution.hook_timeout import HookTimer, is_cancellation
 from aiorts.kernel.execution.hooks import HookKind, bad_return
 from aiorts.kernel.loop.bus import Bus, HookAfter, HookBefore
@@ -50,7 +51,7 @@ class DriverTask(asyncio.Task[None]):
 
     def __init__(self, driver: TaskDriver, life: Coroutine[Any, Any, None]) -> None:
         self._aiorts_driver = driver
-        super().__init__(life, loop=driver.loop, name=f"aiorts {driver.context.name}")
+        super().__init__(life, loop=driver.loop, name=f"aiorts {driver.context.name}", context=own_context())
 
     def cancel(self, msg: Any | None = None) -> bool:
         """By the host, or because the loop is torn down: the context stops in order. Else it is the hook's affair."""

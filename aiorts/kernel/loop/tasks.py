@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Coroutine
+from contextvars import Context
 from typing import Any, TypeVar
 
 T = TypeVar("T")
 
 
-def kernel_task(loop: asyncio.AbstractEventLoop, coroutine: Coroutine[Any, Any, T], name: str) -> asyncio.Task[T]:
-    """A task of the kernel's own, which starts at the loop's next turn."""
-    return asyncio.Task(coroutine, loop=loop, name=name)
+def kernel_task(
+    loop: asyncio.AbstractEventLoop, coroutine: Coroutine[Any, Any, T], name: str, context: Context | None = None
+) -> asyncio.Task[T]:
+    """A task of the kernel's own, which starts at the loop's next turn; in the caller's context by default."""
+    return asyncio.Task(coroutine, loop=loop, name=name, context=context)
 
 
 async def see_through(task: asyncio.Future[T]) -> T:

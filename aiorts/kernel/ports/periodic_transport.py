@@ -39,6 +39,7 @@ class PeriodicTransport(Transport):
         "now_ns",
         "numerator",
         "sent",
+        "spared",
         "start_ns",
         "timer",
         "timer_requested",
@@ -51,6 +52,8 @@ class PeriodicTransport(Transport):
         """The number since the connection of the oldest sample in the backlog."""
         self.sent = False
         """Whether the period that is over has sent anything."""
+        self.spared = 0
+        """The number of the sample that is sent whatever the push policy says; 0: none is."""
         self.timer_requested = False
         """Whether a timer was requested that the loop has not set yet."""
         self.call_at = kernel.call_at
@@ -75,7 +78,7 @@ class PeriodicTransport(Transport):
 
     def carry_on(self, old: Transport) -> None:
         if isinstance(old, PeriodicTransport):
-            self.backlog, self.first = old.backlog, old.first
+            self.backlog, self.first, self.spared = old.backlog, old.first, old.spared
             old.backlog = deque()
         super().carry_on(old)
         if self.backlog:
@@ -144,6 +147,19 @@ class PeriodicTransport(Transport):
             self.drop_these(reason, (sample,))
         return sample
 
+    def put_last(self, sample: Any) -> None:
+        if not self.backlog:
+            super().put_last(sample)
+            return
+        self.written += 1
+        self.offered += 1
+        self.lay_by(sample)
+        self.spare_newest()
+
+    def spare_newest(self) -> None:
+        if self.backlog:
+            self.spared = self.first + len(self.backlog) - 1
+
     def newest_here(self) -> Any:
         return self.backlog[-1] if self.backlog else super().newest_here()
 
@@ -178,8 +194,9 @@ class PeriodicTransport(Transport):
             if self.push is _ALL and self.takes_all():
                 self._move_all()
                 return
-            for choice in choose(self.push, self.connector.profile.skip, self.first, len(self.backlog)):
-                if choice is not Choice.SEND:
+            choices = choose(self.push, self.connector.profile.skip, self.first, len(self.backlog))
+            for number, choice in enumerate(choices, self.first):
+                if choice is not Choice.SEND and number != self.spared:
                     self.lose(self.leave(choice.value))
                 elif self.connector.profile.full is FullPolicy.BLOCK and len(self.queue) >= self.length:
                     break

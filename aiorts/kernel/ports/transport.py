@@ -602,6 +602,9 @@ class Transport:
         self.offered += 1
         self.push_in(self.stamp_in(sample))
 
+    def spare_newest(self) -> None:
+        """The newest sample that waits is sent whatever the push policy says; the caller holds the lock."""
+
     def take_back(self) -> None:
         """What was offered and lies unread, with nothing taken or lost, was not written; the caller holds the lock."""
         if self.queue and self.total() == self.buffered:

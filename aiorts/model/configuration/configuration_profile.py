@@ -40,6 +40,8 @@ class ParameterProfile:
     choices: tuple[Any, ...] | None = None
     pattern: str | None = None
     widget: str = ""
+    file: str = ""
+    """"read" or "write" when the value names a file."""
     declared: bool = True
     """Whether the class declares it; else it was added at run time."""
     remark: str = ""
@@ -83,6 +85,7 @@ def _parameter(state: ConfigurationState, name: str, *, declared: bool) -> Param
         None if constraint.choices is None else tuple(plain_value(choice) for choice in constraint.choices),
         constraint.pattern,
         spec.widget,
+        spec.names_file,
         declared,
         "" if declared else remark_on(spec),
     )

@@ -38,7 +38,7 @@ LARGEST: Final = 4 * 1024 * 1024
 _MOST_FAULTS: Final = 20
 _MOST_SETS: Final = 1000
 _KEYS: Final = ("active", "sets", "parameters")
-_PARAMETER_KEYS: Final = ("type", "default", "unit", "doc", "constraint", "widget")
+_PARAMETER_KEYS: Final = ("type", "default", "unit", "doc", "constraint", "widget", "file")
 _NONE: Final = {"none": True}
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
@@ -206,7 +206,7 @@ def _only(document: Document, place: tuple[str, ...], table: Mapping[str, Any], 
 
 
 def _declared(name: str, table: Mapping[str, Any]) -> ParameterSpec:
-    texts = {key: table.get(key, "") for key in ("type", "unit", "doc", "constraint", "widget")}
+    texts = {key: table.get(key, "") for key in _PARAMETER_KEYS if key != "default"}
     for key, text in texts.items():
         if not isinstance(text, str):
             raise ConfigurationError(f"{key}: expected text, got {text!r:.80}")
@@ -216,7 +216,8 @@ def _declared(name: str, table: Mapping[str, Any]) -> ParameterSpec:
         raise ConfigurationError(str(error)) from None
     constraint = parse_constraint(texts["constraint"])
     default = _decoded(table["default"], kind)
-    return ParameterSpec(name, default, kind, texts["unit"], texts["doc"], constraint, texts["widget"])
+    shown = texts["unit"], texts["doc"], constraint, texts["widget"]
+    return ParameterSpec(name, default, kind, *shown, file=texts["file"])
 
 
 def _as_held(value: Any, spec: ParameterSpec | None) -> Any:
@@ -283,6 +284,7 @@ def _declaration(name: str, spec: ParameterSpec) -> list[str]:
         ("doc", spec.doc),
         ("constraint", constraint_text(spec.constraint)),
         ("widget", spec.widget),
+        ("file", spec.file),
     ):
         if text:
             lines.append(f"{key} = {basic_string(text)}")

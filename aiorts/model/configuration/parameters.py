@@ -31,7 +31,7 @@ from aiorts.model.values import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ("WIDGETS", "Constraint", "ParameterSpec", "validate")
+__all__ = ("FILES", "WIDGETS", "Constraint", "ParameterSpec", "validate")
 
 _NOTHING: Final = object()
 
@@ -44,6 +44,9 @@ WIDGETS: Final = {
     "ordered_list": "choices",
 }
 """What an editor can show, and what each needs to be declared. "slider.0.1" is a slider that moves in steps of 0.1."""
+
+FILES: Final = ("read", "write")
+"""Words for what a component does with the file that a parameter names; who writes it may read it, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +68,8 @@ class ParameterSpec:
     widget: str = ""
     validator: Callable[[Any], object] | None = None
     """Asked by the core before a value comes into force; raising ValueError refuses it."""
+    file: str = ""
+    """"read" or "write" when its value names a file that the component reads, or writes too; see `names_file`."""
     owner: InitVar[str] = ""
 
     def __post_init__(self, owner: str) -> None:
@@ -86,11 +91,23 @@ class ParameterSpec:
         object.__setattr__(self, "default", default)
         if self.widget and (fault := _widget_fault(self.widget, self.constraint)):
             raise DeclarationError(f"{where}: widget={self.widget!r}: {fault}")
+        if self.file and (fault := _file_fault(self.file, kind)):
+            raise DeclarationError(f"{where}: file={self.file!r}: {fault}")
 
     @property
     def type_text(self) -> str:
         """The type as one writes it ("float", "tuple[int, ...]")."""
         return type_text(self.type)
+
+    @property
+    def names_file(self) -> str:
+        """ "read" or "write" when its value names a file, else "". A Path that does not say which counts as written."""
+        return self.file or ("write" if self.is_path else "")
+
+    @property
+    def is_path(self) -> bool:
+        """Whether its value is a Path, or has one in it."""
+        return any(map(is_path, leaf_types(self.type)))
 
     def check(self, value: object, *, owner: str = "", current: object = _NOTHING) -> Any:
         """The value as the parameter holds it: immutable, of the parameter's type, inside its constraint.
@@ -195,6 +212,14 @@ def _checked_constraint(where: str, kind: Any, constraint: Constraint) -> Constr
 
 def _names(kinds: tuple[Any, ...]) -> str:
     return " and ".join(dict.fromkeys(type_text(kind) for kind in kinds))
+
+
+def _file_fault(file: str, kind: Any) -> str | None:
+    if file not in FILES:
+        return f"expected {' or '.join(map(repr, FILES))}"
+    if not any(leaf is str or is_path(leaf) for leaf in leaf_types(kind)):
+        return f"needs a path or text, the type is {type_text(kind)}"
+    return None
 
 
 def _widget_fault(widget: str, constraint: Constraint) -> str | None:

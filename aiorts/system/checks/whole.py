@@ -10,6 +10,7 @@ from typing import Any
 
 from aiorts.contexts import EventContext
 from aiorts.errors import SLOW_READER, StateError, SystemFileError, WiringError
+from aiorts.kernel.declarations import declarations
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.names import names_kernel
@@ -42,6 +43,7 @@ def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -
             yield Said("error", SystemFileError.code, key, text)
         yield from _open_ports(found, drafts)
         yield from _unwoken(found, drafts)
+    yield from _unsaid_files(found)
     yield from _too_many(found)
     yield from _left_alone(found)
     yield from _mutable(found, drafts)
@@ -71,6 +73,18 @@ def _unused(found: Survey) -> Iterator[Said]:
         if name not in run and name not in told:
             text = f"{name} is in no context and never runs; name it among the members of one, or take it away"
             yield Said("warning", "W-UNUSED", ("components", name), text, of_key=True)
+
+
+def _unsaid_files(found: Survey) -> Iterator[Said]:
+    """Parameters that are paths, of which the class does not say whether the file is read or written."""
+    for name, cls in found.types.items():
+        for spec in declarations(cls).parameters.values():
+            if spec.is_path and not spec.file:
+                text = (
+                    f"{spec.name} is a path, and its class does not say what is done with the file; declare it with "
+                    'Param(..., file="read") or file="write", which it counts as'
+                )
+                yield Said("warning", "W-FILE", ("components", name), text, of_key=True)
 
 
 def _connected_later(found: Survey) -> Callable[[str, Port[Any]], bool]:

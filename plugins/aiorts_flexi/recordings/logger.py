@@ -112,7 +112,7 @@ class FlexiLogger(FlexiComponent):
     names: tuple[str, ...] = Param(
         (), type=tuple[str, ...], doc='record: names of the in-ports; "" or missing: input0, input1, ...'
     )
-    logfile = Param(Path("logger.mcap"), doc="the file; in a system file counted from the folder of that")
+    logfile = Param(Path("logger.mcap"), file="write", doc="the file; in a system file counted from the folder of that")
     paused = Param(False, doc="record: take samples and do not record them; replay: stand still")
     use_control = Param(False, doc="service port `Control`: stands still until `start()` is called")
     # What recording alone has.

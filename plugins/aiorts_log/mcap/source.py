@@ -140,7 +140,7 @@ class Source:
         if first[:5] == MAGIC[:5] and len(first) == len(MAGIC) and first[6:] == MAGIC[6:] and first != MAGIC:
             raise RecordingError(f"{self.path}: MCAP of version {chr(first[5])!r}; this reads version '0'")
         if first != MAGIC:
-            what = "it is empty" if not first else f"it begins with {first!r}, not with {MAGIC!r}"
+            what = "it is empty" if not first else f"it does not begin with {MAGIC!r}"
             if MAGIC.startswith(first) and first:
                 what = f"it ends after {len(first)} bytes"
             raise RecordingError(f"{self.path}: no recording: {what}")

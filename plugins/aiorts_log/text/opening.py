@@ -25,7 +25,7 @@ def format_of(path: str | os.PathLike[str]) -> str:
     """The format of a recording: "mcap", "text" or "jsonl".
 
     Raises:
-        RecordingError: it cannot be read, or is none of them; the message has its first bytes.
+        RecordingError: it cannot be read, or is none of them.
     """
     where = Path(path)
     file, size = open_regular(where)
@@ -39,7 +39,8 @@ def format_of(path: str | os.PathLike[str]) -> str:
         return "text"
     if looks_like_lines(first) or (not first and where.suffix.lower() in LINES_ENDINGS):
         return "jsonl"
-    what = f"it begins with {first[:8]!r}" if first else "it is empty"
+    # The first bytes are not shown: a kernel passes the message on to clients that may not read the file.
+    what = "it begins as no recording does" if first else "it is empty"
     raise RecordingError(
         f"{where}: no recording: {what}; a recording is MCAP, text or JSON lines (CSV: aiorts log convert)"
     )

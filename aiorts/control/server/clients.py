@@ -1,0 +1,99 @@
+"""The clients of a kernel: how many connections and calls each has, and how much time its calls took of late.
+
+A client is a process of this host, or a name of another one, with its right. Some connections are kept for clients that
+may do more than look: those that only look never have all of them.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Final
+
+from aiorts.control.operation import Right
+from aiorts.errors import BusyError
+
+CONNECTIONS: Final = 256
+"""Connections of all clients."""
+LOOKING: Final = 192
+"""Connections of all clients that may only look."""
+OF_ONE: Final = {Right.VIEW: 16, Right.OPERATE: 128, Right.CODE: 128}
+"""Connections of one client, by its right."""
+CALLS: Final = {Right.VIEW: 256, Right.OPERATE: 1_024, Right.CODE: 1_024}
+"""Calls of one client without their last answer, by its right."""
+_KNOWN: Final = 1_024
+"""Clients that are known, connected or not."""
+
+
+class Client:
+    """One client of a kernel."""
+
+    def __init__(self, name: str, right: Right) -> None:
+        self.name = name
+        self.right = right
+        self.connections = 0
+        self.calls = 0
+        """Without their last answer."""
+        self._used = 0.0
+        self._used_at = time.monotonic()
+
+    def used(self, now: float) -> float:
+        """Seconds of loop and thread that its calls took of late: half as much after each second."""
+        return float(self._used * 0.5 ** (now - self._used_at))
+
+    def use(self, seconds: float) -> None:
+        """Its calls took so many seconds."""
+        now = time.monotonic()
+        self._used, self._used_at = self.used(now) + seconds, now
+
+    def check_calls(self, what: str) -> None:
+        """Raise BusyError unless it may have another call."""
+        most = CALLS[self.right]
+        if self.calls >= most:
+            raise BusyError(f"{what}: {most} calls of {self.name} wait already; wait for their answers")
+
+
+class Clients:
+    """The clients of one kernel; called from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._known: dict[tuple[str, Right], Client] = {}
+        self._connections = self._looking = 0
+
+    def connect(self, name: str, right: Right) -> Client:
+        """The client of a connection that begins.
+
+        Raises:
+            BusyError: it has as many as one may have, or all clients have.
+        """
+        with self._lock:
+            client = self._known.get((name, right)) or Client(name, right)
+            looks = right is Right.VIEW
+            if client.connections >= OF_ONE[right]:
+                raise BusyError(f"{name} has {OF_ONE[right]} connections with this kernel already; end one of them")
+            if looks and self._looking >= LOOKING:
+                raise BusyError(
+                    f"{LOOKING} clients look into this kernel already; the rest is for those who operate it"
+                )
+            if self._connections >= CONNECTIONS:
+                raise BusyError(f"{CONNECTIONS} clients are connected with this kernel already; end one of them")
+            client.connections += 1
+            self._connections += 1
+            self._looking += looks
+            self._keep(client)
+            return client
+
+    def disconnect(self, client: Client) -> None:
+        """A connection of it has ended."""
+        with self._lock:
+            client.connections -= 1
+            self._connections -= 1
+            self._looking -= client.right is Right.VIEW
+
+    def _keep(self, client: Client) -> None:
+        """Know it, and what its calls took, also when it has gone: for as long as there is room."""
+        key = client.name, client.right
+        if key not in self._known and len(self._known) >= _KNOWN:
+            self._known = {key: one for key, one in self._known.items() if one.connections}
+        self._known[key] = client

@@ -1,0 +1,22 @@
+"""A client that has as many connections as it is given: `python hogging_program.py KERNEL COUNT`.
+
+It prints how many it has and what it was told, and ends with its standard input.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from aiorts.control import Client, entries
+from aiorts.errors import AiortsError
+
+entry = next(one for one in entries() if one.name == sys.argv[1])
+clients: list[Client] = []
+refusals: set[str] = set()
+for _ in range(int(sys.argv[2])):
+    try:
+        clients.append(Client.open(entry, timeout=20.0))
+    except AiortsError as error:
+        refusals.add(f"{error.code} {error}")
+print(len(clients), *sorted(refusals), sep="\n", end="\n\n", flush=True)
+sys.stdin.read()
