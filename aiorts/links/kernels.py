@@ -11,7 +11,7 @@ from aiorts.links.messages import Answer
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
-    from aiorts.kernel.ports import Port
+    from aiorts.kernel.ports import InPort, OutPort, Port
     from aiorts.links.transport import Caller, Peer, Transport
     from aiorts.model.names import Path
 
@@ -51,6 +51,10 @@ class Reached(Protocol):
 
     def absent(self, path: Path) -> str:
         """Why the kernel of a path is not there: nobody has its name, or no kernel can be reached."""
+        ...
+
+    def refusal(self, peer: Peer, right: str, port: InPort[Any] | OutPort[Any]) -> str:
+        """The reason why another kernel has not this right to a port; "" where it has, or no component here has it."""
         ...
 
     def carrier(self, peer: Peer | None) -> Transport:

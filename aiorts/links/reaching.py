@@ -134,7 +134,7 @@ class Reach:
     async def _use(self, transport: Transport) -> None:
         for what, handler in self._handlers().items():
             transport.answer(what, partial(self._asked, transport, handler))
-        await transport.open(_Face(self._links))
+        await transport.open(_Face(self._links, self))
         transport.presence(partial(self._present, transport))
 
     def _report_opening(self, task: asyncio.Task[None]) -> None:
@@ -263,10 +263,10 @@ def _name_in(transport: Transport | None) -> str:
 class _Face:
     """What a transport sees of the kernel."""
 
-    def __init__(self, links: Kernels) -> None:
+    def __init__(self, links: Kernels, reach: Reach) -> None:
         self._links = links
         self.name = links.reached_as
-        self.epoch, self.host = links.reach.epoch, links.reach.host
+        self.epoch, self.host = reach.epoch, reach.host
 
     def run_in_background(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
         return self._links.run(coroutine, name)

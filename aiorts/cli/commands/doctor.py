@@ -24,9 +24,9 @@ import click
 from aiorts import Catalogue, ExternalContext, Kernel, RealtimeContext, __version__, exits, run
 from aiorts.cli.console.output import say, say_json, table
 from aiorts.cli.console.plugins_option import catalogue_of
-from aiorts.control import kernels
 from aiorts.errors import AiortsError
 from aiorts.late import dataclass
+from aiorts.sessions import kernels
 
 OK, NOTE, PROBLEM = "ok", "note", "problem"
 _SLEEPS: Final = 100
