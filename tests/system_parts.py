@@ -21,7 +21,7 @@ class Source(Component):
     """Makes numbers."""
     out = OutPort(TimedLong)
     rate_limit = Param(5, ge=1, le=10, doc="at the most")
-    data = Param(Path("data.txt"))
+    data = Param(Path("data.txt"), file="read")
     def on_initialize(self):
         (Path(__file__).parent / "HOOK").write_text("a hook ran")
 

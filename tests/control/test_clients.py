@@ -13,10 +13,12 @@ from pathlib import Path
 import pytest
 
 from aiorts import Kernel
-from aiorts.control import NEWEST, OLDEST, Client, Control, Right, answer_in, framed, frames
+from aiorts.control import Control, Right
 from aiorts.control.server.clients import CALLS, CONNECTIONS, LOOKING, OF_ONE, Clients
 from aiorts.errors import BusyError
 from aiorts.guide import pages
+from aiorts.sessions import Client, answer_in, framed, frames
+from aiorts.sessions.protocol import NEWEST, OLDEST
 from control_parts import WAIT, controlled, entry_of, until, with_client
 
 pytestmark = pytest.mark.anyio

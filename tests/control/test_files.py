@@ -14,12 +14,14 @@ from typing import Any
 import pytest
 
 from aiorts import Component, EventContext, Kernel, Param
-from aiorts.control import NEWEST, OLDEST, Client, Control, Right, answer_in, framed, frames
+from aiorts.control import Control, Right
 from aiorts.control.operations import OPERATIONS
 from aiorts.errors import ApplyError, ConfigurationError, DeclarationError, DeniedError
 from aiorts.guide import pages
 from aiorts.model.plain import plain
 from aiorts.observe import system_profile
+from aiorts.sessions import Client, answer_in, framed, frames
+from aiorts.sessions.protocol import NEWEST, OLDEST
 from aiorts.system import check
 from aiorts_flexi.recordings.logger import FlexiLogger
 from control import test_table

@@ -135,9 +135,7 @@ class Roles:
                 except AiortsError:
                     await asyncio.sleep(0.1)
             for ends in ((source.out, arm.ports["inp"]), (arm.ports["force"], sink.inp)):
-                with suppress(
-                    WiringError
-                ):  # it was offered already, as the kernel before had asked
+                with suppress(WiringError):  # it was offered already, as the kernel before had asked
                     await kernel.connect(*ends)
             tasks = [asyncio.ensure_future(one) for one in (write(source.out), read(sink))]
             await kernel.start(PeriodicContext(50.0), arm)

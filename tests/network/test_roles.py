@@ -21,9 +21,9 @@ from typing import Any, Final, NamedTuple, Protocol
 import pytest
 
 from aiorts import Component, InPort, Kernel, OutPort, Provided, Required
-from aiorts.control import Client, Entry
 from aiorts.errors import AiortsError
 from aiorts.links import Links
+from aiorts.sessions import Client, Entry
 from aiorts.types import TimedLong
 
 pytest.importorskip("zenoh")

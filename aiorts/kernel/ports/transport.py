@@ -143,9 +143,8 @@ class Transport:
         self.dead = 0
         """Tokens that such a receiver still has for samples that were overwritten: `length` at the most, or as many as
         are unread."""
-        self.waiting: OrderedDict[Waiting, None] | None = None
+        self.waiting: OrderedDict[Waiting, None] | None = None  # no deque: thousands that give up would search it
         """The writers that wait for room; the buffer is full as long as there is one. None before the first."""
-        # No deque: thousands that give up at once would each search it.
         self.clock = kernel.clock
         self.times = ConnectorTimes(profile.measure, kernel.clock.monotonic_ns()) if profile.measure else None
         self.losses: LossListener | Literal[False] | None = None
@@ -486,11 +485,10 @@ class Transport:
         with self.guard():
             if (now := self.connector._transport) is not self:
                 return now.give_up(entry)
-            if entry.done or not self.leave_line(entry):
-                return False
-            if not self.waiting:
+            left = not entry.done and self.leave_line(entry)
+            if left and not self.waiting:
                 self.connector.in_._fast = self.receiver.direct
-            return True
+            return left
 
     def leave_line(self, entry: Waiting) -> bool:
         """Take a writer out of those that wait, wherever it stands; False: it is not one of them."""
