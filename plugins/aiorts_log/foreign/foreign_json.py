@@ -40,7 +40,7 @@ class Documents:
         schema_format: "jsonschema", or ""; schema: its text.
 
     Attributes:
-        left: empty; why a field becomes no record is known for each message only.
+        left: by field, why it became no record in the messages decoded so far, by its kind.
     """
 
     def __init__(self, schema_format: str, schema: str) -> None:
@@ -78,6 +78,8 @@ class Documents:
         """Path, record type and data of each field with a value; calls `lose` for those that become none."""
         for path, value in _flat("", document, 0):
             if value is None:
+                if len(self.left) < _MOST:
+                    self.left.setdefault(path, "null, which is no value, in some messages")
                 continue
             found = self._part(path, value)
             if isinstance(found, str):

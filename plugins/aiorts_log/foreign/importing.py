@@ -182,8 +182,6 @@ class _Plans:
         except Unmapped as error:
             left[stream.topic] = str(error)
             return
-        for path, why in messages.left.items():
-            left[f"{stream.topic} {path}"] = why
         self.of[stream] = _Plan(stream, messages)
 
     def write(self, writer: _Writer, time: int, stream: Stream, data: bytes) -> int:
@@ -202,9 +200,6 @@ class _Plans:
             counts.lost += 1
         else:
             counts.left_out += 1
-            self.report.left.setdefault(
-                stream.topic, "it has no fields" if counts.taken == 0 else "some have no fields"
-            )
         return message.samples
 
     def _write(self, writer: _Writer, plan: _Plan, counted: _Message, time: int, data: bytes) -> bool:
@@ -266,9 +261,19 @@ class _Plans:
         if writer.failure is not None:
             raise writer.failure
         self.settle(writer)
+        for plan in self.of.values():
+            self._report_left(plan)
         with RecordingReader(writer.path) as reader:
             self.report.samples = {name: port.count for name, port in reader.ports.items()}
         return self.report
+
+    def _report_left(self, plan: _Plan) -> None:
+        topic, fields = plan.stream.topic, plan.messages.left
+        counts = self.report.messages[topic]
+        self.report.left |= {f"{topic} {path}": why for path, why in fields.items()}
+        if counts.left_out:
+            of = "it has" if counts.left_out == counts.read else f"{counts.left_out} of its messages have"
+            self.report.left.setdefault(topic, f"{of} no fields{' that become samples' if fields else ''}")
 
     def _follow_frame(self, plan: _Plan, message: Any) -> None:
         frame = plan.messages.frame(message)

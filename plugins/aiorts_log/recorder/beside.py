@@ -141,6 +141,7 @@ class Beside(KernelService):
 
     name = "record"
     settings = RecordSettings
+    encodes = True
 
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)
