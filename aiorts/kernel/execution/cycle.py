@@ -34,6 +34,8 @@ _FAULTS: Final = 3
 """Faults of the kernel's own, about no member, after each of which a context goes on; at the next it ends in order."""
 _TURNS: Final = 16
 """What others do takes several turns of the loop one after another: none of them may cost a whole long cycle."""
+_LAST_CYCLES: Final = 1_000
+"""Cycles of a member that ends and still has data: one that feeds itself would go on for ever."""
 _NEVER: Final = 1 << 63
 """Nanoseconds, later than any time."""
 
@@ -132,6 +134,10 @@ class Driver(Protocol):
 
     def hurry(self, budget: StopBudget) -> None:
         """A stop began: hooks are limited from now on, the one that runs included."""
+        ...
+
+    def give_up_blocking(self, members: Sequence[Member]) -> None:
+        """These members are about to end: a hook that waits for data, or blocks its thread, gives up."""
         ...
 
 
@@ -398,6 +404,22 @@ class Life:
             if error is not None:
                 self.failed(member, "on_rate_changed", error)
         done(None)
+
+    def retire(self, members: Sequence[Member], done: Done) -> Steps:
+        """The kernel closes: these members read what they still have to read, and end."""
+        for member in members:
+            if not member.left:
+                yield from self._contained(self._retire(member), member)
+        done(None)
+
+    def _retire(self, member: Member) -> Steps:
+        context = self._context
+        for _ in range(_LAST_CYCLES):
+            if not context._begin_last_cycle(member):
+                break
+            yield Batch(iter((member,)), first_pass)
+            context._end_cycle((member,))
+        yield from self.leave(member)
 
     def _end(self) -> Steps:
         for member in reversed(self._context._members):

@@ -366,6 +366,19 @@ class Runner:
         if began is not None and not began.done():
             began.set_result(None)
 
+    async def retire(self, members: Sequence[Member], budget: StopBudget) -> None:
+        """Have these members end between two cycles, in this order; waits no longer than a hook may take."""
+        driver = self.driver
+        if driver is None:
+            return
+        awaited = _Awaited("end", partial(self.life.retire, members), self.kernel)
+        self.submit(Action(awaited.steps, awaited.done))
+        driver.give_up_blocking(members)
+        if self.inside():
+            return
+        await asyncio.wait([awaited.future, driver.ended], timeout=budget.limit, return_when=asyncio.FIRST_COMPLETED)
+        awaited.withdraw()
+
     async def end(self, budget: StopBudget) -> None:
         """Stop the context within the budget and wait for its end; a hook of the context does not wait."""
         driver = self.driver
