@@ -23,9 +23,16 @@ async def end_members(kernel: Microkernel, budget: StopBudget) -> None:
     for context in kernel.contexts.values():
         for member in context.runner.members:
             members.setdefault(member.component.name, []).append(member)
-    turns = [member for name in ending_order(tuple(members), *_edges(kernel)) for member in members[name]]
-    for context, those in groupby(turns, key=lambda member: member.context):
-        await kernel.registry.through(context.runner.retire(tuple(those), budget))
+    for names in ending_order(tuple(members), *_edges(kernel)):
+        turns = [member for name in names for member in members[name]]
+        paused = []
+        if len(names) > 1:  # in a circle of calls nobody is first: all have finished their cycles before one ends
+            contexts = dict.fromkeys(member.context for member in turns)
+            paused = [await context.runner.pause(budget) for context in contexts]
+        for context, those in groupby(turns, key=lambda member: member.context):
+            await kernel.registry.through(context.runner.retire(tuple(those), budget))
+        for resume in paused:
+            resume()
 
 
 def _edges(kernel: Microkernel) -> tuple[Edges, Edges]:

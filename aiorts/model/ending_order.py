@@ -15,17 +15,17 @@ Edges: TypeAlias = Mapping[str, Collection[str]]
 """Of a component, those that end after it."""
 
 
-def ending_order(names: Sequence[str], calls: Edges, data: Edges) -> list[str]:
-    """The components in the order in which they end.
+def ending_order(names: Sequence[str], calls: Edges, data: Edges) -> list[list[str]]:
+    """The components in the order in which they end; those of one circle of calls are together.
 
     Args:
         names: of the components, in the order of their start.
         calls: of each that calls, those that answer.
         data: of each that writes, those that read.
     """
-    order: list[str] = []
+    order: list[list[str]] = []
     for group in _sorted_groups(names, (calls, data)):
-        order += [one for part in _sorted_groups(group, (calls,)) for one in reversed(part)]
+        order += [part[::-1] for part in _sorted_groups(group, (calls,))]
     return order
 
 

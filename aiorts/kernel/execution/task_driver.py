@@ -344,6 +344,10 @@ class TaskDriver:
         if self._ended is not None and not self._ended.done():
             self._ended.set_result(None)
 
+    async def wait_for_request(self) -> None:
+        """Wait for the next `kick`."""
+        await self._sleep(None)
+
     async def _sleep(self, deadline_ns: int | None) -> None:
         if self._kicked:
             self._kicked = False
