@@ -44,15 +44,9 @@ def test_a_component_below_a_folder_whose_name_is_no_utf_8_runs_and_is_recorded(
     (folder / "q.py").write_text(FILE)
     (folder / "s.toml").write_text(SYSTEM)
     how = ["--rate", "10", "--quiet"] if what == "q.py:Q" else []
-    done = subprocess.run(
-        [sys.executable, "-m", "aiorts", "run", str(folder / what), "--simulate", "--for", "1", *how]
-        + ["--record", "run.mcap", "--control=off"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    arguments = [str(folder / what), "--simulate", "--for", "1", *how, "--record", "run.mcap", "--control=off"]
+    command = [sys.executable, "-m", "aiorts", "run", *arguments]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     with RecordingReader(tmp_path / "run.mcap") as reader:
         (port,) = reader.ports.values()
