@@ -29,6 +29,7 @@ def main() -> int:
         return 2
     # Called last of all: what the interpreter does then is short, and a signal would end it with another status.
     atexit.register(_ignore_signals)
+    _print_for_programs()
     try:
         from aiorts.cli.app import run_command
 
@@ -47,6 +48,19 @@ def _fill_gaps() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is this one
+
+
+def _print_for_programs() -> None:
+    """Write UTF-8 where no terminal shows it: JSON lines and system files are UTF-8, whatever the locale is.
+
+    A terminal gets its own encoding, with a number in the place of each character that it lacks.
+    """
+    out = sys.stdout
+    if out is not None and out.encoding.lower() != "utf-8":
+        if out.isatty():
+            out.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+        else:
+            out.reconfigure(encoding="utf-8")  # type: ignore[union-attr]
 
 
 def _has_room() -> bool:

@@ -216,6 +216,15 @@ class EventContext(Context):
                 due[member] = now_ns + self._every_ns
         return members
 
+    def _begin_last_cycle(self, member: EventMember) -> bool:  # type: ignore[override] # as above
+        if not member.ready or member.execute is None or not _has_cause(member):
+            return False
+        self._ready.remove(member)
+        member.ready = member.triggered = False
+        self.ticks += 1
+        member.in_ports.begin()
+        return True
+
     def _begin_for_all(self, everyone: Sequence[EventMember]) -> Sequence[EventMember]:
         """Begin a cycle triggered for all, when no member has another cause: no flag is set, no port was notified."""
         if not self._listening:

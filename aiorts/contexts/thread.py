@@ -257,12 +257,16 @@ class ThreadDriver:
         if self._hurried or not self.context.runner.stopping:
             return
         self._hurried = True
-        for member in tuple(self.context.runner.members):
+        self.give_up_blocking(tuple(self.context.runner.members))
+        cancel = self._in_real_seconds(budget.limit + budget.grace, self._abandon)
+        self.ended.add_done_callback(lambda _: cancel())
+
+    def give_up_blocking(self, members: Sequence[Member]) -> None:
+        """These members are about to end: a read or write that blocks their thread raises ClosedError."""
+        for member in members:
             member.cell.stopping = True
             for port in member.component.ports.values():
                 give_up_blocking(port)
-        cancel = self._in_real_seconds(budget.limit + budget.grace, self._abandon)
-        self.ended.add_done_callback(lambda _: cancel())
 
     def _in_real_seconds(self, seconds: float, callback: Callable[[], None]) -> Callable[[], None]:
         """Call back on the loop; returns what cancels it. A thread takes real time, whatever the loop's clock is."""
@@ -373,7 +377,7 @@ class ThreadDriver:
             return None
         self._member = member.entry_lock.inside = None
         member.hook = "on_execute"
-        if error is not None and context.runner.stopping and issubclass(type(error), ClosedError):
+        if error is not None and host.stopping and issubclass(type(error), ClosedError):
             error = None  # a blocking read or write was woken to let the context stop
         if timing:
             # `HookTimes.add`, written out: it is a good part of what a short hook costs.

@@ -20,6 +20,7 @@ from aiorts.kernel import embedding, naming, start_context
 from aiorts.kernel.component import Component
 from aiorts.kernel.connection import Connection, joined
 from aiorts.kernel.connections import Connections
+from aiorts.kernel.ending import end_members
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.extensions.catalogue import Catalogue
@@ -159,10 +160,13 @@ class Microkernel:
         return self
 
     async def aclose(self) -> None:
-        """Stop contexts, disconnect, finalise components, each in reverse order, within 5 s; idempotent.
+        """End components, stop contexts, disconnect, finalise components, within 5 s; idempotent.
 
-        A hook gets 2 s, then it is cancelled four times at 0.5 s, then abandoned and reported. A caller that is
-        cancelled is cancelled when all is closed. Called by a component of this kernel it is queued and returns at
+        Each component finishes its running cycle, and is deactivated and shut down while all ports still work: who
+        calls before who answers, who writes before who reads, else and in circles in the reverse order of the start.
+        Contexts stop and components are finalised in the reverse order, too. A hook that waits for a sample waits no
+        longer; any other gets 2 s, then it is cancelled four times at 0.5 s, then abandoned and reported. A caller that
+        is cancelled is cancelled when all is closed. Called by a component of this kernel it is queued and returns at
         once.
 
         Raises:
@@ -185,14 +189,15 @@ class Microkernel:
         budget = StopBudget(self.loop)
         self._await_stop()
         self.closing.set_result(budget)
-        for component in self.components.values():
-            self.registry.vacate(component)
         contexts = tuple(self.contexts.values())
         for context in contexts:
             if context.runner.driver is not None:
                 context.runner.driver.hurry(budget)
         try:
             await self._end_services("closing", budget)
+            await self.registry.through(end_members(self, budget))
+            for component in self.components.values():
+                self.registry.vacate(component)
             for context in reversed(contexts):
                 await self.registry.through(context.runner.end(budget))
             await self._end_services("ending", budget)

@@ -31,6 +31,7 @@ from aiorts.kernel.loop.origins import located, origin_of
 from aiorts.kernel.loop.tasks import abandon_task, current_task, kernel_task, owner_of
 from aiorts.kernel.ports import Port
 from aiorts.kernel.ports.port import vacate, wake_waiter
+from aiorts.kernel.ports.receiver import EndingError
 from aiorts.kernel.service import notify
 from aiorts.model.lifecycle import HOOKS
 from aiorts.model.names import Path
@@ -485,6 +486,8 @@ class Registry:
 
     def task_failed(self, component: Component, name: str, error: BaseException) -> None:
         """A task that a component started has failed, and no code has retrieved its exception."""
+        if isinstance(error, EndingError):
+            return  # it waited for a sample, and its component has ended
         guarded("could not add a note", note, error, f"in task {name!r} started by component {component.name}")
         if members := tuple(cell(component).members):
             for member in members:

@@ -66,6 +66,9 @@ class KernelService:
     """What can be set: a frozen dataclass whose fields all have a default (`setting`). Its `__post_init__` raises
     ConfigurationError for a value that is wrong, "KEY: expected ..., got ..."."""
 
+    encodes: ClassVar[bool] = False
+    """Whether it makes bytes of what out-ports send: `aiorts check` names the ports whose samples may be too large."""
+
     last: ClassVar[bool] = False
     """Whether it is configured after all others that are planned with it: it goes by what they were given."""
 

@@ -129,7 +129,7 @@ class Provided(ServiceEnd[I], Generic[I]):
             return ""
         members = here.members
         for member in members:
-            if member.active:
+            if member.active or member.retired:
                 return ""
         if not members:
             kernel = here.kernel

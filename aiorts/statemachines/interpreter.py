@@ -130,12 +130,24 @@ class Machine:
         self.event = None
 
     def recalled(self) -> MachineEvent | None:
-        """Take the oldest event that was deferred and is not deferred any more; `handle` it before any newer one."""
+        """Take the oldest event that was deferred and is taken now, or not deferred any more.
+
+        `handle` it before any newer one. A state may both defer an event and have a transition for it whose guard said
+        no before: the order of arrival is kept, as UML has it for the events in a machine's pool.
+        """
         for place, event in enumerate(self.deferred):
-            if not self.ended and not defers(self.chart, self.states, event.name):
+            if not self.ended and (not defers(self.chart, self.states, event.name) or self._takes(event)):
                 del self.deferred[place]
                 return event
         return None
+
+    def _takes(self, event: MachineEvent) -> bool:
+        """Whether a transition would be taken for this event now."""
+        now, self.event = self.event, event
+        try:
+            return chosen(self.chart, self.states, self.history, event.name, self._guard, True) is not None
+        finally:
+            self.event = now
 
     def look(self) -> Steps:
         """Take transitions without event whose guards have become true."""

@@ -236,6 +236,8 @@ class StateMachine:
         while (event := core.due(now_ns)) is not None and not core.ended:
             yield from self._perform(core.handle(event), event.name)
             yield from self._recall()
+        if core.deferred:
+            yield from self._recall()  # a guard may say yes by now
         for event in self._taken():
             yield from self._perform(core.handle(event), event.name)
             if core.deferred:

@@ -8,7 +8,7 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import construct
-    from aiorts.kernel.loop.line_stream import LineStream
+    from aiorts.kernel.loop.line_stream import LineStream, standard_output
     from aiorts.model.wanted.entries import (
         ClockEntry,
         ComponentEntry,
@@ -72,6 +72,7 @@ __all__ = (
     "prepare",
     "running_graph",
     "schema",
+    "standard_output",
     "system_text",
     "wait_finished",
     "wanted",
@@ -99,7 +100,7 @@ _late(
         "aiorts.system.stdio.frames": "FrameInput FrameOutput",
         "aiorts.system.stdio.live": "LiveInput",
         "aiorts.system.stdio.pipes": "StandardInput StandardOutput",
-        "aiorts.kernel.loop.line_stream": "LineStream",
+        "aiorts.kernel.loop.line_stream": "LineStream standard_output",
         "aiorts.system.wanting": "wanted",
     },
 )

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from aiorts.wire.arrays import ELEMENTS
     from aiorts.wire.codec import FORMAT, Codec, MsgpackCodec, PartsCodec, with_parts
     from aiorts.wire.codecs import find_codec
+    from aiorts.wire.excess import excess
     from aiorts.wire.limits import CONTROL, DATA, LINK, Limits
     from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of, split_sample
     from aiorts.wire.scan import count_values
@@ -30,6 +31,7 @@ __all__ = (
     "MsgpackCodec",
     "PartsCodec",
     "count_values",
+    "excess",
     "find_codec",
     "json_message",
     "json_text",
@@ -49,6 +51,7 @@ _late(
         "aiorts.wire.arrays": "ELEMENTS",
         "aiorts.wire.codec": "FORMAT Codec MsgpackCodec PartsCodec with_parts",
         "aiorts.wire.codecs": "find_codec",
+        "aiorts.wire.excess": "excess",
         "aiorts.wire.limits": "CONTROL DATA LINK Limits",
         "aiorts.wire.lines": "LineReader LineWriter json_text line_of split_sample",
         "aiorts.wire.scan": "count_values",

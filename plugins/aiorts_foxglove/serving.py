@@ -221,13 +221,15 @@ async def _send(connection: ServerConnection, viewer: Viewer) -> None:
 
 
 async def goodbye(listening: Listening) -> None:
-    """Give viewers time for the last line, and close."""
-    if listening.connections:
+    """Give viewers time for the last line, and close; one that does not read is left."""
+    if viewers := tuple(listening.connections):
         await asyncio.sleep(_GOODBYE)
     listening.close()
     with suppress(TimeoutError):
         async with asyncio.timeout(_GOODBYE):
             await listening.wait_closed()
+    for connection in viewers:
+        connection.transport.abort()
 
 
 def _silent() -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from campaign import CAMPAIGN
+from log_parts import make
 from run_parts import limited
 
 pytestmark = [
@@ -112,6 +114,44 @@ def test_a_closed_output_ends_a_source_that_would_run_for_ever() -> None:
     assert (found.status, found.out) == (1, "")
     assert "E-OUTPUT" in found.err
     assert len(found.err.splitlines()) == 1
+
+
+@pytest.mark.fault("F12")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("options", ["--count 3", "--count 3 --simulate", "", "--simulate --for 600"])
+def test_a_full_output_ends_the_run_of_a_component_at_once(options: str, tmp_path: Path) -> None:
+    (tmp_path / "src.py").write_text(
+        "from aiorts import Component, OutPort\nfrom aiorts.types import TimedDouble\n"
+        "class Src(Component):\n    out = OutPort(TimedDouble)\n"
+        "    async def on_execute(self):\n        await self.out.write(TimedDouble(self.clock.time_ns(), 1.0))\n"
+    )
+    found = ended(f"{COMMAND} run {tmp_path}/src.py:Src --rate 100 {options} --control=off >/dev/full")
+    assert (found.status, found.out) == (1, "")
+    assert "E-OUTPUT" in found.err
+    assert len(found.err.splitlines()) == 1
+
+
+ROBOT = "\u00e9\U0001f916"
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_lines_for_programs_are_utf_8_whatever_the_encoding_is(encoding: str, tmp_path: Path) -> None:
+    """Of filters, of a recording, of a dump: the next program reads what the first one was given."""
+    (tmp_path / "in").write_text(json.dumps({"tm": 0, "data": ROBOT}) + "\n")
+    put = f"env PYTHONIOENCODING={encoding} {COMMAND}"
+    kept = f"{put} flexilogger -p TimedString -l {tmp_path}/run.mcap"
+    assert ended(f"{put} flexifilter -i TimedString -o TimedString <{tmp_path}/in | {kept}").err == ""
+    printed = ended(f"{put} log cat {tmp_path}/run.mcap")
+    assert (printed.status, printed.err) == (0, "")
+    assert json.loads(printed.out)["data"] == ROBOT
+    assert ROBOT in ended(f"{put} log cat {tmp_path}/run.mcap | {put} flexidump -p TimedString --format json").out
+
+
+def test_a_recording_is_not_printed_to_a_closed_output(tmp_path: Path) -> None:
+    make(tmp_path / "run.mcap", 1)
+    found = ended(f"{COMMAND} log cat {tmp_path}/run.mcap >&-")
+    assert found.status == 1
+    assert found.err.startswith("aiorts: E-OUTPUT: standard output is closed")
 
 
 @pytest.mark.fault("F12")

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import jsonschema
@@ -46,6 +47,33 @@ def test_the_roomba_is_shown_and_the_end_of_it_too(subprotocol: str) -> None:
     with running("roomba", ROOMBA) as run, serving("roomba") as (process, url):
         asyncio.run(look(url))
         assert process.wait(WAIT) == 0
+
+
+def test_it_ends_soon_after_its_kernel_beside_a_viewer_that_does_not_read(tmp_path: Path) -> None:
+    (tmp_path / "large.py").write_text(
+        "import numpy\nfrom aiorts import Component, OutPort\nfrom aiorts.types import TimedDoubleSeq\n"
+        "class Large(Component):\n    out = OutPort(TimedDoubleSeq)\n"
+        "    def on_execute(self):\n        self.out.write_nowait(TimedDoubleSeq(0, numpy.ones(20_000)))\n"
+    )
+
+    async def look(url: str, run: subprocess.Popen[str]) -> None:
+        async with viewer(url, close_timeout=0.1) as one:
+            await one.until(lambda: "large.out" in one.channels)
+            await one.want("large.out")
+            await one.until(lambda: one.samples)
+            one.socket.transport.pause_reading()
+            await asyncio.sleep(2.0)  # until the sockets between the two are full
+            run.send_signal(signal.SIGINT)
+            began = time.monotonic()
+            assert await asyncio.to_thread(process.wait, WAIT) == 0
+            assert time.monotonic() - began < 8.0  # 11 s before; about 3 on a machine that is free
+            one.socket.transport.abort()
+
+    with (
+        running("large", f"{tmp_path}/large.py:Large", "--rate", "50", "--quiet") as run,
+        serving("large") as (process, url),
+    ):
+        asyncio.run(look(url, run))
 
 
 def test_it_waits_for_a_kernel_and_for_its_return() -> None:

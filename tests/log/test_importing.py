@@ -13,7 +13,6 @@ import subprocess
 import sys
 import time
 import tracemalloc
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,24 +22,10 @@ import pytest
 import aiorts.types as t
 from aiorts.cli.app import run_command
 from aiorts_log import RecordingError, RecordingReader
-from aiorts_log.foreign.importing import import_recording
+from aiorts_log.foreign.importing import MessageCounts, import_recording
 from aiorts_log.foreign.ros import Messages
+from foreign_parts import BEGIN, SECOND, bag, float64, mcap_file, old_bag, ros
 from log_parts import make, read
-
-SECOND = 10**9
-BEGIN = 1_700_000_000 * SECOND
-
-
-@cache
-def store() -> Any:
-    """The types of ROS 2, asked for by a test and not by all who collect it: to import them takes half a second."""
-    typesys = pytest.importorskip("rosbags.typesys")
-    return typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-
-
-def ros(name: str, *values: Any) -> Any:
-    """A message of ROS 2."""
-    return store().types[name.replace("/", "/msg/")](*values)
 
 
 def stamped(i: int, frame: str = "map") -> Any:
@@ -102,19 +87,6 @@ MAKERS: dict[str, tuple[str, Any]] = {
 }
 
 
-def bag(path: Path, kind: str, count: int = 4, makers: dict[str, tuple[str, Any]] = MAKERS) -> Path:
-    """A bag as ROS 2 Iron and later write it: a folder; messages of a topic 1 s apart, topics one after the other."""
-    rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    plugin = rosbag2.StoragePlugin[kind]
-    with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
-        for topic, (short, make_one) in makers.items():
-            name = short.replace("/", "/msg/")
-            connection = writer.add_connection(topic, name, typestore=store())
-            for i in range(count):
-                writer.write(connection, BEGIN + i * SECOND, bytes(store().serialize_cdr(make_one(i), name)))
-    return path
-
-
 def ported(samples: list[tuple[str, int, Any]], name: str) -> list[Any]:
     return [record for port, _, record in samples if port == name]
 
@@ -122,7 +94,7 @@ def ported(samples: list[tuple[str, int, Any]], name: str) -> list[Any]:
 @pytest.mark.parametrize("kind", ["MCAP", "SQLITE3"])
 @pytest.mark.parametrize("whole", [True, False], ids=["folder", "file"])
 def test_every_value_of_a_ros_recording_arrives(tmp_path: Path, kind: str, whole: bool) -> None:
-    source = bag(tmp_path / "bag", kind)
+    source = bag(tmp_path / "bag", kind, MAKERS)
     if not whole:
         (source,) = (one for one in source.iterdir() if one.suffix != ".yaml")
     report = import_recording(source, tmp_path / "run.mcap", whole=False)
@@ -209,25 +181,6 @@ def test_angles_of_any_quaternion_are_those_of_its_turn() -> None:
     )
 
 
-def old_bag(path: Path, rows: list[tuple[int, str, str, list[tuple[int, bytes]]]]) -> Path:
-    """A .db3 file as ROS 2 up to Humble writes it: without definitions."""
-    with sqlite3.connect(path) as database:
-        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format, x)")
-        database.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp INTEGER, data BLOB)")
-        for number, topic, kind, messages in rows:
-            database.execute("INSERT INTO topics VALUES(?, ?, ?, 'cdr', '')", (number, topic, kind))
-            for when, data in messages:
-                database.execute(
-                    "INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", (number, when, data)
-                )
-    database.close()
-    return path
-
-
-def float64(value: float) -> bytes:
-    return bytes(store().serialize_cdr(ros("std_msgs/Float64", value), "std_msgs/msg/Float64"))
-
-
 def test_a_bag_without_definitions_has_those_of_the_distribution_and_names_what_it_lacks(tmp_path: Path) -> None:
     rows = [
         (1, "/f", "std_msgs/msg/Float64", [(30, float64(3.0)), (10, float64(1.0)), (20, float64(2.0))]),
@@ -243,23 +196,11 @@ def test_a_bag_without_definitions_has_those_of_the_distribution_and_names_what_
     ]
     why = "the file does not hold its definition; record it with ROS 2 Iron or later"
     assert report.left == {"/own": why}
-    assert report.lost["/own"] == {why: 3}
+    assert "/own" not in report.lost  # by its kind, which is no loss
+    assert report.messages["/own"] == MessageCounts(read=3, left_out=3)
+    assert report.messages["/f_"] == MessageCounts(read=2, taken=1, lost=1)
     assert sum(report.lost["/f_"].values()) == 1
     assert "no std_msgs/msg/Float64" in next(iter(report.lost["/f_"]))
-
-
-def mcap_file(path: Path, channels: list[tuple[str, str, str, str, str, list[tuple[int, bytes]]]]) -> Path:
-    """A file of the mcap library: topic, message encoding, schema name, schema encoding, schema, messages."""
-    with path.open("wb") as stream:
-        writer = pytest.importorskip("mcap.writer").Writer(stream)
-        writer.start()
-        for topic, encoding, name, form, schema, messages in channels:
-            number = writer.register_schema(name, form, schema.encode()) if form else 0
-            channel = writer.register_channel(topic, encoding, number)
-            for when, data in messages:
-                writer.add_message(channel, when, data, when)
-        writer.finish()
-    return path
 
 
 def test_json_of_others_arrives_and_what_does_not_is_named(tmp_path: Path) -> None:
@@ -297,14 +238,17 @@ def test_json_of_others_arrives_and_what_does_not_is_named(tmp_path: Path) -> No
         "b_value": [t.TimedDoubleSeq(7, [1.0, 2.0])],
     }
     protobuf = "its messages are protobuf; only ROS 2 and JSON are read"
-    assert report.left == {"/c": protobuf}
+    assert report.left == {"/c": protobuf, "/a s": "null, which is no value, in some messages"}
     assert report.lost == {
         "/a n": {"values that are no integers of 64 bits": 1},
         "/a deep.flag": {"values that are no TimedBoolean, as the others are": 1},
         "/a deep.list": {"lists of what is neither all numbers, nor texts, nor truth values": 1},
-        "/a s": {"no value": 1},
         "/b": {"no JSON: JSONDecodeError": 1},
-        "/c": {protobuf: 1},
+    }
+    assert report.messages == {
+        "/a": MessageCounts(read=2, taken=2),
+        "/b": MessageCounts(read=2, taken=1, lost=1),
+        "/c": MessageCounts(read=1, left_out=1),
     }
 
 
@@ -400,7 +344,7 @@ YAML = {
 def test_the_yaml_of_a_bag_is_not_read_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
     """Not even opened: a pipe that nobody writes into would hold whoever does forever."""
     monkeypatch.chdir(tmp_path)
-    source = bag(tmp_path / "bag", "MCAP", 2, {"/speed": MAKERS["/speed"]})
+    source = bag(tmp_path / "bag", "MCAP", {"/speed": MAKERS["/speed"]}, 2)
     said = source / "metadata.yaml"
     said.unlink()
     if what == "fifo":
@@ -439,6 +383,7 @@ def test_what_cannot_be_imported_says_why(tmp_path: Path) -> None:
     assert "there is no .mcap or .db3 file in it" in refuse(tmp_path / "empty", tmp_path)
     (tmp_path / "empty" / "a.db3.zstd").touch()
     assert "unpack it first with unzstd" in refuse(tmp_path / "empty", tmp_path)
+    assert "unpack it first with unzstd" in refuse(tmp_path / "empty" / "a.db3.zstd", tmp_path)
     with sqlite3.connect(tmp_path / "other.db3") as database:
         database.execute("CREATE TABLE addresses(x)")
     database.close()
@@ -449,8 +394,8 @@ def test_what_cannot_be_imported_says_why(tmp_path: Path) -> None:
     (tmp_path / "open.db3-wal").write_bytes(b"more")
     assert "did not close it: open.db3-wal holds more" in refuse(open_bag, tmp_path)
     packed = old_bag(tmp_path / "packed.db3", [(1, "/f", "std_msgs/msg/Float64", [(1, b"\x28\xb5\x2f\xfd1234")])])
-    assert "compressed one by one" in refuse(packed, tmp_path)
-    (tmp_path / "run.mcap").unlink()
+    report = import_recording(packed, tmp_path / "packed.mcap")
+    assert report.lost == {"/f": {"its messages are compressed one by one; ros2 bag convert unpacks them": 1}}
     alone = mcap_file(tmp_path / "alone.mcap", [("/c", "protobuf", "C", "protobuf", "x", [(9, b"")])])
     assert "nothing in it can be imported: /c: its messages are protobuf" in refuse(alone, tmp_path)
     assert not (tmp_path / "run.mcap").exists()

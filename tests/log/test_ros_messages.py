@@ -22,7 +22,7 @@ from aiorts_log.analysis.convert import cut
 from aiorts_log.foreign.exporting import ExportReport, export_ros2
 from aiorts_log.foreign.importing import import_recording
 from aiorts_log.foreign.ros_records import MESSAGES, maker, ros_name, standard_types, unmaker
-from log.test_importing import old_bag
+from foreign_parts import old_bag
 from log_parts import make, read
 
 SECOND = 10**9

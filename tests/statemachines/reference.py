@@ -66,6 +66,7 @@ class Reference:
     def handle(self, event: str, own: bool = False) -> None:
         if not self.running:
             return
+        self._recall()
         self._handle(event, own)
         self._recall()
 
@@ -85,7 +86,7 @@ class Reference:
 
     def _recall(self) -> None:
         while self.running:
-            free = [event for event in self.deferred if not self._kept_by_any(event)]
+            free = [event for event in self.deferred if not self._kept_by_any(event) or self._select(event, False)]
             if not free:
                 return
             self.deferred.remove(free[0])

@@ -141,6 +141,39 @@ def test_a_transition_inside_is_taken_and_one_around_is_not() -> None:
     assert [event.name for event in machine.deferred] == ["b"]
 
 
+def test_a_newer_event_does_not_overtake_one_that_a_state_both_defers_and_handles() -> None:
+    """The guard says no to the first one, and yes when the second one comes."""
+    taken: list[int] = []
+
+    class Gate(StateMachineComponent):
+        job = EventPort(TimedLong)
+        chart = Chart(State("busy", On("job", action="take", guard="open"), defer="job", initial=True))
+        opened = False
+
+        def open(self) -> bool:
+            return self.opened
+
+        def take(self, sample: TimedLong) -> None:
+            taken.append(sample.data)
+
+    class Source(Component):
+        out = OutPort(TimedLong)
+
+    async def main(_clock: Any) -> None:
+        async with Kernel() as kernel:
+            gate, source = await kernel.add(Gate("gate")), await kernel.add(Source("source"))
+            await kernel.connect(source.out, gate.job)
+            await kernel.start(EventContext(), gate, activate=True)
+            source.out.write_nowait(TimedLong(0, 1))
+            await kernel.sleep(0.1)
+            gate.opened = True
+            source.out.write_nowait(TimedLong(0, 2))
+            await kernel.sleep(0.1)
+
+    simulate(main)
+    assert taken == [1, 2]
+
+
 def test_another_region_takes_what_one_defers() -> None:
     one = State("one", State("waits", defer="go", initial=True))
     two = State("two", State("t1", On("go", to="t2"), initial=True), State("t2"))

@@ -538,6 +538,16 @@ def test_a_mutable_type_is_a_note_and_so_are_ports_that_only_a_hook_makes(write:
     assert only(write(text)).code == "N-PORTS"
 
 
+def test_ports_whose_samples_may_be_too_large_are_noted_where_they_become_bytes(write: Write) -> None:
+    texts = flexi(
+        'type = "FlexiFilter"\nparams.inputs = ["TimedDouble"]\nparams.outputs = ["TimedString", "TimedDoubleSeq:3"]'
+    )
+    assert "N-LIMITS" not in [one.code for one in found(write(texts), "note")]
+    (note,) = [one for one in found(write(f'{texts}\n[record]\nfile = "run.mcap"\n'), "note") if one.code == "N-LIMITS"]
+    assert "output0 (a text above 1 MiB)" in note.cause
+    assert "output1" not in note.cause
+
+
 def test_a_member_that_its_context_cannot_run_is_an_error(write: Write) -> None:
     text = flexi('type = "parts.py:Awaiting"').replace('kind = "event"', 'kind = "thread"')
     assert "on_execute is `async def`" in only(write(text), "error").message

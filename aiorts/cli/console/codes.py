@@ -334,6 +334,11 @@ CODES: Final[dict[str, Code]] = {
         "The dataclass is not frozen.",
         "Write @dataclass(frozen=True), or @record.",
     ),
+    "N-LIMITS": Code(
+        "Samples of a port may be larger than a recording or a link takes: a note of aiorts check.",
+        "Its type has a text, a list or a map of any length.",
+        "Ignore the note where they are short; a sample that is too large is left out, counted, and said.",
+    ),
     "N-OPEN": Code(
         "A port has no connection: a note of aiorts check.",
         "Nothing in the system file names it.",

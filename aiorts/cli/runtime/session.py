@@ -37,6 +37,7 @@ from aiorts.errors import (
     WiringError,
 )
 from aiorts.events import ComponentAdded, ContextStarted, HookFailed
+from aiorts.kernel.loop.line_stream import OutputError
 from aiorts.kernel.loop.origins import in_brackets, origin_of
 from aiorts.late import dataclass
 from aiorts.system import Ending, Finding
@@ -151,6 +152,8 @@ async def _session(run: _Run) -> int:
     def note(event: HookFailed) -> None:
         if issubclass(type(event.error), HookAbandoned):
             left.append(event)
+        elif isinstance(event.error, OutputError):
+            stopper.request(exits.FAILED)  # whoever counts what it has written would wait for ever
 
     kernel.bus.subscribe(HookFailed, note)
     _freeze_when_made(kernel, run.components)

@@ -24,6 +24,7 @@ from aiorts.late import dataclass
 from aiorts.model.lifecycle import ADVICE, ON_FAILURE, TRANSITIONS, Event, Failure, LifecycleState, transition
 
 if TYPE_CHECKING:
+    from aiorts.kernel.execution.cell import KernelSide
     from aiorts.kernel.execution.context import Context
     from aiorts.kernel.execution.member import Member
     from aiorts.kernel.execution.task_driver import TaskDriver
@@ -34,6 +35,8 @@ _FAULTS: Final = 3
 """Faults of the kernel's own, about no member, after each of which a context goes on; at the next it ends in order."""
 _TURNS: Final = 16
 """What others do takes several turns of the loop one after another: none of them may cost a whole long cycle."""
+_LAST_CYCLES: Final = 1_000
+"""Cycles of a member that ends and still has data: one that feeds itself would go on for ever."""
 _NEVER: Final = 1 << 63
 """Nanoseconds, later than any time."""
 
@@ -82,6 +85,16 @@ class OwnStep:
     async def carry_out(self, driver: TaskDriver) -> None:
         """Do it; in the driver's task. Over when this returns."""
         raise NotImplementedError
+
+
+class _WaitForRequest(OwnStep):
+    """Wait until something is asked for. A `Wait` of an event context in a task ends with a cycle where data come."""
+
+    async def carry_out(self, driver: TaskDriver) -> None:
+        await driver.wait_for_request()
+
+
+_REQUEST = _WaitForRequest()
 
 
 class Turn:
@@ -134,6 +147,10 @@ class Driver(Protocol):
         """A stop began: hooks are limited from now on, the one that runs included."""
         ...
 
+    def give_up_blocking(self, members: Sequence[Member]) -> None:
+        """These members are about to end: a hook that waits for data, or blocks its thread, gives up."""
+        ...
+
 
 @dataclass(slots=True)
 class Action:
@@ -141,6 +158,25 @@ class Action:
 
     steps: Callable[[], Steps]
     done: Done | None = None
+
+
+class Pause:
+    """The time in which a context begins no cycle."""
+
+    def __init__(self, kernel: KernelSide, driver: Driver) -> None:
+        self._kernel, self._driver = kernel, driver
+        self.begun: asyncio.Future[None] = kernel.loop.create_future()
+        """Done when the cycle that ran is over."""
+        self.over = False
+
+    def begin(self) -> None:
+        """The cycle that ran is over. From any thread."""
+        self._kernel.call_on_loop(lambda: None if self.begun.done() else self.begun.set_result(None))
+
+    def resume(self) -> None:
+        """Let cycles begin again."""
+        self.over = True
+        self._driver.kick()
 
 
 class Life:
@@ -399,6 +435,32 @@ class Life:
             if error is not None:
                 self.failed(member, "on_rate_changed", error)
         done(None)
+
+    def pause(self, paused: Pause) -> Steps:
+        """Begin no cycle until the pause is over, and do what is to be done between two."""
+        paused.begin()
+        while not paused.over and not self._context._stopping:
+            if self._context._actions:
+                yield from self.act(self._context.runner.next_action())
+            else:
+                yield _REQUEST if self._context.suspends else Wait(None)
+
+    def retire(self, members: Sequence[Member], done: Done) -> Steps:
+        """The kernel closes: these members read what they still have to read, and end."""
+        for member in members:
+            if not member.left:
+                yield from self._contained(self._retire(member), member)
+        done(None)
+
+    def _retire(self, member: Member) -> Steps:
+        context = self._context
+        for _ in range(_LAST_CYCLES):
+            if not context._begin_last_cycle(member):
+                break
+            yield Batch(iter((member,)), first_pass)
+            context._end_cycle((member,))
+        member.retired = member.active
+        yield from self.leave(member)
 
     def _end(self) -> Steps:
         for member in reversed(self._context._members):

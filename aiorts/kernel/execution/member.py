@@ -67,6 +67,7 @@ class Member:
         "hooks",
         "in_ports",
         "order",
+        "retired",
         "started",
         "stopped_for",
         "times",
@@ -97,6 +98,8 @@ class Member:
         """The hook that runs now, while one runs."""
         self.finishing = False
         self.started = False
+        self.retired = False
+        """Whether it was active until its kernel closed: it answers calls until ports are closed."""
         self.stopped_for: frozenset[str] = frozenset()
         """The components for whose error its composite deactivated it."""
         self.in_ports: list[InPort[Any]] = []

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import ClosedError, StateError, TransitionTimeout, format_error
 from aiorts.kernel.execution.cell import cell
-from aiorts.kernel.execution.cycle import TURN, Action, Done, Life, Request, Steps
+from aiorts.kernel.execution.cycle import TURN, Action, Done, Life, Pause, Request, Steps
 from aiorts.kernel.loop.bus import ContextStarted, ContextStopped
 from aiorts.kernel.loop.deadlines import StopBudget
 from aiorts.kernel.loop.guarded import KernelLog, guarded
@@ -365,6 +365,32 @@ class Runner:
         began = self._context._began
         if began is not None and not began.done():
             began.set_result(None)
+
+    async def pause(self, budget: StopBudget) -> Callable[[], None]:
+        """Begin no cycle from now on, once the running one is over; what is to be done between two cycles is done.
+
+        Waits until it is over, no longer than a hook may take; returns what lets cycles begin again.
+        """
+        driver = self.driver
+        if driver is None:
+            return lambda: None
+        paused = Pause(self.kernel, driver)
+        self.submit(Action(partial(self.life.pause, paused)))
+        await asyncio.wait([paused.begun, driver.ended], timeout=budget.limit, return_when=asyncio.FIRST_COMPLETED)
+        return paused.resume
+
+    async def retire(self, members: Sequence[Member], budget: StopBudget) -> None:
+        """Have these members end between two cycles, in this order; waits no longer than a hook may take."""
+        driver = self.driver
+        if driver is None:
+            return
+        awaited = _Awaited("end", partial(self.life.retire, members), self.kernel)
+        self.submit(Action(awaited.steps, awaited.done))
+        driver.give_up_blocking(members)
+        if self.inside():
+            return
+        await asyncio.wait([awaited.future, driver.ended], timeout=budget.limit, return_when=asyncio.FIRST_COMPLETED)
+        awaited.withdraw()
 
     async def end(self, budget: StopBudget) -> None:
         """Stop the context within the budget and wait for its end; a hook of the context does not wait."""

@@ -10,7 +10,7 @@ a new one: repeated delivery, as cancel scopes do it, would pin a core. One that
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import HookAbandoned, HookTimeout
@@ -22,7 +22,9 @@ from aiorts.kernel.loop.bus import Bus, HookAfter, HookBefore
 from aiorts.kernel.loop.deadlines import StopBudget
 from aiorts.kernel.loop.guarded import KernelLog, guarded
 from aiorts.kernel.loop.tasks import abandon_task, current_task, owner_of
+from aiorts.kernel.ports.in_port import InPort, receiver_of
 from aiorts.kernel.ports.port import give_turn
+from aiorts.kernel.ports.receiver import EndingError
 
 if TYPE_CHECKING:
     from aiorts.kernel.execution.context import Context
@@ -189,6 +191,15 @@ class TaskDriver:
             elif self.turn is not None:
                 self.loop.call_later(budget.limit, _resolve, self.turn, False)
 
+    def give_up_blocking(self, members: Sequence[Member]) -> None:
+        """These members are about to end: a hook of theirs that waits for a sample does so no longer."""
+        for helper in self.helpers:
+            helper.give_up_blocking(members)
+        if self._member in members:
+            for port in self._member.component.ports.values():
+                if isinstance(port, InPort):
+                    receiver_of(port).end_wait()
+
     def stop_for_host(self) -> None:
         """Stop the context in order: the application has cancelled its task."""
         context = self.context
@@ -333,6 +344,10 @@ class TaskDriver:
         self._over = True
         if self._ended is not None and not self._ended.done():
             self._ended.set_result(None)
+
+    async def wait_for_request(self) -> None:
+        """Wait for the next `kick`."""
+        await self._sleep(None)
 
     async def _sleep(self, deadline_ns: int | None) -> None:
         if self._kicked:
@@ -553,6 +568,8 @@ class TaskDriver:
         """What became of a hook that raised or was cancelled: the component's error, unless the host wanted it."""
         if error is not None and issubclass(type(error), GeneratorExit) and asyncio._get_running_loop() is None:
             raise error  # the loop is gone and this task with it
+        if isinstance(error, EndingError):
+            return None
         wanted = self.cancelled_by_others and self._stopped_by_host
         self._uncancel()
         if timer is not None and timer.cancels:

@@ -135,8 +135,9 @@ def _of_package(path: Path, root: Path) -> ModuleType | None:
 
 def _by_itself(path: Path) -> ModuleType:
     make_importable(path.parent)
-    name = f"{_ALONE}{path.parent.name}.{path.stem}"
-    for taken in (name, f"{name}_{zlib.crc32(str(path).encode()):08x}"):
+    # A folder's name may be any bytes; that of a module goes into recordings and messages, which are UTF-8.
+    name = os.fsencode(f"{_ALONE}{path.parent.name}.{path.stem}").decode(errors="replace")
+    for taken in (name, f"{name}_{zlib.crc32(os.fsencode(path)):08x}"):
         loaded = sys.modules.get(taken)
         if loaded is None:
             return _executed(taken, path)

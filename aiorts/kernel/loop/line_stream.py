@@ -14,6 +14,7 @@ import stat
 import sys
 import threading
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from typing import IO, Any, Final, TextIO
 
 from aiorts.errors import AiortsError
@@ -30,6 +31,17 @@ class OutputError(AiortsError, OSError):
     code = "E-OUTPUT"
 
 
+def standard_output() -> TextIO:
+    """The process's standard output as it is now (it may be redirected).
+
+    Raises:
+        OutputError: there is none.
+    """
+    if sys.stdout is None:
+        raise OutputError("standard output is closed; redirect it, to /dev/null for one")
+    return sys.stdout
+
+
 class LineStream:
     """Writes lines to the stream given, or to standard output as it is at each write (it may be redirected)."""
 
@@ -43,11 +55,11 @@ class LineStream:
             BrokenPipeError: its reader has gone, or it was closed.
             OutputError: the system refused the lines (`errno` has the reason), or there is no standard output.
         """
-        stream = sys.stdout if self._stream is None else self._stream
-        if stream is None:
-            if any(True for _ in lines):
-                raise OutputError("standard output is closed; redirect it, to /dev/null for one")
+        lines = iter(lines)
+        if (first := next(lines, None)) is None:
             return
+        lines = chain((first,), lines)
+        stream = self._stream or standard_output()
         for part in _parts(lines, getattr(stream, "encoding", None) or "utf-8"):
             descriptor = slow(stream)
             if descriptor is None:

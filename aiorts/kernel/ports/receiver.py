@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from anyio import WouldBlock
 
-from aiorts.errors import BusyError, ThreadError
+from aiorts.errors import BusyError, ClosedError, ThreadError
 from aiorts.kernel.loop.blocking import PortLock
 from aiorts.kernel.ports.last_sample import offer_last, to_be_offered
 from aiorts.kernel.ports.port import NOTHING, OFF, UNLOCKED
@@ -35,6 +35,10 @@ _THE_READER: Final = (
     "write with port.write_from_thread(sample)"
 )
 _THE_WRITER: Final = "the writer, which waits on the kernel's loop for room, and nothing was read; read on that loop"
+
+
+class EndingError(ClosedError):
+    """Ends a hook that waits for a sample when its component is to end: its writers have ended, and none will come."""
 
 
 class Receiver:
@@ -351,6 +355,12 @@ class Receiver:
             self.waiter = waiter
             self.notify_enabled = True
             return self.unread()
+
+    def end_wait(self) -> None:
+        """Raise EndingError in the task that waits for a sample."""
+        waiter = self.waiter
+        if waiter is not None and not waiter.done():
+            waiter.set_exception(EndingError(f"{self.port.path}: its component ends, and no sample has come"))
 
     def stand_down(self, waiter: asyncio.Future[None]) -> None:
         """`waiter` waits no more, if it ever did."""

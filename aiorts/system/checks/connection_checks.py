@@ -20,6 +20,7 @@ from aiorts.system.checks.findings import Said
 from aiorts.system.file.survey import Survey
 from aiorts.system.text.places import Key
 from aiorts.types import has_tm
+from aiorts.wire import LINK, excess
 
 
 def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
@@ -39,6 +40,7 @@ def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]
         for option, text in (*doubts(connection.options), *idle(connection.options)):
             yield Said("warning", "W-OPTION", (*_key(connection), *option.split(".")), text, of_key=option != "name")
         yield from _link(found, connection, from_reader=any(isinstance(port, InPort) for port in ports))
+        yield from _too_large(connection, ports)
         known = [port for port in ports if port is not None]
         if len(known) == len(ports):
             yield from _ends(found, drafts, connection, known)
@@ -100,6 +102,16 @@ def _link(found: Survey, connection: ConnectionEntry, *, from_reader: bool) -> I
             how = "" if said else "; samples of data ports go as new/all, so a write never waits for a round trip"
             what = f"{path} is in another kernel: whether it fits is known when that kernel is there{how}"
             yield Said("note", "N-LINK", end_key(connection, number), what)
+
+
+def _too_large(connection: ConnectionEntry, ports: Iterable[Port[Any] | None]) -> Iterator[Said]:
+    """Whether a link may refuse samples of the port at this end, as the kernel at its other end reads them."""
+    if not any(map(names_kernel, connection.ports)):
+        return
+    for number, port in enumerate(ports):
+        if isinstance(port, OutPort | InPort) and (said := excess(port.type, LINK)):
+            text = f"a link takes no sample of {connection.ports[number]} with {said}: it would be dropped and counted"
+            yield Said("note", "N-LIMITS", end_key(connection, number), text)
 
 
 def _key(connection: ConnectionEntry) -> Key:

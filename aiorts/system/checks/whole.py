@@ -26,6 +26,7 @@ from aiorts.system.file.families import parts, root, unstartable
 from aiorts.system.file.survey import Survey
 from aiorts.system.text.reading import spelled
 from aiorts.types import is_mutable, type_name
+from aiorts.wire import excess
 
 NOTHING_RUNS = "no context runs anything; add [contexts.NAME] with kind and members"
 _MOST_NAMED = 12
@@ -47,6 +48,7 @@ def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -
     yield from _too_many(found)
     yield from _left_alone(found)
     yield from _mutable(found, drafts)
+    yield from _too_large(found, drafts)
     yield from _loops(found, drafts)
     yield from _meetings(found)
     yield from _standoffs(found)
@@ -174,6 +176,27 @@ def _mutable(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
                     "makes one snapshot; frozen records travel without one (@aiorts.types.record)"
                 )
                 yield Said("note", "N-COPY", ("components", name), text, of_key=True)
+
+
+def _too_large(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
+    """Ports whose samples a service that makes bytes of them may refuse."""
+    service = next(
+        (name for name, plan in found.services.items() if plan.kind.encodes and name in found.system.services), None
+    )
+    if service is None:
+        return
+    most = 6
+    outs = {
+        f"{name}.{port.name}": port
+        for name, draft in drafts.items()
+        for port in draft.ports.values()
+        if isinstance(port, OutPort)
+    }
+    if too_large := {path: said for path, port in outs.items() if (said := excess(port.type))}:
+        listed = ", ".join(f"{path} ({said})" for path, said in list(too_large.items())[:most])
+        more = f" and {len(too_large) - most} more" if len(too_large) > most else ""
+        text = f"samples that are too large for it would be left out and counted: {listed}{more}"
+        yield Said("note", "N-LIMITS", (service,), text, of_key=True)
 
 
 # -- cycles ------------------------------------------------------------------------------------------------------------

@@ -342,7 +342,7 @@ class Recording:
 
     def _noticed(self, segment: int, notice: Notice) -> None:
         logger = self._logger
-        if notice.kind in ("dropped", "gone"):
+        if notice.kind in ("dropped", "refused", "gone"):
             logger.log.warning("%s", notice.text)
         if segment != self._segment:
             return

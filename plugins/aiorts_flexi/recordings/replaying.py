@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from aiorts import OutPort, WouldBlock
 from aiorts.errors import ConfigurationError, StateError
+from aiorts.exits import FAILED
 from aiorts_flexi.common.options import Option
 from aiorts_flexi.recordings.replayed import Contents, Replayed, look_into, replayed_ports
 from aiorts_log import DamagedError, Pace, Player, Playing, Reading, moment_ns, open_recording
@@ -244,6 +245,9 @@ class Replaying:
             if plan.strict:
                 raise DamagedError(text)
             self._warn(text)
+        if player.loses:
+            kernel = self._logger.kernel
+            kernel.exit_status = kernel.exit_status or FAILED
         if not player.sent:
             self._warn(f"{plan.contents.path}: nothing was replayed: it has no sample of these ports in this time")
         if self._logger.verbosity >= 1:

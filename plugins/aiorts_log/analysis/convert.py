@@ -242,7 +242,7 @@ def not_closed(readers: Iterable[Recording]) -> Iterator[tuple[str, int]]:
     """The recordings that were not closed, and the number of unusable bytes at the end of each."""
     for reader in readers:
         if not reader.clean:
-            yield str(reader.path), reader.torn.length if reader.torn is not None else 0
+            yield str(reader.path), reader.torn_bytes
 
 
 def _named(reader: Recording, front: str, unique: bool, **chosen: Any) -> Iterator[tuple[str, RecordedSample]]:

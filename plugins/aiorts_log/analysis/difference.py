@@ -17,6 +17,7 @@ from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.progress import Step, progress
 from aiorts.types import to_plain
 from aiorts.wire import MsgpackCodec
+from aiorts_log.analysis.convert import not_closed
 from aiorts_log.analysis.values import values_of
 from aiorts_log.errors import DamagedError, RecordingError
 from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording
@@ -118,15 +119,22 @@ class Difference:
 
     Attributes:
         ports: those in both; only_left, only_right: number of samples, by name, of the other ports that have some.
+        not_closed: the recordings that were not closed, with the number of unusable bytes at the end of each.
     """
 
     ports: tuple[PortDifference, ...]
     only_left: dict[str, int]
     only_right: dict[str, int]
+    not_closed: tuple[tuple[str, int], ...] = ()
 
     @property
     def equal(self) -> bool:
-        """Whether there is no difference."""
+        """Whether there is no difference: of a recording with a torn end nobody knows."""
+        return self.equal_so_far and not any(length for _, length in self.not_closed)
+
+    @property
+    def equal_so_far(self) -> bool:
+        """Whether there is no difference in what can be read."""
         return not (self.only_left or self.only_right) and all(port.equal for port in self.ports)
 
     @property
@@ -161,6 +169,7 @@ def difference(
         found,
         _only(left, right, names),
         _only(right, left, names),
+        tuple(not_closed([left, right])),
     )
 
 

@@ -37,6 +37,7 @@ class RecordingInfo:
         fault: what else is wrong; "" when nothing is known to be.
         dropped: samples lost for lack of room: by port those that the writer dropped, by connector and reason those
             dropped on the way to it.
+        refused: by port, samples that the encoding refused, by reason.
     """
 
     path: str
@@ -50,6 +51,7 @@ class RecordingInfo:
     ports: tuple[PortInfo, ...]
     gaps: tuple[tuple[int, int], ...]
     dropped: dict[str, int]
+    refused: dict[str, dict[str, int]]
     torn: Gap | None
     fault: str
     skipped: int
@@ -98,6 +100,7 @@ def info_of(reader: Recording) -> RecordingInfo:
         ports,
         _gaps(reader),
         dropped,
+        _refused(reader.endings),
         reader.torn,
         reader.fault,
         reader.skipped,
@@ -112,6 +115,24 @@ def _missed(ending: Any) -> Iterator[tuple[str, int]]:
         for why, count in reasons.items() if isinstance(reasons, dict) else ():
             if why in MISSED and isinstance(count, int):
                 yield f"{name} ({why})", count
+
+
+def _refused(endings: tuple[Any, ...]) -> dict[str, dict[str, int]]:
+    """What end reports, which any program may have written, say of refused samples; old ones give no reasons."""
+    found: dict[str, dict[str, int]] = {}
+    for ending in endings:
+        counts, reasons = (_table(ending, name) for name in ("refused", "reasons"))
+        for name, count in counts.items():
+            known = {why: n for why, n in _table(reasons, name).items() if isinstance(n, int)}
+            for why, n in (known or {"": count}).items():
+                if isinstance(n, int):
+                    found.setdefault(name, {})[why] = found.get(name, {}).get(why, 0) + n
+    return found
+
+
+def _table(document: Any, name: str) -> dict[str, Any]:
+    found = document.get(name) if isinstance(document, dict) else None
+    return found if isinstance(found, dict) else {}
 
 
 def _rate(count: int, first: int, last: int) -> float | None:

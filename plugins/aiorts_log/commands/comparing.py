@@ -12,7 +12,7 @@ import click
 from aiorts import exits
 from aiorts.errors import ConfigurationError
 from aiorts_log.analysis.difference import By, Difference, DiffOptions, PortDifference, difference
-from aiorts_log.commands.output import FILE, UNLIMITED, Finite, number, safe
+from aiorts_log.commands.output import FILE, UNLIMITED, Finite, number, safe, say_unclosed
 from aiorts_log.mcap.encodings import file_of_both
 from aiorts_log.mcap.source import Limits
 from aiorts_log.text.opening import open_recording
@@ -65,7 +65,7 @@ def diff(
     Values only, whatever the log times are, as of two runs of a system: --ignore log_time, or --by tm without a
     --time-tolerance.
 
-    Exit status 0 when they are equal, 1 when they are not.
+    Exit status 0 when they are equal, 1 when they are not, or when the end of one cannot be read.
     """
     options = DiffOptions(
         by=by,
@@ -81,6 +81,7 @@ def diff(
         click.echo(json.dumps(_document(found), indent=1))
     else:
         click.echo("\n".join([*_lines(found, left, right), *_hint(found, options)]))
+    say_unclosed(found.not_closed)
     return exits.DONE if found.equal else exits.FAILED
 
 
@@ -94,9 +95,10 @@ def _span(text: str) -> int:
 
 
 def _lines(found: Difference, left: Path, right: Path) -> list[str]:
-    if found.equal:
+    if found.equal_so_far:
         total = sum(port.left for port in found.ports)
-        lines = [f"equal: {number(total, 'sample')} of {number(len(found.ports), 'port')}"]
+        equal = "equal" if found.equal else "equal as far as they can be read"
+        lines = [f"{equal}: {number(total, 'sample')} of {number(len(found.ports), 'port')}"]
         return lines + [line for port in found.ports if port.furthest for line in _port_lines(port)]
     lines = [f"{safe(left)} and {safe(right)} differ"]
     for port in found.ports:
@@ -147,6 +149,7 @@ def _port_lines(port: PortDifference) -> list[str]:
 def _document(found: Difference) -> dict[str, Any]:
     return {
         "equal": found.equal,
+        "not_closed": [{"file": path, "unusable_bytes": length} for path, length in found.not_closed],
         "ports": [
             {
                 "name": port.name,

@@ -13,7 +13,7 @@ from aiorts.errors import ConfigurationError, UnknownTypeError
 from aiorts.types import check_port_type, find_type
 from aiorts_log.analysis import convert as work
 from aiorts_log.analysis.convert import FORMATS, Converted, Format
-from aiorts_log.commands.output import FILE, MOST_LINES, UNLIMITED, moment, number, safe, span
+from aiorts_log.commands.output import FILE, MOST_LINES, UNLIMITED, moment, number, safe, say_unclosed, span
 from aiorts_log.commands.working import WritingCommand
 from aiorts_log.mcap.source import Limits
 from aiorts_log.text.csv_format import LOG_TIME, TableOptions, TimeUnit
@@ -205,7 +205,5 @@ def _report(target: Path, made: Converted) -> int:
         click.echo(f"  left out: line {line}: {safe(why)}", err=True)
     if len(made.bad) > MOST_LINES:
         click.echo(f"  left out: {len(made.bad) - MOST_LINES} more rows, up to line {made.bad[-1][0]}", err=True)
-    for path, length in made.not_closed:
-        torn = f"; {length} bytes at its end are unusable" if length else ""
-        click.echo(f"  {safe(path)} was not closed: what was not yet written when it ended is missing{torn}", err=True)
-    return exits.FAILED if made.bad or any(length for _, length in made.not_closed) else exits.DONE
+    torn = say_unclosed(made.not_closed)
+    return exits.FAILED if made.bad or torn else exits.DONE

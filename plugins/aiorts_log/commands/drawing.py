@@ -6,11 +6,13 @@ from pathlib import Path
 
 import click
 
+from aiorts import exits
 from aiorts.errors import ConfigurationError
 from aiorts.progress import progress
+from aiorts_log.analysis.convert import not_closed
 from aiorts_log.analysis.plot import Picture, check_picture, draw_path, draw_times
 from aiorts_log.analysis.series import Series, read_series
-from aiorts_log.commands.output import FILE, UNLIMITED, Finite, moment, number, safe
+from aiorts_log.commands.output import FILE, UNLIMITED, Finite, moment, number, safe, say_unclosed
 from aiorts_log.commands.working import WritingCommand
 from aiorts_log.errors import RecordingError
 from aiorts_log.mcap.source import Limits
@@ -40,7 +42,7 @@ def plot(
     size: float,
     overwrite: bool,
     limits: Limits,
-) -> None:
+) -> int:
     """Draw fields of a recording over time, or one over the other as a path.
 
     \b
@@ -50,6 +52,8 @@ def plot(
     A port without a field is its data; each item of a sequence is a curve, the first 16 unless others are
     named (scan.ranges[20]). An enumeration is its number. Long recordings are thinned so that no
     peak is lost. Needs matplotlib: pip install "aiorts[plot]".
+
+    Exit status 1 when the end of the recording cannot be read.
     """
     file_type = check_picture(output)
     names = [*(xy or ()), *fields]
@@ -60,6 +64,7 @@ def plot(
         first, last = moment("--start", start, reader.start), moment("--end", end, reader.start)
         with progress("reading", reader.count) as step:
             groups = read_series(reader, names, first, last, step)
+        unclosed = tuple(not_closed([reader]))
     for name, group in zip(names, groups, strict=True):
         if not group:
             raise RecordingError(f"{file}: {name} has no sample there; nothing is drawn")
@@ -73,6 +78,7 @@ def plot(
         click.echo(f"  not in it: {safe(one.left_out)}", err=True)
     total = sum(len(one.times) for group in groups for one in group)
     click.echo(f"{safe(output)}: {number(total, 'value')} of {number(sum(map(len, groups)), 'curve')}")
+    return exits.FAILED if say_unclosed(unclosed) else exits.DONE
 
 
 def _single(group: list[Series]) -> Series:

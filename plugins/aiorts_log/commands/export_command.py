@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from aiorts import exits
-from aiorts_log.commands.output import FILE, UNLIMITED, number, safe
+from aiorts_log.commands.output import FILE, UNLIMITED, number, safe, say_unclosed
 from aiorts_log.commands.working import WritingCommand
 
 if TYPE_CHECKING:
@@ -52,10 +52,7 @@ def export_command(source: Path, target: Path, ports: tuple[str, ...], as_json: 
     click.echo(json.dumps(asdict(report), indent=1) if as_json else "\n".join(_lines(target, report)))
     for name, why in report.left.items():
         click.echo(f"  left out: {safe(name)}: {safe(why)}", err=True)
-    for path, length in report.not_closed:
-        torn = f"; {length} bytes at its end are unusable" if length else ""
-        click.echo(f"  {safe(path)} was not closed: what was not yet written when it ended is missing{torn}", err=True)
-    return exits.FAILED if any(length for _, length in report.not_closed) else exits.DONE
+    return exits.FAILED if say_unclosed(report.not_closed) else exits.DONE
 
 
 def _lines(target: Path, report: ExportReport) -> list[str]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +11,9 @@ import click
 
 from aiorts import exits
 from aiorts.errors import RecordError, WireError
+from aiorts.system import standard_output
 from aiorts.wire import json_text, line_of
+from aiorts_log.analysis.convert import not_closed
 from aiorts_log.analysis.info import RecordingInfo, info_of
 from aiorts_log.commands.output import (
     FILE,
@@ -24,6 +24,7 @@ from aiorts_log.commands.output import (
     moment,
     number,
     safe,
+    say_unclosed,
     size,
     span,
     strict,
@@ -69,6 +70,8 @@ def cat(file: Path, ports: tuple[str, ...], start: str | None, end: str | None, 
     """Print samples as JSON lines, in the order of their log time.
 
     The lines are those that filters read: aiorts log cat run.mcap | aiorts flexidump -p TimedDouble
+
+    Exit status 1 when the end of the recording cannot be read.
     """
     with open_recording(file, limits=limits) as reader:
         first, last = moment("--start", start, reader.start), moment("--end", end, reader.start)
@@ -76,19 +79,14 @@ def cat(file: Path, ports: tuple[str, ...], start: str | None, end: str | None, 
         try:
             if not _write(_text_of(sample, log_time) for sample in samples) and (start or end or ports):
                 click.echo(f"  no sample is there; {span(reader)}", err=True)
-        except BrokenPipeError:  # the reader has gone: no error, and nothing must be flushed at exit
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, sys.stdout.fileno())
-            os.close(nowhere)
-            return exits.BROKEN_PIPE
         finally:
             samples.close()  # type: ignore[attr-defined]
-    return exits.DONE
+        return exits.FAILED if say_unclosed(not_closed([reader])) else exits.DONE
 
 
 def _write(lines: Iterator[str]) -> int:
     """Print lines in blocks, and return their number: one call for each line would cost more than reading it."""
-    stream = sys.stdout
+    stream = standard_output()
     block: list[str] = []
     printed = 0
     try:
@@ -149,6 +147,11 @@ def _lines(found: RecordingInfo, gaps: tuple[Gap, ...] | None) -> list[str]:
         lines.append(f"  and {len(found.gaps) - MOST_LINES} more such times")
     for name, drops in found.dropped.items():
         lines.append(f"  dropped of {safe(name)}: {number(drops, 'sample')} that found no room")
+    for name, reasons in found.refused.items():
+        lines += [
+            f"  refused of {safe(name)}: {number(n, 'sample')}{f': {safe(why)}' if why else ''}"
+            for why, n in reasons.items()
+        ]
     if found.skipped:
         lines.append(f"  {number(found.skipped, 'record')} of kinds that this version does not know")
     if not found.closed:
@@ -185,6 +188,7 @@ def _document(found: RecordingInfo, gaps: tuple[Gap, ...] | None) -> dict[str, A
         ],
         "gaps": [list(gap) for gap in found.gaps],
         "dropped": found.dropped,
+        "refused": found.refused,
         "torn": None if found.torn is None else found.torn._asdict(),
         "fault": found.fault,
         "skipped": found.skipped,

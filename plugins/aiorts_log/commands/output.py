@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -10,7 +11,7 @@ from typing import Any, Final
 import click
 
 from aiorts_log.commands.moment import moment_ns
-from aiorts_log.mcap.reader import Recording
+from aiorts_log.mcap.reader import Recording, unclosed_text
 from aiorts_log.mcap.source import Limits
 from aiorts_log.mcap.survey import Gap
 
@@ -82,6 +83,19 @@ def span(reader: Recording) -> str:
         return "the recording has none"
     seconds = (reader.end - reader.start) / 1e9
     return f"the recording is from {date(reader.start)} to {date(reader.end)}, which is +{seconds:.3f}"
+
+
+def say_unclosed(unclosed: Iterable[tuple[str, int]]) -> bool:
+    """Name on standard error the recordings that were not closed; returns whether bytes of one cannot be read.
+
+    Args:
+        unclosed: path and unusable bytes of each of them.
+    """
+    torn = False
+    for path, length in unclosed:
+        click.echo(f"  {safe(path)} {unclosed_text(length)}", err=True)
+        torn = torn or length > 0
+    return torn
 
 
 def gap_lines(gaps: tuple[Gap, ...]) -> list[str]:

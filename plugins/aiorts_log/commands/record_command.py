@@ -152,6 +152,10 @@ def _tell(taking: Taking, path: Path, found: RecordingStatistics, seconds: float
         ports[name] = {"recorded": one.offered - dropped - found.refused.get(name, 0), "dropped": dropped}
         if refused:
             ports[name]["refused"] = refused
+        for why, count in found.reasons.get(name, {}).items():
+            _report(
+                "W-DROPPED", f"{name}: {number(count, 'sample')} of {one.offered + one.refused} were refused: {why}"
+            )
         if dropped:
             _report("W-DROPPED", f"{name}: {number(dropped, 'sample')} of {one.offered + one.refused} were dropped")
     if taking.ended:

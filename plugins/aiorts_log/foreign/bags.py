@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from aiorts_log.analysis.convert import not_closed
 from aiorts_log.errors import DamagedError, RecordingError
 from aiorts_log.mcap.reader import RecordingReader
 from aiorts_log.mcap.source import Limits
@@ -24,8 +25,7 @@ _TABLES: Final = {
     "topics": {"id", "name", "type", "serialization_format"},
     "messages": {"topic_id", "timestamp", "data"},
 }
-_PACKED: Final = b"\x28\xb5\x2f\xfd"
-"""The first bytes of what zstd compressed."""
+_PACKED_WHOLE: Final = (".db3.zstd", ".mcap.zstd")
 
 
 class Stream(NamedTuple):
@@ -50,13 +50,13 @@ class Bag:
 
     Attributes:
         streams: the topics in it.
-        notes: remarks for the report.
+        not_closed: the files that were not closed, with the number of unusable bytes at the end of each.
     """
 
     def __init__(self, parts: list[_Mcap | _Database]) -> None:
         self._parts = parts
         self.streams: tuple[Stream, ...] = tuple(dict.fromkeys(stream for part in parts for stream in part.streams))
-        self.notes: tuple[str, ...] = tuple(note for part in parts for note in part.notes)
+        self.not_closed: tuple[tuple[str, int], ...] = tuple(one for part in parts for one in part.not_closed)
         self.count = sum(part.count for part in parts)
 
     def __enter__(self) -> Bag:
@@ -68,10 +68,8 @@ class Bag:
 
     def samples(self) -> Iterator[Sample]:
         """All messages; those of equal time in the order of the files. Raises RecordingError or DamagedError."""
-        if len(self._parts) == 1:
-            yield from self._parts[0].samples()
-            return
-        yield from heapq.merge(*(part.samples() for part in self._parts), key=lambda sample: sample[0])
+        parts = [part.samples() for part in self._parts]
+        yield from parts[0] if len(parts) == 1 else heapq.merge(*parts, key=lambda sample: sample[0])
 
 
 def open_bag(path: str | os.PathLike[str], *, limits: Limits | None = None) -> Bag:
@@ -82,6 +80,8 @@ def open_bag(path: str | os.PathLike[str], *, limits: Limits | None = None) -> B
     """
     path = Path(path)
     files = _files(path) if path.is_dir() else [path]
+    if packed := [file for file in files if file.name.endswith(_PACKED_WHOLE)]:
+        raise RecordingError(f"{packed[0]}: is compressed as a whole; unpack it first with unzstd")
     with contextlib.ExitStack() as stack:
         parts: list[_Mcap | _Database] = []
         for file in files:
@@ -97,9 +97,7 @@ def _files(folder: Path) -> list[Path]:
         names = sorted(os.listdir(folder))
     except OSError as error:
         raise RecordingError(f"{folder}: cannot be read: {error.strerror}") from None
-    if packed := [name for name in names if name.endswith((".db3.zstd", ".mcap.zstd"))]:
-        raise RecordingError(f"{folder / packed[0]}: is compressed as a whole; unpack it first with unzstd")
-    found = [folder / name for name in names if name.endswith((".mcap", ".db3"))]
+    found = [folder / name for name in names if name.endswith((".mcap", ".db3", *_PACKED_WHOLE))]
     if not found:
         raise RecordingError(f"{folder}: no recording: there is no .mcap or .db3 file in it")
     return sorted(found, key=lambda one: (len(one.name), one.name))
@@ -135,7 +133,7 @@ class _Mcap:
             self._of[port.id] = Stream(port.name, port.type_name, port.encoding, schema_format, text)
         self.streams = tuple(self._of.values())
         self.count = reader.count
-        self.notes = (f"{path.name}: not closed: what was not yet written is not in it",) * (not reader.clean)
+        self.not_closed = tuple(not_closed([reader]))
 
     def samples(self) -> Iterator[Sample]:
         of = self._of
@@ -194,7 +192,7 @@ class _Database:
         }
         self.streams = tuple(self._of.values())
         self.count = int(query("SELECT count(*) FROM messages").fetchone()[0])
-        self.notes: tuple[str, ...] = ()
+        self.not_closed: tuple[tuple[str, int], ...] = ()
 
     def samples(self) -> Iterator[Sample]:
         of = self._of
@@ -203,10 +201,6 @@ class _Database:
             for topic, time, data in rows:
                 if topic not in of or type(time) is not int or not 0 <= time < 2**63 or type(data) is not bytes:
                     raise DamagedError(f"{self._path}: damaged: a message of topic {topic!r} at {time!r} is none")
-                if data[:4] == _PACKED:
-                    raise RecordingError(
-                        f"{self._path}: its messages are compressed one by one; ros2 bag convert unpacks them"
-                    )
                 yield time, of[topic], data
         except sqlite3.Error as error:
             raise self._damaged(error) from None

@@ -40,7 +40,7 @@ class Documents:
         schema_format: "jsonschema", or ""; schema: its text.
 
     Attributes:
-        left: empty; why a field becomes no record is known for each message only.
+        left: by field, why it became no record in the messages decoded so far, by its kind.
     """
 
     def __init__(self, schema_format: str, schema: str) -> None:
@@ -75,8 +75,12 @@ class Documents:
         return None
 
     def parts(self, document: Mapping[str, Any], lose: Lose, topic: str) -> Iterator[tuple[str, type, Any]]:
-        """Path, record type and data of each field; calls `lose` for those that become none."""
+        """Path, record type and data of each field with a value; calls `lose` for those that become none."""
         for path, value in _flat("", document, 0):
+            if value is None:
+                if len(self.left) < _MOST:
+                    self.left.setdefault(path, "null, which is no value, in some messages")
+                continue
             found = self._part(path, value)
             if isinstance(found, str):
                 lose(f"{topic} {path}", found)
@@ -85,8 +89,6 @@ class Documents:
 
     def _part(self, path: str, value: Any) -> tuple[type, Any] | str:
         is_integer = path in self._integers
-        if value is None:
-            return "no value"
         if isinstance(value, str) and value in _NOT_FINITE and self._types.get(path) is TimedDouble:
             value = _NOT_FINITE[value]
         if value == [] and path in self._types:
@@ -120,15 +122,21 @@ class Documents:
             self._types[path] = TimedDouble
         inner = schema.get("properties")
         for name, one in inner.items() if isinstance(inner, dict) else ():
-            self._learn(f"{path}.{name}" if path else str(name), one, depth + 1)
+            self._learn(_joined(path, str(name)), one, depth + 1)
 
 
 def _flat(path: str, value: Any, depth: int) -> Iterator[tuple[str, Any]]:
     if isinstance(value, dict) and depth <= _DEEPEST:
         for name, one in value.items():
-            yield from _flat(f"{path}.{name}" if path else name, one, depth + 1)
+            yield from _flat(_joined(path, name), one, depth + 1)
     else:
         yield path, value
+
+
+def _joined(path: str, key: str) -> str:
+    """The path of a key: one that is empty or has a dot or a quote is quoted, so that no two keys have one path."""
+    name = json.dumps(key, ensure_ascii=False) if not key or "." in key or '"' in key else key
+    return f"{path}.{name}" if path else name
 
 
 def _number(value: float, is_integer: bool) -> tuple[Any, type | None]:

@@ -21,6 +21,7 @@ from aiorts_log.foreign.ros import Messages, Unmapped
 from aiorts_log.mcap.reader import RecordingReader
 from aiorts_log.mcap.source import Limits
 from aiorts_log.recorder.options import RecordingOptions
+from aiorts_log.recorder.port_state import PortState
 from aiorts_log.recorder.writer import RecordingWriter
 
 _LAST: Final = 2**32 * 10**9
@@ -28,6 +29,25 @@ _LAST: Final = 2**32 * 10**9
 _TURN: Final = 20_000
 _TURN_BYTES: Final = 16 * 2**20
 _LONGEST: Final = 90
+_REASON: Final = 120
+"""Characters of a reason."""
+
+
+@dataclass(slots=True)
+class MessageCounts:
+    """What became of the messages of a topic, at every moment: read = taken + left_out + lost.
+
+    Attributes:
+        read: messages in the source.
+        taken: at least one sample of it is in the new recording.
+        left_out: messages of a kind that becomes no sample, or without fields.
+        lost: messages of a kind that becomes samples, none of which is in the new recording.
+    """
+
+    read: int = 0
+    taken: int = 0
+    left_out: int = 0
+    lost: int = 0
 
 
 @dataclass(slots=True)
@@ -37,21 +57,28 @@ class ImportReport:
     Attributes:
         samples: written, by port.
         ports: for each port, its topic and field.
-        left: by topic, or topic and field: why it became no port.
-        lost: by topic, messages or values that became no samples, by reason.
-        notes: further remarks.
+        messages: by topic, what became of its messages.
+        left: by topic, or topic and field: why it became no port, by its kind.
+        lost: by topic, messages or values that should have become samples, by reason.
+        not_closed: the files that were not closed, with the number of unusable bytes at the end of each.
     """
 
     samples: dict[str, int] = field(default_factory=dict)
     ports: dict[str, str] = field(default_factory=dict)
+    messages: dict[str, MessageCounts] = field(default_factory=dict)
     left: dict[str, str] = field(default_factory=dict)
     lost: dict[str, dict[str, int]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    not_closed: tuple[tuple[str, int], ...] = ()
 
     def lose(self, topic: str, why: str, count: int = 1) -> None:
         """Count values that became no sample."""
         reasons = self.lost.setdefault(topic, {})
         reasons[why] = reasons.get(why, 0) + count
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is lost: neither messages, nor values of them, nor the end of a file."""
+        return not self.lost and not any(length for _, length in self.not_closed)
 
 
 def import_recording(
@@ -81,11 +108,11 @@ def import_recording(
         if bag.streams and not plans.of:
             why = "; ".join(f"{topic}: {reason}" for topic, reason in list(plans.report.left.items())[:3])
             raise RecordingError(f"{source}: nothing in it can be imported: {why}")
-        plans.report.notes += bag.notes
+        plans.report.not_closed = bag.not_closed
         known = {"imported from": Path(source).name, "imported by": f"aiorts {aiorts.__version__}"}
         # Flushed every _TURN messages or _TURN_BYTES, the queue needs no bounds of its own.
         options = RecordingOptions(existing=existing, queue=10_000_000, queue_bytes=2**32, min_free=None)
-        with RecordingWriter(target, options, metadata=known) as writer, progress("importing", bag.count) as step:
+        with _Writer(target, options, metadata=known) as writer, progress("importing", bag.count) as step:
             turn = held = 0
             for time, stream, data in bag.samples():
                 turn += plans.write(writer, time, stream, data)
@@ -94,9 +121,35 @@ def import_recording(
                 if turn >= _TURN or held >= _TURN_BYTES:
                     turn = held = 0
                     writer.flush()
+                    plans.settle(writer)
                     if writer.failure is not None:
                         break
         return plans.finish(writer)
+
+
+class _Message:
+    """A message whose samples were given to the writer, which has not encoded all of them yet."""
+
+    __slots__ = ("counts", "refused", "samples")
+
+    def __init__(self, counts: MessageCounts) -> None:
+        self.counts = counts
+        self.samples = self.refused = 0
+
+
+class _Writer(RecordingWriter):
+    """A recording that knows of which message a sample is that its encoding refuses."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        self.of: dict[int, _Message] = {}
+        """By the id of a sample that waits: an id is used again only after the thread is done with its sample."""
+        self.refusals: list[tuple[_Message, str, str]] = []
+        """Message, port and reason."""
+        super().__init__(*args, **options)
+
+    def refused(self, port: PortState, record: Any, why: str) -> None:
+        super().refused(port, record, why)
+        self.refusals.append((self.of[id(record)], port.name, why[:_REASON]))
 
 
 class _Plan:
@@ -118,65 +171,109 @@ class _Plans:
         self.report = ImportReport()
         self.of: dict[Stream, _Plan] = {}
         self._names: set[str] = set()
+        self._waiting: list[_Message] = []
 
     def add(self, stream: Stream) -> None:
         """Decide what the messages of a topic become."""
         left = self.report.left
+        self.report.messages.setdefault(stream.topic, MessageCounts())
         try:
             messages = _messages(stream, self._whole)
         except Unmapped as error:
             left[stream.topic] = str(error)
             return
-        for path, why in messages.left.items():
-            left[f"{stream.topic} {path}"] = why
         self.of[stream] = _Plan(stream, messages)
 
-    def write(self, writer: RecordingWriter, time: int, stream: Stream, data: bytes) -> int:
+    def write(self, writer: _Writer, time: int, stream: Stream, data: bytes) -> int:
         """Write the samples of a message; returns how many."""
-        topic = stream.topic
+        counts = self.report.messages[stream.topic]
+        counts.read += 1
         plan = self.of.get(stream)
         if plan is None:
-            self.report.lose(topic, self.report.left[topic])
+            counts.left_out += 1
             return 0
+        message = _Message(counts)
+        is_lost = self._write(writer, plan, message, time, data)
+        if message.samples:
+            self._waiting.append(message)
+        elif is_lost:
+            counts.lost += 1
+        else:
+            counts.left_out += 1
+        return message.samples
+
+    def _write(self, writer: _Writer, plan: _Plan, counted: _Message, time: int, data: bytes) -> bool:
+        """Write what a message has; returns whether something of it is lost."""
+        topic = plan.stream.topic
         try:
             message = plan.messages.decode(data)
         except Unmapped as error:
             self.report.lose(topic, str(error))
-            return 0
+            return True
+        if not 0 <= time < _LAST:
+            self.report.lose(topic, "log times outside 1970..2106")
+            return True
         tm = plan.messages.time(message)
         if tm is None or not 0 <= tm < _LAST:
             if tm is not None:
                 self.report.lose(topic, "time stamps outside 1970..2106; the log time stands in their place")
             tm = time
-        if not 0 <= time < _LAST:
-            self.report.lose(topic, "log times outside 1970..2106")
-            return 0
         self._follow_frame(plan, message)
-        count = 0
-        for path, cls, value in plan.messages.parts(message, self.report.lose, topic):
+        lost = 0
+
+        def lose(where: str, why: str) -> None:
+            nonlocal lost
+            lost += 1
+            self.report.lose(where, why)
+
+        for path, cls, value in plan.messages.parts(message, lose, topic):
             try:
                 one = value if type(value) is cls else cls(tm, value)
             except RecordError as error:
-                self.report.lose(f"{topic} {path}".rstrip(), str(error)[:120])
+                lose(f"{topic} {path}".rstrip(), str(error)[:_REASON])
                 continue
             number = plan.numbers.get(path)
             if number is None:
                 number = plan.numbers[path] = self._port(writer, plan, path, cls)
-            if not writer.write(number, one, time):
-                self.report.lose(f"{topic} {path}".rstrip(), "samples that could not be written")
-            count += 1
-        return count
+            writer.of[id(one)] = counted
+            if writer.write(number, one, time):
+                counted.samples += 1
+            else:
+                lose(f"{topic} {path}".rstrip(), "the recording has ended")
+        return lost > 0
 
-    def finish(self, writer: RecordingWriter) -> ImportReport:
+    def settle(self, writer: _Writer) -> None:
+        """Count the messages whose samples are encoded by now, or refused."""
+        for message, port, why in writer.refusals:
+            message.refused += 1
+            self.report.lose(self.report.ports[port], why)
+        for message in self._waiting:
+            if message.refused < message.samples:
+                message.counts.taken += 1
+            else:
+                message.counts.lost += 1
+        self._waiting.clear()
+        writer.refusals.clear()
+        writer.of.clear()
+
+    def finish(self, writer: _Writer) -> ImportReport:
         """The report, when the recording is closed. RecordingError when it is not whole."""
         if writer.failure is not None:
             raise writer.failure
-        found = writer.statistics
+        self.settle(writer)
+        for plan in self.of.values():
+            self._report_left(plan)
         with RecordingReader(writer.path) as reader:
             self.report.samples = {name: port.count for name, port in reader.ports.items()}
-        for name, count in found.refused.items():
-            self.report.lose(self.report.ports[name], "samples that could not be written", count)
         return self.report
+
+    def _report_left(self, plan: _Plan) -> None:
+        topic, fields = plan.stream.topic, plan.messages.left
+        counts = self.report.messages[topic]
+        self.report.left |= {f"{topic} {path}": why for path, why in fields.items()}
+        if counts.left_out:
+            of = "it has" if counts.left_out == counts.read else f"{counts.left_out} of its messages have"
+            self.report.left.setdefault(topic, f"{of} no fields{' that become samples' if fields else ''}")
 
     def _follow_frame(self, plan: _Plan, message: Any) -> None:
         frame = plan.messages.frame(message)

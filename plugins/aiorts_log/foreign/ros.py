@@ -47,6 +47,8 @@ _MOST_FIELDS: Final = 4_096
 _UNROLLED: Final = 1_000
 """Texts or messages of a list of fixed length: `rosbags` writes a line of code for each."""
 _DEEPEST: Final = 20
+_PACKED: Final = b"\x28\xb5\x2f\xfd"
+"""The first bytes of what zstd compressed; no message in CDR begins with them."""
 _TYPE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,99}(/[A-Za-z][A-Za-z0-9_]{0,99}){1,2}", re.ASCII)
 _FIELD: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,99}", re.ASCII)
 
@@ -101,6 +103,8 @@ class Messages:
 
     def decode(self, data: bytes) -> Any:
         """Decode a message. Unmapped when the bytes are none."""
+        if data[:4] == _PACKED:
+            raise Unmapped("its messages are compressed one by one; ros2 bag convert unpacks them")
         try:
             return self._store.deserialize_cdr(data, self.name)
         except self._faults as error:

@@ -109,6 +109,12 @@ class RecordedSample(NamedTuple):
         return self.port.decode(self.data)
 
 
+def unclosed_text(torn_bytes: int) -> str:
+    """What a recording that was not closed lacks, in words."""
+    torn = f"; {torn_bytes} bytes at its end are unusable" if torn_bytes else ""
+    return f"was not closed: what was not yet written when it ended is missing{torn}"
+
+
 class Recording(ABC):
     """An open recording of any format.
 
@@ -135,6 +141,16 @@ class Recording(ABC):
     skipped = 0
     _ports: dict[int, RecordedPort]
     _counts: dict[int, int]
+
+    @property
+    def unclosed(self) -> str:
+        """What a recording that was not closed lacks, in words; "" for one that was closed."""
+        return "" if self.clean else unclosed_text(self.torn_bytes)
+
+    @property
+    def torn_bytes(self) -> int:
+        """Bytes at its end that were recorded and cannot be read."""
+        return 0 if self.clean or self.torn is None else self.torn.length
 
     def __enter__(self) -> Self:
         return self

@@ -300,6 +300,11 @@ class Player:
         return self._ahead.fault
 
     @property
+    def loses(self) -> bool:
+        """Whether the recording has samples that cannot be sent: its end is torn, or bytes are none of their type."""
+        return self._ahead.loses
+
+    @property
     def unreadable(self) -> int:
         """Samples left out because they are none of their type."""
         return self._ahead.unreadable.count

@@ -84,12 +84,14 @@ class ReadAhead:
     def fault(self) -> str:
         """What was wrong with the recording when it was opened, as far as known; "" is nothing."""
         reader = self._reader
-        if reader is None or (reader.clean and not reader.fault):
+        if reader is None:
             return ""
-        if reader.fault:
-            return str(reader.fault)
-        torn = "" if reader.torn is None else f"; {reader.torn.length} bytes at its end are unusable"
-        return f"it was not closed: what was not yet written when it ended is missing{torn}"
+        return reader.fault or (f"it {reader.unclosed}" if reader.unclosed else "")
+
+    @property
+    def loses(self) -> bool:
+        """Whether the recording has samples that cannot be sent: its end is torn, or bytes are none of their type."""
+        return self.unreadable.count > 0 or (self._reader is not None and self._reader.torn_bytes > 0)
 
     async def open(self) -> None:
         """Open the file. RecordingError when it cannot be opened, or has other ports than before."""

@@ -141,6 +141,7 @@ class Beside(KernelService):
 
     name = "record"
     settings = RecordSettings
+    encodes = True
 
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)
@@ -404,7 +405,7 @@ class Beside(KernelService):
             self.kernel.loop.call_soon_threadsafe(self._noticed, notice)
 
     def _noticed(self, notice: Notice) -> None:
-        if notice.kind in ("dropped", "gone"):
+        if notice.kind in ("dropped", "refused", "gone"):
             _LOG.warning("%s", notice.text)
         elif notice.kind == "failed" and not self._refused:
             self._failed(notice.text)

@@ -40,7 +40,7 @@ _WEIGHED: Final = 8
 
 
 class Notice(NamedTuple):
-    """A notification of the thread. kind: "open", "dropped", "gone", "failed" or "closed"."""
+    """A notification of the thread. kind: "open", "dropped", "refused", "gone", "failed" or "closed"."""
 
     kind: str
     text: str = ""
@@ -116,6 +116,8 @@ class BackgroundRecording:
         self._wake, self._ordered = threading.Event(), False
         self._opened, self._closed = threading.Event(), threading.Event()
         self._reported_drops = False
+        self._reported_refusals: set[str] = set()
+        """The ports whose first refused sample was notified."""
         self._reported_displaced: Path | None = None
         self._thread = threading.Thread(target=self._work, name=f"recorder {self.path.name}", daemon=True)
         self._thread.start()
@@ -284,6 +286,7 @@ class BackgroundRecording:
         writer.close()
         self.part = writer.part
         self._report_drops(writer)
+        self._report_refusals(writer)
         self.failure = writer.failure
 
     def _hand_on(self, writer: RecordingWriter) -> None:
@@ -328,11 +331,19 @@ class BackgroundRecording:
 
     def _look(self, writer: RecordingWriter) -> None:
         self._report_drops(writer)
+        self._report_refusals(writer)
         path, what = writer.displaced
         if what and path != self._reported_displaced:
             self._reported_displaced = path
             text = f"{path}: was {what} while it is recorded; what comes goes where it was moved to, or is lost"
             self._notify(Notice("gone", text))
+
+    def _report_refusals(self, writer: RecordingWriter) -> None:
+        for name, reasons in writer.statistics.reasons.items():
+            if name not in self._reported_refusals:
+                self._reported_refusals.add(name)
+                text = f"{self.path}: a sample of {name} is not recorded: {next(iter(reasons))}"
+                self._notify(Notice("refused", text))
 
     def _report_drops(self, writer: RecordingWriter) -> None:
         if writer.failure is not None or self._reported_drops:

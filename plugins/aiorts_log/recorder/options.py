@@ -78,6 +78,7 @@ class RecordingStatistics:
         durable: of these, known to be on the disk; 0 with `sync="never"`.
         dropped: by port: no room in the queue, or the recording had ended.
         refused: by port: could not be encoded.
+        reasons: by port, the refused ones by the reason that the encoding gives.
         clamped: samples whose log time was before that of the sample before, which they got.
         size: bytes of all files.
         files: the number of files.
@@ -88,6 +89,7 @@ class RecordingStatistics:
     durable: int = 0
     dropped: Mapping[str, int] = field(default_factory=dict)
     refused: Mapping[str, int] = field(default_factory=dict)
+    reasons: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     clamped: int = 0
     size: int = 0
     files: int = 1

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from aiorts.types import describe, has_tm
 from aiorts_log.recorder.options import RecordingStatistics
 from aiorts_log.recorder.weight import weigher
+
+_REASONS: Final = 8
+_LONGEST: Final = 200
+_OTHERS: Final = "other reasons"
 
 
 class PortState:
@@ -43,9 +47,10 @@ class PortState:
         """The next sequence number of the other channels."""
         self.offered = 0
         self.dropped = 0
-        self.refused = 0
-        self.unfit = 0
-        """Refused at once, by the thread that offered it."""
+        self.refused: dict[str, int] = {}
+        """By reason, samples that the encoding refused."""
+        self.unfit: dict[str, int] = {}
+        """By reason, samples refused at once, by the thread that offered them."""
         self.stored = 0
 
     @classmethod
@@ -55,25 +60,38 @@ class PortState:
         return cls(name, kind, metadata, weigher(kind), stamped=has_tm(kind), mutable=mutable)
 
 
+def refuse(reasons: dict[str, int], why: str) -> None:
+    """Count a sample that was refused. Only the first reasons are kept apart: each may name a value."""
+    why = why[:_LONGEST] if why[:_LONGEST] in reasons or len(reasons) < _REASONS else _OTHERS
+    reasons[why] = reasons.get(why, 0) + 1
+
+
 def tally(
     ports: Sequence[PortState], ended: bool, durable: int, clamped: int, size: int, files: int
 ) -> RecordingStatistics:
     """The counts of all ports; once the recording has `ended`, samples that are not stored were dropped."""
     stored = sum(port.stored for port in ports)
-    dropped = {p.name: p.offered - p.refused - p.unfit - p.stored if ended else p.dropped for p in ports}
+    reasons = {port.name: found for port in ports if (found := _added(port.refused, port.unfit))}
+    refused = {name: sum(found.values()) for name, found in reasons.items()}
+    dropped = {p.name: p.offered - refused.get(p.name, 0) - p.stored if ended else p.dropped for p in ports}
     return RecordingStatistics(
         sum(port.offered for port in ports),
         stored,
         min(durable, stored),
         {name: count for name, count in dropped.items() if count},
-        {port.name: port.refused + port.unfit for port in ports if port.refused + port.unfit},
+        refused,
+        reasons,
         clamped,
         size,
         files,
     )
 
 
+def _added(first: Mapping[str, int], second: Mapping[str, int]) -> dict[str, int]:
+    return {why: first.get(why, 0) + second.get(why, 0) for why in {**first, **second}}
+
+
 def end_report(found: RecordingStatistics) -> dict[str, object]:
     """The counts that a recording has in its end report."""
     known = {"stored": found.stored, "dropped": dict(found.dropped), "refused": dict(found.refused)}
-    return {**known, "clamped": found.clamped}
+    return {**known, "reasons": {name: dict(why) for name, why in found.reasons.items()}, "clamped": found.clamped}

@@ -28,7 +28,7 @@ from aiorts_log.mcap.outfile import OutFile
 from aiorts_log.mcap.reader import END_NAME, METADATA_NAME
 from aiorts_log.mcap.survey import GAP
 from aiorts_log.recorder.options import RecordingOptions, RecordingStatistics
-from aiorts_log.recorder.port_state import PortState, end_report, tally
+from aiorts_log.recorder.port_state import PortState, end_report, refuse, tally
 from aiorts_log.recorder.weight import SMALL
 
 _TICK: Final = 0.02
@@ -155,13 +155,13 @@ class RecordingWriter:
         one = self._ports[port]
         one.offered += 1
         if record.__class__ is not one.cls and not isinstance(record, one.cls):
-            one.unfit += 1
+            refuse(one.unfit, f"expected {one.cls.__name__}, got {type(record).__name__}")
             return False
         if one.mutable:
             try:
                 record = snapshot(record)
-            except RecordError:
-                one.unfit += 1
+            except RecordError as error:
+                refuse(one.unfit, str(error))
                 return False
         weight = SMALL if one.weigh is None else one.weigh(record)
         queue = self._queue
@@ -277,8 +277,8 @@ class RecordingWriter:
                     data, more = port.split(record)
                 else:
                     data, more = port.encode(record), b""
-            except (AiortsError, MemoryError):
-                port.refused += 1
+            except (AiortsError, MemoryError) as error:
+                self.refused(port, record, str(error) or type(error).__name__)
                 continue
             if log_time < last:
                 log_time = last
@@ -299,6 +299,10 @@ class RecordingWriter:
                 self._end_chunk()
                 is_begun, add = False, self._file.builder.add
         self._taken_bytes += taken
+
+    def refused(self, port: PortState, record: Any, why: str) -> None:
+        """Count a sample that the encoding refuses; called in the thread."""
+        refuse(port.refused, why)
 
     def _choose(self, port: PortState, cls: type) -> None:
         """Switch to the channel of a port for records of a class; a subclass has its own, with its own schema."""

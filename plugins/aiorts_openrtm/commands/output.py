@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -13,6 +12,7 @@ from typing import Final
 
 import click
 
+from aiorts.system import standard_output
 from aiorts_openrtm.errors import OpenRTMError
 from aiorts_openrtm.notes import Note
 
@@ -26,7 +26,7 @@ def write(text: str, output: str, *, force: bool) -> None:
         OpenRTMError: it is there already, or cannot be written.
     """
     if output == "-":
-        sys.stdout.write(text)
+        standard_output().write(text)
         return
     path = Path(os.path.realpath(output))
     check_free(output, force=force)
@@ -62,7 +62,7 @@ def say(notes: Iterable[Note]) -> None:
 def say_json(text: str, notes: Iterable[Note]) -> None:
     """The text and the notes as one JSON document."""
     listed = [{"where": note.where, "text": note.text} for note in notes]
-    sys.stdout.write(json.dumps({"text": text, "notes": listed}, ensure_ascii=False, indent=1) + "\n")
+    standard_output().write(json.dumps({"text": text, "notes": listed}, ensure_ascii=False, indent=1) + "\n")
 
 
 def safe(text: object) -> str:

@@ -96,7 +96,9 @@ def _file(found: Kernels, name: str, dump: str | None, load: str | None, timeout
         chosen = [one.component] if one.component else []
         text = running.client.call("dump_configuration", timeout, components=chosen)["text"]
         if dump == "-":
-            sys.stdout.write(text)
+            from aiorts.system import standard_output  # late: it imports asyncio, which the client does without
+
+            standard_output().write(text)
         else:
             from pathlib import Path
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 
 import click
@@ -49,7 +48,9 @@ def save(name: str, output: str, force: bool, timeout: float, as_json: bool) -> 
         say_json(saved)
         return exits.DONE
     if output == "-":
-        sys.stdout.write(saved["text"])
+        from aiorts.system import standard_output  # late: it imports asyncio, which the client does without
+
+        standard_output().write(saved["text"])
     for note in saved["notes"]:
         click.echo(f"not in the file: {note}", err=True)
     return exits.DONE
