@@ -26,7 +26,7 @@ async def end_members(kernel: Microkernel, budget: StopBudget) -> None:
     for names in ending_order(tuple(members), *_edges(kernel)):
         turns = [member for name in names for member in members[name]]
         paused = []
-        if len(names) > 1:  # in a circle of calls nobody is first: all have finished their cycles before one ends
+        if len(names) > 1:  # a circle of calls has no first: all finish their cycles before one ends
             contexts = dict.fromkeys(member.context for member in turns)
             paused = [await context.runner.pause(budget) for context in contexts]
         for context, those in groupby(turns, key=lambda member: member.context):
@@ -36,7 +36,7 @@ async def end_members(kernel: Microkernel, budget: StopBudget) -> None:
 
 
 def _edges(kernel: Microkernel) -> tuple[Edges, Edges]:
-    """Of each component those that it calls, and those that read what it writes."""
+    """The edges of the order: the components that each one calls, and those that read what it writes."""
     calls: dict[str, set[str]] = {}
     for connector in kernel.connections.service_connectors.values():
         for required, provided in connector.profile.mapping:

@@ -103,7 +103,7 @@ class Stream:
         self._large: memoryview | None = None
         self._filled = 0
         self._begun: Vectors = []
-        """The rest of a message that is partly sent."""
+        """The bytes of a partly sent message that are still to be sent."""
         self._waits = False
         """Whether anything waits to be sent."""
         self._control = _Queue(16 << 20, 16_384)

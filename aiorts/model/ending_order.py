@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import TypeAlias
 
 Edges: TypeAlias = Mapping[str, Collection[str]]
-"""Of a component, those that end after it."""
+"""The components that end after each one, by its name."""
 
 
 def ending_order(names: Sequence[str], calls: Edges, data: Edges) -> list[list[str]]:

@@ -92,7 +92,7 @@ def kill_trees(roots: Iterable[int]) -> None:
 
 @contextmanager
 def first_in_line() -> Iterator[None]:
-    """This process has the processor before all others meanwhile, where the system allows it, as it does to root.
+    """The priority of this process is above all others meanwhile, where the system allows it, as it does to root.
 
     Beside 200 processes that start others all the time, one that is to stop them has a hundredth of it else.
     """

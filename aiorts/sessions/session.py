@@ -81,7 +81,7 @@ class Answer:
 
     said: Said
     value: Any
-    """Of an "error" the exception."""
+    """The exception that an "error" carries."""
     missed: int
     """Items that are missing before it, dropped in the kernel or here."""
     size: int

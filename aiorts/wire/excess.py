@@ -1,4 +1,4 @@
-"""Which samples of a type may be larger than a frame may be: known from its fields, before any sample is there."""
+"""The types whose samples may be larger than a frame may be, known from their fields before any sample is there."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _MAPS = ("map", "dict")
 
 
 def excess(cls: type, limits: Limits = DATA) -> str:
-    """What of a sample of this type a frame may refuse, in words: "a text above 1 MiB"; "" where every one fits.
+    """The part of a sample of this type that a frame may refuse, in words: "a text above 1 MiB"; "" where every sample fits.
 
     Arrays of numbers are left out: only the size of the whole frame bounds them.
     """

@@ -130,7 +130,7 @@ class Claims:
         return [claim for order in found for _, claim in order]
 
     def rivals(self, claim: Claim) -> Iterator[Claim]:
-        """The claims that cannot be seen beside this one, which need not be there itself, in their order.
+        """The rivals of this claim, which need not be there itself, in their order.
 
         No more than the first `LOOKED_AT` of a scope are compared.
         """
@@ -153,7 +153,7 @@ class Claims:
 
 
 class Told:
-    """Which kernel was told of which claim; each of one at a time, until that is gone."""
+    """The kernels that were told of a claim: each is told of one at a time, until that one is gone."""
 
     def __init__(self) -> None:
         self._of: OrderedDict[Claim, tuple[Claim, str]] = OrderedDict()

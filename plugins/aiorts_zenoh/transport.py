@@ -390,7 +390,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
                         self._ways[peer].given = 0
                     self.settle(peer, number, good, data)
                 elif (left := until - self.loop.time()) > _ASK_AGAIN:
-                    # Nobody has answered: who will may not be known here yet.
+                    # No kernel has answered: the one that will may not be known here yet.
                     self.loop.call_later(_ASK_AGAIN, again, left)
 
             def give(left: float) -> None:

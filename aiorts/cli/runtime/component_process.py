@@ -84,7 +84,7 @@ class _Process:
             "unread": self._unread,
             "give": self._give,
         }
-        """The operations beside those of the control table, and those with another answer."""
+        """The operations that a component's process has in addition to the control table, and those with another answer."""
 
     async def serve(self) -> None:
         first = self._first

@@ -153,7 +153,7 @@ async def _session(run: _Run) -> int:
         if issubclass(type(event.error), HookAbandoned):
             left.append(event)
         elif isinstance(event.error, OutputError):
-            stopper.request(exits.FAILED)  # whoever counts what it has written would wait for ever
+            stopper.request(exits.FAILED)  # an end condition that counts written samples would never come
 
     kernel.bus.subscribe(HookFailed, note)
     _freeze_when_made(kernel, run.components)

@@ -36,7 +36,7 @@ _FAULTS: Final = 3
 _TURNS: Final = 16
 """What others do takes several turns of the loop one after another: none of them may cost a whole long cycle."""
 _LAST_CYCLES: Final = 1_000
-"""Cycles of a member that ends and still has data: one that feeds itself would go on for ever."""
+"""The most cycles of a member that ends and still has data: a member that feeds itself would never end."""
 _NEVER: Final = 1 << 63
 """Nanoseconds, later than any time."""
 

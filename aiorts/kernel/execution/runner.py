@@ -376,11 +376,11 @@ class Runner:
             return lambda: None
         paused = Pause(self.kernel, driver)
         self.submit(Action(partial(self.life.pause, paused)))
-        await asyncio.wait([paused.begun, driver.ended], timeout=budget.limit, return_when=asyncio.FIRST_COMPLETED)
+        await _first_of(budget, paused.begun, driver.ended)
         return paused.resume
 
     async def retire(self, members: Sequence[Member], budget: StopBudget) -> None:
-        """Have these members end between two cycles, in this order; waits no longer than a hook may take."""
+        """End these members between two cycles, in this order; wait no longer than a hook may take."""
         driver = self.driver
         if driver is None:
             return
@@ -389,7 +389,7 @@ class Runner:
         driver.give_up_blocking(members)
         if self.inside():
             return
-        await asyncio.wait([awaited.future, driver.ended], timeout=budget.limit, return_when=asyncio.FIRST_COMPLETED)
+        await _first_of(budget, awaited.future, driver.ended)
         awaited.withdraw()
 
     async def end(self, budget: StopBudget) -> None:
@@ -449,6 +449,11 @@ async def _settled(kernel: KernelSide, futures: Sequence[asyncio.Future[Any]], t
         late.cancel()
         if timer is not None:
             timer.cancel()
+
+
+async def _first_of(budget: StopBudget, *futures: asyncio.Future[Any]) -> None:
+    """Wait until one is done, no longer than a hook may take."""
+    await asyncio.wait(futures, timeout=budget.limit, return_when=asyncio.FIRST_COMPLETED)
 
 
 def _resolve(future: asyncio.Future[None]) -> None:

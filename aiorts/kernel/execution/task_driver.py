@@ -195,8 +195,9 @@ class TaskDriver:
         """These members are about to end: a hook of theirs that waits for a sample does so no longer."""
         for helper in self.helpers:
             helper.give_up_blocking(members)
-        if self._member in members:
-            for port in self._member.component.ports.values():
+        member = self._member
+        if member is not None and member in members:
+            for port in member.component.ports.values():
                 if isinstance(port, InPort):
                     receiver_of(port).end_wait()
 

@@ -129,7 +129,7 @@ class Difference:
 
     @property
     def equal(self) -> bool:
-        """Whether there is no difference: of a recording with a torn end nobody knows."""
+        """Whether there is no difference; a recording with a torn end equals none, since its end is not known."""
         return self.equal_so_far and not any(length for _, length in self.not_closed)
 
     @property

@@ -35,7 +35,7 @@ _REASON: Final = 120
 
 @dataclass(slots=True)
 class MessageCounts:
-    """What became of the messages of a topic, at every moment: read = taken + left_out + lost.
+    """The counts of a topic's messages; when the import is over, read = taken + left_out + lost.
 
     Attributes:
         read: messages in the source.

@@ -110,7 +110,7 @@ class RecordedSample(NamedTuple):
 
 
 def unclosed_text(torn_bytes: int) -> str:
-    """What a recording that was not closed lacks, in words."""
+    """The part that a recording lacks that was not closed, in words."""
     torn = f"; {torn_bytes} bytes at its end are unusable" if torn_bytes else ""
     return f"was not closed: what was not yet written when it ended is missing{torn}"
 
@@ -144,7 +144,7 @@ class Recording(ABC):
 
     @property
     def unclosed(self) -> str:
-        """What a recording that was not closed lacks, in words; "" for one that was closed."""
+        """The part that a recording lacks that was not closed, in words; "" for one that was closed."""
         return "" if self.clean else unclosed_text(self.torn_bytes)
 
     @property
