@@ -1,7 +1,7 @@
 """Ends the components of a kernel that closes, one after the other, while all ports still work.
 
 Each one leaves between two cycles of its contexts: its running cycle is finished, and what it calls, reads or writes is
-still there. `model/ending_order.py` says who comes first. A hook over its deadline does not hold up the others.
+still there. `execution/ending_order.py` says who comes first. A hook over its deadline does not hold up the others.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from aiorts.model.ending_order import Edges, ending_order
+from aiorts.kernel.execution.ending_order import Edges, ending_order
 
 if TYPE_CHECKING:
     from aiorts.kernel.execution.member import Member
@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 
 async def end_members(kernel: Microkernel, budget: StopBudget) -> None:
-    """Deactivate and shut down every component, in order, within the budget; contexts run on until they are stopped."""
+    """Deactivate and shut down every component, in order, within the budget; contexts run on until they are stopped.
+
+    Calls are answered until the last one has ended.
+    """
     members: dict[str, list[Member]] = {}
     for context in kernel.contexts.values():
         for member in context.runner.members:
@@ -33,6 +36,8 @@ async def end_members(kernel: Microkernel, budget: StopBudget) -> None:
             await kernel.registry.through(context.runner.retire(tuple(those), budget))
         for resume in paused:
             resume()
+    for component in kernel.components.values():
+        kernel.registry.vacate(component)
 
 
 def _edges(kernel: Microkernel) -> tuple[Edges, Edges]:

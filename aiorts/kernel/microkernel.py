@@ -162,12 +162,10 @@ class Microkernel:
     async def aclose(self) -> None:
         """End components, stop contexts, disconnect, finalise components, within 5 s; idempotent.
 
-        Each component finishes its running cycle, and is deactivated and shut down while all ports still work: who
-        calls before who answers, who writes before who reads, else and in circles in the reverse order of the start.
-        Contexts stop and components are finalised in the reverse order, too. A hook that waits for a sample waits no
-        longer; any other gets 2 s, then it is cancelled four times at 0.5 s, then abandoned and reported. A caller that
-        is cancelled is cancelled when all is closed. Called by a component of this kernel it is queued and returns at
-        once.
+        A component finishes its running cycle, and ends while all ports still work: who calls before who answers, who
+        writes before who reads, else and in circles in reverse order. A hook that waits for a sample waits no longer;
+        any other gets 2 s, then it is cancelled four times at 0.5 s, then abandoned and reported. A caller that is
+        cancelled is cancelled when all is closed. Called by a component of this kernel it is queued.
 
         Raises:
             ThreadError: called in another thread, or on another loop, than the kernel was opened on.
@@ -190,14 +188,11 @@ class Microkernel:
         self._await_stop()
         self.closing.set_result(budget)
         contexts = tuple(self.contexts.values())
-        for context in contexts:
-            if context.runner.driver is not None:
-                context.runner.driver.hurry(budget)
+        for driver in filter(None, (context.runner.driver for context in contexts)):
+            driver.hurry(budget)
         try:
             await self._end_services("closing", budget)
             await self.registry.through(end_members(self, budget))
-            for component in self.components.values():
-                self.registry.vacate(component)
             for context in reversed(contexts):
                 await self.registry.through(context.runner.end(budget))
             await self._end_services("ending", budget)

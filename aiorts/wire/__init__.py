@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from aiorts.wire.arrays import ELEMENTS
     from aiorts.wire.codec import FORMAT, Codec, MsgpackCodec, PartsCodec, with_parts
     from aiorts.wire.codecs import find_codec
-    from aiorts.wire.excess import excess
     from aiorts.wire.limits import CONTROL, DATA, LINK, Limits
     from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of, split_sample
     from aiorts.wire.scan import count_values
     from aiorts.wire.schemas import json_message, schema_text
+    from aiorts.wire.too_large import excess
     from aiorts.wire.untyped import layout_text, untyped_decoder
 
 __all__ = (
@@ -51,7 +51,7 @@ _late(
         "aiorts.wire.arrays": "ELEMENTS",
         "aiorts.wire.codec": "FORMAT Codec MsgpackCodec PartsCodec with_parts",
         "aiorts.wire.codecs": "find_codec",
-        "aiorts.wire.excess": "excess",
+        "aiorts.wire.too_large": "excess",
         "aiorts.wire.limits": "CONTROL DATA LINK Limits",
         "aiorts.wire.lines": "LineReader LineWriter json_text line_of split_sample",
         "aiorts.wire.scan": "count_values",

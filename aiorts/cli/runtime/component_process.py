@@ -84,7 +84,7 @@ class _Process:
             "unread": self._unread,
             "give": self._give,
         }
-        """The operations that a component's process has in addition to the control table, and those with another answer."""
+        """The operations of a component's process that the control table lacks, or answers otherwise."""
 
     async def serve(self) -> None:
         first = self._first

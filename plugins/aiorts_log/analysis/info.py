@@ -118,7 +118,7 @@ def _missed(ending: Any) -> Iterator[tuple[str, int]]:
 
 
 def _refused(endings: tuple[Any, ...]) -> dict[str, dict[str, int]]:
-    """The refused samples by port and reason, from end reports, which any program may have written; old ones give no reasons."""
+    """The refused samples by port and reason, from end reports of any program; old ones give no reasons."""
     found: dict[str, dict[str, int]] = {}
     for ending in endings:
         counts, reasons = (_table(ending, name) for name in ("refused", "reasons"))

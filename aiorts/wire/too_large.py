@@ -10,7 +10,7 @@ _MAPS = ("map", "dict")
 
 
 def excess(cls: type, limits: Limits = DATA) -> str:
-    """The part of a sample of this type that a frame may refuse, in words: "a text above 1 MiB"; "" where every sample fits.
+    """The parts of this type's samples that a frame may refuse: "a text above 1 MiB"; "" where every sample fits.
 
     Arrays of numbers are left out: only the size of the whole frame bounds them.
     """

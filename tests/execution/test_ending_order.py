@@ -7,7 +7,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aiorts.model.ending_order import Edges, ending_order
+from aiorts.kernel.execution.ending_order import Edges, ending_order
 
 NAMES = tuple("abcdefg")
 edges = st.sets(st.tuples(st.sampled_from(NAMES), st.sampled_from(NAMES)), max_size=14)
