@@ -18,6 +18,7 @@ from aiorts.kernel.ports.features import PLAIN, features_of, fit_receiver, settl
 from aiorts.kernel.ports.in_port import in_ports_at
 from aiorts.kernel.ports.last_sample import offer_last
 from aiorts.model.options import SERVICE_KEYS, connector_profile
+from aiorts.model.ordering import ordered
 from aiorts.model.policy import Stamp
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.timing import ConnectorTimes
@@ -149,6 +150,21 @@ def unpark(connector: Connector) -> None:
         in_._receiver.refresh()
     out._connectors = _after(out.connectors, connector, out._connectors)
     out._refresh()
+
+
+def arrange(port: Port[Any], connectors: Sequence[Connector]) -> None:
+    """Have the connectors of a data port be in this order; others come behind them."""
+    shown = port.connectors
+    line = tuple(ordered(shown, connectors))
+    if line == shown:
+        return
+    if isinstance(port, InPort):
+        with port._receiver.guard():
+            port._connectors = line + port._connectors[len(shown) :]
+            port._receiver.refresh()
+    elif isinstance(port, OutPort):
+        port._connectors = line + port._connectors[len(shown) :]
+        port._refresh()
 
 
 def renewed_profile(connector: Connector, options: Mapping[str, Any]) -> ConnectorProfile:
