@@ -448,9 +448,7 @@ class Application:
             await there.stop()
         await kernel.start(made, *members)
         again = [
-            one
-            for one in made.members
-            if (one.name in active if active else self._before.was_active(name, one.name))
+            one for one in made.members if (one.name in active if active else self._before.was_active(name, one.name))
         ]
         if again:
             await made.activate(*again)

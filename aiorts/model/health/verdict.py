@@ -1,7 +1,8 @@
 """Whether a system does worse after a change than before it: pure, from the window before and the window after.
 
 What a change is meant to do is no fault of it. Where it has lowered the rate of a context, or taken away what an
-in-port was fed by, less is expected of all that is downstream; and nothing of a component that is not active.
+in-port was fed by, less is expected of all that is downstream; and nothing of a component that is not active, or that
+it has taken out of its contexts. Samples that such a component would have read are no losses.
 
 What the machine does to a system is no fault of a change either. Overruns that it is to blame for do not count. Where
 it took more of the time than before, backlogs follow, and what is late by them cannot be told from what is late by
@@ -71,7 +72,10 @@ def verdict(before: Window, after: Window, new: Collection[str] = ()) -> Unhealt
         if _too_many(late, ran.ticks, late_before, *lengths, max(taken, NOISE * after.stalled)):
             text = f"{late} of {ran.ticks} ticks overran in {seconds:g} s, and {late_before} of {was.ticks} before"
             return Unhealthy("overruns", name, text)
+    ended = _ended(before, after)
     for name, one in after.edges.items():
+        if _component(one.target) in ended:
+            continue
         had = before.edges.get(name, _NO_SAMPLES)
         if _too_many(one.dropped, one.written, had.dropped, *lengths, 0.0) and (
             not after.stalled or _too_many(one.dropped, one.written, had.dropped, *lengths, _at_once(one, after, taken))
@@ -121,12 +125,14 @@ def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealt
 
 def _expected(before: Window, after: Window) -> dict[str, float]:
     """For components of which less is expected, the part of what they wrote before: from 0 to 1."""
-    found = dict.fromkeys(after.idle, 0.0)
-    rates = _rates(before)
-    for name, rate in _rates(after).items():
-        was = rates.get(name, 0.0)
-        if was > 0.0 and rate < was:
+    found = dict.fromkeys((*after.idle, *_ended(before, after)), 0.0)
+    rates, without = _rates(before)
+    rates_now, without_now = _rates(after)
+    for name, was in rates.items():
+        rate = rates_now.get(name, 0.0)
+        if rate < was:
             found[name] = min(found.get(name, 1.0), rate / was)
+    found |= dict.fromkeys(without - without_now, 0.0)
     for one in after.contexts.values():
         if one.left_out > 0:
             share = 1.0 - one.left_out / max(one.ticks, one.left_out)
@@ -139,13 +145,24 @@ def _expected(before: Window, after: Window) -> dict[str, float]:
     return found
 
 
-def _rates(window: Window) -> dict[str, float]:
-    """The highest rate of the contexts of each component; 0 where none has one."""
+def _ended(before: Window, after: Window) -> set[str]:
+    """Components that contexts ran before, and none has now."""
+    members, members_now = (
+        {name for one in window.contexts.values() for name in one.members} for window in (before, after)
+    )
+    return members - members_now
+
+
+def _rates(window: Window) -> tuple[dict[str, float], Counter[str]]:
+    """Of each component the rates of its contexts together, and in how many it is that have none."""
     rates: dict[str, float] = {}
+    without: Counter[str] = Counter()
     for one in window.contexts.values():
-        for name in one.members:
-            rates[name] = max(rates.get(name, 0.0), one.rate or 0.0)
-    return rates
+        if one.rate is None:
+            without.update(one.members)
+        else:
+            rates.update({name: rates.get(name, 0.0) + one.rate for name in one.members})
+    return rates, without
 
 
 def _starved(before: Window, after: Window) -> list[str]:
