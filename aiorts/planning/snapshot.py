@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from aiorts.kernel.execution.context import Context
     from aiorts.kernel.execution.cycle import Done, Steps
     from aiorts.kernel.execution.member import Member
-    from aiorts.kernel.microkernel import Microkernel
     from aiorts.model.configuration.sets import ConfigurationState
     from aiorts.planning.planning import Planning
 
