@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 
 _PULL: Final = Dataflow.PULL
 _THE_READER: Final = (
-    "the reader, which sleeps on the kernel's loop, and nothing was sent; "
-    "write with port.write_from_thread(sample)"
+    "the reader, which sleeps on the kernel's loop, and nothing was sent; write with port.write_from_thread(sample)"
 )
 _THE_WRITER: Final = "the writer, which waits on the kernel's loop for room, and nothing was read; read on that loop"
 

@@ -50,7 +50,8 @@ def _told(
         if port.path in proposed.guessed
     )
     guess += "".join(
-        f"# {what} is made of a text: one that is no value of it puts the filter into error\n" for what in proposed.texts
+        f"# {what} is made of a text: one that is no value of it puts the filter into error\n"
+        for what in proposed.texts
     )
     replaced = f"in place of connections[{connection.number}]"
     if len(connection.ports) > 2:
