@@ -15,7 +15,7 @@ from difflib import get_close_matches
 from enum import StrEnum
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Literal, TypeVar
 
 from aiorts.errors import InvalidNameError, WiringError
 from aiorts.model.buffer import EmptyPolicy, FullPolicy

@@ -53,10 +53,10 @@ class Snapshot:
         }
         self._configurations = {name: cell(one).configuration for name, one in self.components.items()}
         self._placements = {name: cell(one).previous_placements for name, one in self.components.items()}
-        self._kept = tuple(
+        self._kept: tuple[tuple[Any, Any], ...] = tuple(
             (kept, kept.copy()) for kept in (planning.exclusive, kernel.registry.on_link_lost, supervising.rules)
         )
-        """What is kept on components by their names, and what of it there was."""
+        """The sets and dicts that are kept on components by their names, each with a copy of what was in it."""
 
     def was_active(self, context: str, component: str) -> bool:
         """Whether a component was active in a context."""
@@ -76,9 +76,9 @@ class Snapshot:
             What is not as it was, and why, one sentence each.
         """
         kernel = self._kernel
-        for kept, before in self._kept:
+        for kept, copied in self._kept:
             kept.clear()
-            kept.update(before)
+            kept.update(copied)
         for name, placements in self._placements.items():
             if name in kernel.components:
                 cell(kernel.components[name]).previous_placements = tuple(

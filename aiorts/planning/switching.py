@@ -48,10 +48,10 @@ class CompositesAside:
         self.keeps = keeps
         self._kept: dict[str, Composite] = {}
 
-    async def take_out(self, composite: Composite) -> None:
+    async def take_out(self, composite: Component) -> None:
         """Take a composite out of its kernel; its members stay there."""
         group = group_of(composite)
-        if not self.keeps or group is None:
+        if not self.keeps or group is None or not isinstance(composite, Composite):
             await composite.kernel.remove(composite)
             return
         await group.dissolve()

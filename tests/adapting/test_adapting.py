@@ -456,7 +456,7 @@ async def test_a_program_and_a_file_agree_on_every_pair_of_ports(file: Path) -> 
                     assert everything(built) == everything(kernel)
 
 
-# -- units with an offset, and texts ------------------------------------------------------------------------------------
+# -- units with an offset, and texts -----------------------------------------------------------------------------------
 
 SCALES = ("K", "mK", "degC", "°C", "degF", "°F")
 

@@ -201,7 +201,7 @@ def test_the_real_component_is_made_and_runs(tmp_path: Path) -> None:
     assert "poseOut TimedPose3D" in shown
 
 
-# -- one reading of a text ---------------------------------------------------------------------------------------------
+# -- one reading of a text, notes, lines -------------------------------------------------------------------------------
 
 READINGS = [
     *(("bool", text) for text in ("1", "0", "YES", "no", "on", "Off", "true", "maybe", "2")),
@@ -263,6 +263,20 @@ def test_what_is_given_twice_is_said_with_both_lines(
     assert arm(tmp_path, f"{OPENING}{BASIC}{inside}</rtc:RtcProfile>") == 2
     err = capsys.readouterr().err
     assert f"E-OPENRTM: {tmp_path}/{said}" in err
+
+
+@pytest.mark.parametrize("default", ["20", "much"])
+def test_a_default_outside_its_constraint_costs_the_constraint_alone(
+    default: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = WHOLE.replace('rtc:defaultValue="2.5"', f'rtc:defaultValue="{default}"')
+    if default == "much":
+        text = text.replace("<rtc:Literal>0<", "<rtc:Literal>1<")
+    name = f"arm_{default}"
+    assert arm(tmp_path, text, name) == 0
+    assert "its constraint is left out" in capsys.readouterr().err
+    gain = made_of(tmp_path, name)("arm0").params["gain"].spec
+    assert gain.default == (20.0 if default == "20" else 0.0)
 
 
 DIO = """<rtc:DataPorts rtc:portType="DataInPort" rtc:name="DIO" rtc:type="RTC::TimedULong"/>

@@ -1,4 +1,4 @@
-"""What a map declares of its values is held at the writer: of records and dataclasses, nested, however it is written."""
+"""What a map declares of its values is held at the writer: of records and dataclasses, nested."""
 
 from __future__ import annotations
 

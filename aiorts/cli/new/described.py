@@ -128,7 +128,8 @@ def _parameter(one: ParameterDescription, notes: list[str]) -> Parameter:
                     raise
                 if not getattr(made, left_out):
                     continue
-                notes.append(f"{one.where}: {_cause(error)}; its {left_out} is left out")
+                what = "it" if left_out == "widget" else "its constraint"
+                notes.append(f"{one.where}: {_cause(error)}; {what} is left out")
                 made = replace(made, **{left_out: ""})
         made.declared()
     except AiortsError as error:

@@ -5,8 +5,8 @@
 
 `in` and `out` are port numbers; a pin is a number (0 when missing) or a field path such as `position.x`. `mult` is a
 decimal with optional sign and exponent, or a fraction such as `5/9`, `off` the same with its sign required; of two
-readings the longer number wins, so `0>1e3>0` is a factor of 1000 and `0>1-5e3>0` is x - 5000. Blanks are allowed beside "," and ">" only. Every other
-character that does not fit is an error with its place.
+readings the longer number wins, so `0>1e3>0` is a factor of 1000 and `0>1-5e3>0` is x - 5000. Blanks are allowed beside
+"," and ">" only. Every other character that does not fit is an error with its place.
 """
 
 from __future__ import annotations

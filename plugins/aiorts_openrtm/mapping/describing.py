@@ -44,7 +44,7 @@ def description(path: Path) -> ComponentDescription:
 
 
 def _check_distinct(found: ComponentDescription) -> None:
-    """OpenRTMError for two parameters, two ports of one direction or two services with one name: says on which lines."""
+    """OpenRTMError for two parameters, two ports of one direction, or two services of one name: says on which lines."""
     lines: dict[tuple[str, str], str] = {}
     for sort, name, where in (
         *((one.direction, one.name, one.where) for one in found.ports),

@@ -46,8 +46,8 @@ def kind_of_word(kind: str) -> type[bool] | type[int] | type[float] | None:
 
 
 @cache
-def _parameter_of(kind: type[bool] | type[int] | type[float]) -> Component:
-    """A component with one parameter of this type."""
+def _parameter_of(kind: Any) -> Component:
+    """A component with one parameter of this type, which is bool, int or float."""
     made: Component = type("Read", (Component,), {"value": Param(kind())})()
     return made
 
