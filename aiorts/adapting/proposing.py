@@ -45,7 +45,7 @@ _ZEROS: Final[dict[str, Fraction]] = {
     "degF": Fraction("459.67") * 5 / 9,
     "°F": Fraction("459.67") * 5 / 9,
 }
-"""Where a scale begins elsewhere than the others of its kind: its 0 in the unit whose size is 1."""
+"""The zero of a scale in the unit of its kind whose size is 1, where that is not 0."""
 _TEXTS: Final = ("str", "char", "wchar")
 _PLAIN: Final = (bool, int, float, str)
 _MOST_PINS: Final = 64
@@ -72,7 +72,7 @@ class Between:
     unset: tuple[str, ...] = ()
     """What of the in-port nothing is sent to; it keeps its default value."""
     texts: tuple[str, ...] = ()
-    """What of the in-port is made of a text: a text that is none of its values puts the filter into error."""
+    """The values of the in-port that are made of a text: a text that is no such value puts the filter into error."""
 
     @property
     def options(self) -> tuple[str, ...]:

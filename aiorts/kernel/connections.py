@@ -200,7 +200,7 @@ class Connections:
         self._notify_made(connector)
 
     def arrange(self, names: Sequence[str], at_ports: Mapping[Port[Any], Sequence[Connector]]) -> None:
-        """Have connectors be in this order, and those of each of these ports in its own; others come behind them."""
+        """Put the connectors in this order, and those of each of these ports in its own; others come behind them."""
         arrange(self.connectors, names)
         arrange(self.service_connectors, names)
         for port, connectors in at_ports.items():

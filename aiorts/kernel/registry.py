@@ -280,7 +280,7 @@ class Registry:
             await self._finalize(component, StopBudget(self._kernel.loop))
 
     def arrange(self, names: Iterable[str]) -> None:
-        """Have the components of these names be in this order; others come behind them."""
+        """Put the components of these names in this order; others come behind them."""
         arrange(self.components, names)
 
     def supersede(self, old: Component, new: Component) -> None:

@@ -105,7 +105,7 @@ def _forget_unless_running(kernel: Microkernel, context: Context) -> None:
 
 
 def arrange_contexts(kernel: Microkernel, names: Iterable[str]) -> None:
-    """Have the contexts of these names be in this order; others come behind them."""
+    """Put the contexts of these names in this order; others come behind them."""
     arrange(kernel._contexts, names)
 
 

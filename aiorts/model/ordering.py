@@ -1,4 +1,4 @@
-"""Puts what stands in an order back into an order that it had before."""
+"""Puts entries back into an order that they had before."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ T = TypeVar("T", bound=Hashable)
 
 
 def ordered(there: Iterable[T], order: Iterable[T]) -> list[T]:
-    """The same things: those that the order names in that order, the others behind them as they stand."""
+    """The entries that the order names, in that order, then the others as they stand."""
     left = dict.fromkeys(there)
     first = dict.fromkeys(one for one in order if one in left)
     return [*first, *(one for one in left if one not in first)]
 
 
 def arrange(named: dict[str, Any], order: Iterable[str]) -> None:
-    """Have the entries of a dict stand in this order, in place."""
+    """Put the entries of a dict in this order, in place; others come behind them."""
     before = list(named)
     line = ordered(before, order)
     if line != before:

@@ -95,6 +95,8 @@ class Application:
         """Those that are parked, in order."""
         self._of_services: list[Connector] = []
         """Those of services that are parked: no step is about them, they come back with their ports."""
+        self.ended: frozenset[str] = frozenset()
+        """Once all steps are carried out: the components that they have taken out of all contexts."""
         self._trials: dict[str, Trial] = {}
         """Those that are instances of another type now, by name."""
         self._held: set[Component] = set()
@@ -154,6 +156,7 @@ class Application:
         ]
         if rules:
             await self._kernel.service(Supervising).start_in_order(rules)
+        self.ended = self._before.ended()
 
     async def carry_out(self, step: Step) -> None:
         """Carry out one step; what fails is raised, and some of it may be done."""
@@ -292,7 +295,7 @@ class Application:
             supervising.supervise(component, policy or Supervision(), make)
 
     def _component(self, name: str) -> Component:
-        """The component of this name. StateError: somebody has removed it, or it could not be made again."""
+        """The component of this name. StateError: it was removed, or could not be made again."""
         component = self._kernel.components.get(name)
         if component is None:
             raise StateError(f"{name}: is not there any more")

@@ -1,4 +1,4 @@
-"""What a kernel was before a plan: objects, their order, states, configurations, and the rules kept on them.
+"""A snapshot of a kernel before a plan: objects, their order, states, configurations, and the rules kept on them.
 
 The reverse steps of a plan put back what its steps are about. `Snapshot.restore` puts back what no step is about, such
 as the order of connectors or a component that the plan has led into error, and says what is different all the same.
@@ -62,6 +62,11 @@ class Snapshot:
         """Whether a component was active in a context."""
         return self._states.get((context, component), _NOWHERE)[1] is _ACTIVE
 
+    def ended(self) -> frozenset[str]:
+        """The components that contexts ran then, and none runs now."""
+        running = {member.component.name for one in self._kernel.contexts.values() for member in one.runner.members}
+        return frozenset(name for _, name in self._states if name not in running)
+
     def configuration(self, name: str) -> ConfigurationState | None:
         """The configuration of a component; None where there was none of this name."""
         return self._configurations.get(name)
@@ -123,8 +128,8 @@ async def _state(
 ) -> tuple[str, ...]:
     """Put a component back into its state in a context; why it is not, if not.
 
-    A component that the plan has not taken out of the context, and that somebody has activated or deactivated
-    meanwhile, stays as it is.
+    A component that the plan has not taken out of the context, and that was activated or deactivated meanwhile, stays
+    as it is.
     """
     where = f"{component.name}: was {state} in {context.name}"
     member = _member(context, component)
@@ -149,7 +154,7 @@ async def _state(
 
 
 async def _arrange(context: Context, names: list[str]) -> None:
-    """Have the members of a context be in this order, between two cycles."""
+    """Put the members of a context in this order, between two cycles."""
     there = {one.name: one for one in context.members}
     line = [there[name] for name in ordered(there, names)]
 

@@ -267,7 +267,7 @@ def _failed(member: Any, hook: str, error: BaseException) -> ComponentError:
 
 
 def without_components(move: Move, names: Collection[str]) -> Move:
-    """The same change for the components that there are: without those of these names."""
+    """The change without the components of these names."""
 
     def less(members: Iterable[str]) -> tuple[str, ...]:
         return tuple(name for name in members if name not in names)

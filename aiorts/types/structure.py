@@ -292,7 +292,7 @@ def _literal(values: tuple[Any, ...], where: str) -> Kind:
 
 
 def _entry_kinds(annotation: Any, where: str, owner: type | None) -> tuple[Kind, ...]:
-    """What the values of a map may be; none for all that can travel in one, of a union its members that can.
+    """The kinds of a map's values; none for all that can travel in one. Of a union its members that can travel.
 
     Raises:
         DeclarationError: a map of these values cannot travel: it has scalars, arrays and maps, told by the value.

@@ -87,7 +87,7 @@ def design_of(found: ComponentDescription, name: str) -> tuple[Design, list[str]
 
 
 def _told_apart(ports: Sequence[PortDescription], notes: list[str]) -> Iterator[PortDescription]:
-    """The ports; an out-port that has the name of an in-port has another one here, where a component's are all one's."""
+    """The ports, an out-port with the name of an in-port renamed: all ports of a component have names of their own."""
     ins = {one.name for one in ports if one.direction == "in"}
     taken = {one.name for one in ports}
     for one in ports:

@@ -473,7 +473,7 @@ class Receiver:
             raise self._cannot_wake(_THE_WRITER)
 
     def cannot_wake(self) -> ThreadError:
-        """What a write raises in a thread that cannot wake the reader."""
+        """The error of a write in a thread that cannot wake the reader."""
         return self._cannot_wake(_THE_READER)
 
     def _cannot_wake(self, whom: str) -> ThreadError:

@@ -153,7 +153,7 @@ def unpark(connector: Connector) -> None:
 
 
 def arrange(port: Port[Any], connectors: Sequence[Connector]) -> None:
-    """Have the connectors of a data port be in this order; others come behind them."""
+    """Put the connectors of a data port in this order; others come behind them."""
     shown = port.connectors
     line = tuple(ordered(shown, connectors))
     if line == shown:

@@ -50,11 +50,12 @@ class Unhealthy:
         return f"{self.name}: {self.text}"
 
 
-def verdict(before: Window, after: Window, new: Collection[str] = ()) -> Unhealthy | None:
+def verdict(before: Window, after: Window, new: Collection[str] = (), ended: Collection[str] = ()) -> Unhealthy | None:
     """What is worse in the window after a change than in the one before it; None: nothing, or too little was counted.
 
     Args:
         new: components that the change has made or replaced: for any other, to be in error as before is no worse.
+        ended: components that contexts ran before the change, and that it has taken out of all of them.
     """
     for name, why in after.errors.items():
         if name in new or name not in before.errors:
@@ -72,7 +73,6 @@ def verdict(before: Window, after: Window, new: Collection[str] = ()) -> Unhealt
         if _too_many(late, ran.ticks, late_before, *lengths, max(taken, NOISE * after.stalled)):
             text = f"{late} of {ran.ticks} ticks overran in {seconds:g} s, and {late_before} of {was.ticks} before"
             return Unhealthy("overruns", name, text)
-    ended = _ended(before, after)
     for name, one in after.edges.items():
         if _component(one.target) in ended:
             continue
@@ -84,7 +84,7 @@ def verdict(before: Window, after: Window, new: Collection[str] = ()) -> Unhealt
             return Unhealthy("drops", name, f"{lost}, and {had.dropped} of {had.written} before")
     if taken > BUSY or after.stalled > BUSIEST:
         return None
-    return _slower(before, after, *lengths)
+    return _slower(before, after, ended, *lengths)
 
 
 _NO_TICKS: Final = ContextCounts()
@@ -107,7 +107,7 @@ def _at_once(edge: EdgeCounts, window: Window, taken: float) -> float:
     return seen if paced else max(taken, seen)
 
 
-def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealthy | None:
+def _slower(before: Window, after: Window, ended: Collection[str], now_ns: int, then_ns: int) -> Unhealthy | None:
     """The first edge that is too slow."""
     expected: Mapping[str, float] | None = None
     for name, one in after.edges.items():
@@ -115,7 +115,7 @@ def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealt
         if had is None or had.written < SAMPLES or 100 * one.written * then_ns >= SLOWEST * had.written * now_ns:
             continue
         if expected is None:  # for few, since most systems are healthy
-            expected = _expected(before, after)
+            expected = _expected(before, after, ended)
         due = had.written * now_ns / then_ns * expected.get(_component(one.source), 1.0)
         if due >= SAMPLES and 100 * one.written < SLOWEST * due:
             now, then = one.written * 1e9 / now_ns, had.written * 1e9 / then_ns
@@ -123,16 +123,15 @@ def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealt
     return None
 
 
-def _expected(before: Window, after: Window) -> dict[str, float]:
+def _expected(before: Window, after: Window, ended: Collection[str]) -> dict[str, float]:
     """For components of which less is expected, the part of what they wrote before: from 0 to 1."""
-    found = dict.fromkeys((*after.idle, *_ended(before, after)), 0.0)
+    found = dict.fromkeys((*after.idle, *ended), 0.0)
     rates, without = _rates(before)
     rates_now, without_now = _rates(after)
-    for name, was in rates.items():
-        rate = rates_now.get(name, 0.0)
-        if rate < was:
-            found[name] = min(found.get(name, 1.0), rate / was)
-    found |= dict.fromkeys(without - without_now, 0.0)
+    for name in {name for one in after.contexts.values() for name in one.members}:
+        was, rate = rates.get(name, 0.0), rates_now.get(name, 0.0)
+        if rate < was or without_now[name] < without[name]:
+            found[name] = min(found.get(name, 1.0), rate / was if was else 0.0)
     for one in after.contexts.values():
         if one.left_out > 0:
             share = 1.0 - one.left_out / max(one.ticks, one.left_out)
@@ -145,16 +144,8 @@ def _expected(before: Window, after: Window) -> dict[str, float]:
     return found
 
 
-def _ended(before: Window, after: Window) -> set[str]:
-    """Components that contexts ran before, and none has now."""
-    members, members_now = (
-        {name for one in window.contexts.values() for name in one.members} for window in (before, after)
-    )
-    return members - members_now
-
-
 def _rates(window: Window) -> tuple[dict[str, float], Counter[str]]:
-    """Of each component the rates of its contexts together, and in how many it is that have none."""
+    """The rates of the contexts of each component together, and in how many it is that have none."""
     rates: dict[str, float] = {}
     without: Counter[str] = Counter()
     for one in window.contexts.values():

@@ -34,21 +34,22 @@ def typed(text: str, kind: str) -> Any:
     if here is None or len(text) > _LONGEST:
         return text
     try:
-        value = _parameter_of(here).params.check({"value": text})["value"]
+        value = _parameter_of(here.__name__).params.check({"value": text})["value"]
     except ConfigurationError:
         return text
     return value if math.isfinite(value) else text
 
 
 def kind_of_word(kind: str) -> type[bool] | type[int] | type[float] | None:
-    """What values of a type are here, which OpenRTM calls so; None for texts."""
+    """The class of the values of a type, by OpenRTM's name of it; None for texts."""
     return _KINDS.get(" ".join(kind.split()).lower())
 
 
 @cache
-def _parameter_of(kind: Any) -> Component:
-    """A component with one parameter of this type, which is bool, int or float."""
-    made: Component = type("Read", (Component,), {"value": Param(kind())})()
+def _parameter_of(kind: str) -> Component:
+    """A component with one parameter of this type: "bool", "int" or "float"."""
+    zero = {"bool": False, "int": 0, "float": 0.0}[kind]
+    made: Component = type("Read", (Component,), {"value": Param(zero)})()
     return made
 
 
