@@ -466,8 +466,7 @@ class Microkernel:
             on_link_lost: "wait", "error" or "disconnect", of a connector to another process.
             name: the connector's. allow_duplicate: a second connector between the same two ports.
             adapt: True, where types, units or lengths differ, put the FlexiFilter between that `aiorts check` proposes,
-                before the reader in its context, active; the connector that is returned is the one to the reader.
-                "text": also one that makes numbers of texts, which goes to error at a text that is no number.
+                before the reader in its context, active; returns the connector to the reader. "text": also of texts.
             openrtm: OpenRTM's keys, whose dots no keyword has: `openrtm={"dataport.subscription_type": "new"}`.
         Of service ports: mapping: which provided interface answers a required one, by path or name, where its type
             does not tell. strict: False leaves unbound what no provider answers. name: the connector's.
@@ -475,8 +474,7 @@ class Microkernel:
         Raises:
             InvalidNameError: a text is no path.
             WiringError: says which ports or options do not go together and why; nothing was connected. With `adapt`
-                also: there are several ways (it names them), a number is to be made of a text, or the reader is in no
-                context.
+                also: there are several ways (it names them), or the reader is in no context.
             PluginError: `convert` is a text that finds no converter, or no plugin offers one for `adapt`.
         """
         self.check_open("connect")

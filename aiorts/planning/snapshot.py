@@ -15,7 +15,7 @@ from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.service import owned_by
 from aiorts.kernel.start_context import arrange_contexts
 from aiorts.model.lifecycle import LifecycleState
-from aiorts.model.ordering import ordered
+from aiorts.model.wanted.ordering import ordered
 from aiorts.supervision import Supervising
 
 if TYPE_CHECKING:
