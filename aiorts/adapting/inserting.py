@@ -13,7 +13,7 @@ from aiorts.kernel.execution.cell import flattened
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of, see_through
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.kernel.ports.wiring import pair_faults
-from aiorts.model.options import is_yes
+from aiorts.model.options import how_to_adapt
 from aiorts.model.wanted.steps import Places
 from aiorts.planning import switch, tops
 
@@ -37,7 +37,8 @@ async def connect_adapted(kernel: Microkernel, ports: Sequence[Any], options: Ma
         StateError: the reader's context cannot run one, or a component's hook calls this.
     """
     options = dict(options)
-    if not is_yes("connect", "adapt", options.pop("adapt")):
+    adapt = how_to_adapt("connect", options.pop("adapt"))
+    if not adapt:
         return await kernel.connect(*ports, **options)
     if options.get("convert"):
         raise WiringError("connect: adapt: convert makes them fit already; take one of the two away")
@@ -49,7 +50,7 @@ async def connect_adapted(kernel: Microkernel, ports: Sequence[Any], options: Ma
         return await kernel.connect(*ports, **options)
     if owner_of(current_task()) is not None or any(one.runner.inside() for one in kernel.contexts.values()):
         raise StateError("connect: adapt: called by a hook, or a task, of a component, which it would wait for")
-    found = [_found(*pair) for pair in pairs]
+    found = [_found(*pair, adapt) for pair in pairs]
     task = kernel_task(kernel.loop, _connect(kernel, pairs, found, options), "aiorts connect with adapt")
     made = await see_through(task)
     return joined(made, kernel.connections) if len(ports) > 2 else made[0]
@@ -77,10 +78,10 @@ def inserted(kernel: Microkernel, connector: Any, ports: Sequence[str]) -> tuple
     return first, f"{name}: {found.said if found is not None else FILTER}"
 
 
-def _found(out: OutPort[Any], in_: InPort[Any]) -> Between | None:
+def _found(out: OutPort[Any], in_: InPort[Any], adapt: bool | str) -> Between | None:
     """What is to be put between two ports; None where they fit."""
     fault = next(pair_faults(out, in_), "")
-    if fault and (found := plain_between(out, in_)) is not None:
+    if fault and (found := plain_between(out, in_, adapt)) is not None:
         return found
     if fault:
         raise WiringError(fault)

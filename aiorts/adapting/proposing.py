@@ -35,9 +35,18 @@ _UNITS: Final[dict[str, tuple[str, Fraction]]] = {
         "current": {"A": "1", "mA": "1/1000"},
         "force": {"N": "1", "mN": "1/1000", "kN": "1000"},
         "pressure": {"Pa": "1", "hPa": "100", "kPa": "1000", "bar": "100000"},
+        "temperature": {"K": "1", "mK": "1/1000", "degC": "1", "°C": "1", "degF": "5/9", "°F": "5/9"},
     }.items()
     for unit, size in units.items()
 }
+_ZEROS: Final[dict[str, Fraction]] = {
+    "degC": Fraction("273.15"),
+    "°C": Fraction("273.15"),
+    "degF": Fraction("459.67") * 5 / 9,
+    "°F": Fraction("459.67") * 5 / 9,
+}
+"""The zero of a scale in the unit of its kind whose size is 1, where that is not 0."""
+_TEXTS: Final = ("str", "char", "wchar")
 _PLAIN: Final = (bool, int, float, str)
 _MOST_PINS: Final = 64
 _LONGEST: Final = 90
@@ -62,6 +71,8 @@ class Between:
     map has none of them."""
     unset: tuple[str, ...] = ()
     """What of the in-port nothing is sent to; it keeps its default value."""
+    texts: tuple[str, ...] = ()
+    """The values of the in-port that are made of a text: a text that is no such value puts the filter into error."""
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -100,14 +111,21 @@ def between(out: OutPort[Any], in_: InPort[Any]) -> Between | None:
             {named.get(pin, pin): tuple(_entries(one, factor) for one in ways) for pin, ways in several.items()}
         ),
         tuple(name for pin, name in named.items() if pairs and pin not in done and pin not in several),
+        tuple(
+            named.get(pin, pin) for other, pin in pairs if _may_refuse(source.kinds.get(other), target.kinds.get(pin))
+        ),
     )
 
 
-def plain_between(out: OutPort[Any], in_: InPort[Any]) -> Between | None:
+def plain_between(out: OutPort[Any], in_: InPort[Any], adapt: bool | str = True) -> Between | None:
     """What joins these two, without any doubt; None where nothing does.
 
+    Args:
+        adapt: "text": a text may be made into a number.
+
     Raises:
-        WiringError: there are several ways, and all of them are named; or a length is not known.
+        WiringError: there are several ways, and all of them are named; or a length is not known; or a number is to be
+            made of a text, and the connection does not say so.
     """
     found = between(out, in_)
     if found is None:
@@ -124,6 +142,11 @@ def plain_between(out: OutPort[Any], in_: InPort[Any]) -> Between | None:
         raise WiringError(
             f"{where}: how many elements {whose} has is not known; declare a shape, such as shape=(3,), "
             f"{_MOST_PINS} at the most, or put a {FILTER} of your own between them"
+        )
+    if found.texts and adapt != "text":
+        raise WiringError(
+            f"{where}: {', '.join(found.texts)} is made of a text, and one such as 'abc' puts the {FILTER} into error; "
+            'say adapt = "text" where each text is a value of it'
         )
     return found
 
@@ -154,15 +177,28 @@ class _End:
     written: str
     pins: tuple[tuple[str, str], ...]
     form: str
+    kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """The kind of value at each pin."""
+
+
+def conversion(unit: str, wanted: str) -> tuple[Fraction, Fraction] | None:
+    """Factor and offset by which a value in one unit becomes one in the other, exact; None where it is not known."""
+    if unit not in _UNITS or wanted not in _UNITS or _UNITS[unit][0] != _UNITS[wanted][0]:
+        return None
+    size, size_wanted = _UNITS[unit][1], _UNITS[wanted][1]
+    return size / size_wanted, (_ZEROS.get(unit, Fraction(0)) - _ZEROS.get(wanted, Fraction(0))) / size_wanted
 
 
 def _factor(unit: str | None, wanted: str | None) -> str | None:
-    """The factor as a map has it, "" for none; None where it is not known."""
+    """The factor as a map has it, with the offset where there is one, "" for none; None where it is not known."""
     if unit is None or wanted is None or unit == wanted:
         return ""
-    if unit not in _UNITS or wanted not in _UNITS or _UNITS[unit][0] != _UNITS[wanted][0]:
+    found = conversion(unit, wanted)
+    if found is None:
         return None
-    factor = _UNITS[unit][1] / _UNITS[wanted][1]
+    factor, offset = found
+    if offset:
+        return f"{factor}{'+' if offset > 0 else ''}{offset}"
     return str(factor.numerator) if factor.denominator == 1 else repr(float(factor))
 
 
@@ -186,12 +222,28 @@ def _end(port: Port[Any], length: int) -> _End | None:
     name = type_name(port.type)
     match _form(port.type):
         case "scalar":
-            return _End(name, (("", port.name),), "scalar")
+            return _End(name, (("", port.name),), "scalar", {"": _kind(port.type)})
         case "sequence":
-            return _End(f"{name}:{length}", tuple((f":{pin}", "") for pin in range(length)), "sequence")
+            pins = tuple((f":{pin}", "") for pin in range(length))
+            return _End(f"{name}:{length}", pins, "sequence", dict.fromkeys(dict(pins), _kind(port.type)))
         case "record":
-            return _End(name, tuple((f":{path}", path.rpartition(".")[2]) for path in _leaves(port.type)), "record")
+            leaves = _leaves(port.type)
+            pins = tuple((f":{path}", path.rpartition(".")[2]) for path in leaves)
+            return _End(name, pins, "record", {f":{path}": kind for path, kind in leaves.items()})
     return None
+
+
+def _kind(cls: type) -> str:
+    """The kind of a scalar type's value, and of the elements of a sequence."""
+    if cls in _PLAIN:
+        return "str" if cls is str else cls.__name__
+    (data,) = (field for field in describe(cls).fields if field.name != "tm")
+    return data.kind.base.removeprefix("seq[").removesuffix("]")
+
+
+def _may_refuse(source: str | None, target: str | None) -> bool:
+    """Whether there are texts of the source of which no value of the target can be made."""
+    return source in _TEXTS and target not in (source, "str")
 
 
 def _form(cls: type) -> str:
@@ -206,9 +258,9 @@ def _form(cls: type) -> str:
     return "record"
 
 
-def _leaves(cls: type) -> tuple[str, ...]:
-    """Paths of the single values of a record, as pins name them: without `data` in front."""
-    paths: list[str] = []
+def _leaves(cls: type) -> dict[str, str]:
+    """Paths of the single values of a record, as pins name them: without `data` in front; each with its kind."""
+    paths: dict[str, str] = {}
 
     def walk(kind: type, prefix: str) -> None:
         for field in describe(kind).fields:
@@ -217,10 +269,10 @@ def _leaves(cls: type) -> tuple[str, ...]:
             if field.record is not None and not field.spelling.startswith("seq["):
                 walk(field.record, prefix if field.name == "data" and not prefix else f"{prefix}{field.name}.")
             elif not field.kind.base.startswith(("seq[", "map", "ndarray")):
-                paths.append(f"{prefix}{field.name}")
+                paths[f"{prefix}{field.name}"] = field.kind.base
 
     walk(cls, "")
-    return tuple(paths)
+    return paths
 
 
 _Pairs: TypeAlias = list[tuple[str, str]]

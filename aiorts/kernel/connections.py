@@ -31,6 +31,7 @@ from aiorts.model.options import (
     without_effect,
 )
 from aiorts.model.profile import ConnectorProfile
+from aiorts.model.wanted.ordering import arrange
 
 if TYPE_CHECKING:
     from aiorts.kernel.connection import Connection
@@ -197,6 +198,13 @@ class Connections:
         wiring.unpark(connector)
         self.connectors[connector.name] = connector
         self._notify_made(connector)
+
+    def arrange(self, names: Sequence[str], at_ports: Mapping[Port[Any], Sequence[Connector]]) -> None:
+        """Put the connectors in this order, and those of each of these ports in its own; others come behind them."""
+        arrange(self.connectors, names)
+        arrange(self.service_connectors, names)
+        for port, connectors in at_ports.items():
+            wiring.arrange(port, connectors)
 
     def measure(self, connector: Connector, count: int) -> None:
         """Time the last `count` sends and reads of a connector from now on, or none with 0: its option `measure`.

@@ -466,7 +466,7 @@ class Microkernel:
             on_link_lost: "wait", "error" or "disconnect", of a connector to another process.
             name: the connector's. allow_duplicate: a second connector between the same two ports.
             adapt: True, where types, units or lengths differ, put the FlexiFilter between that `aiorts check` proposes,
-                before the reader in its context, active; the connector that is returned is the one to the reader.
+                before the reader in its context, active; returns the connector to the reader. "text": also of texts.
             openrtm: OpenRTM's keys, whose dots no keyword has: `openrtm={"dataport.subscription_type": "new"}`.
         Of service ports: mapping: which provided interface answers a required one, by path or name, where its type
             does not tell. strict: False leaves unbound what no provider answers. name: the connector's.

@@ -35,6 +35,7 @@ from aiorts.kernel.ports.receiver import EndingError
 from aiorts.kernel.service import notify
 from aiorts.model.lifecycle import HOOKS
 from aiorts.model.names import Path
+from aiorts.model.wanted.ordering import arrange
 
 if TYPE_CHECKING:
     from aiorts.kernel.execution.cell import Cell
@@ -278,6 +279,10 @@ class Registry:
         if component in self.parked:
             self.parked.discard(component)
             await self._finalize(component, StopBudget(self._kernel.loop))
+
+    def arrange(self, names: Iterable[str]) -> None:
+        """Put the components of these names in this order; others come behind them."""
+        arrange(self.components, names)
 
     def supersede(self, old: Component, new: Component) -> None:
         """Put a new instance, whose `on_initialize` has run, in the place of an old one, which is parked."""

@@ -72,6 +72,9 @@ class KernelService:
     last: ClassVar[bool] = False
     """Whether it is configured after all others that are planned with it: it goes by what they were given."""
 
+    provenance: ClassVar[bool] = False
+    """Whether its table says only where the system came from: two systems that differ in it alone are the same."""
+
     table: Mapping[str, Any] | None = None
     """What the system itself says of it: its table of the system file, or in `Kernel(services=...)`; None where it has
     none."""

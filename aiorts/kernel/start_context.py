@@ -6,7 +6,7 @@ A hook that starts a context with its own component is in the way of what it ask
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from aiorts.errors import ConfigurationError, DeclarationError, InvalidNameError, StateError
@@ -20,6 +20,7 @@ from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of, see_th
 from aiorts.kernel.ports.port import give_turn
 from aiorts.kernel.registry import known
 from aiorts.model.values import shown
+from aiorts.model.wanted.ordering import arrange
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -101,6 +102,11 @@ def _forget_unless_running(kernel: Microkernel, context: Context) -> None:
     if not context.running:
         context.runner.let_go()
         kernel._context_ended(context)
+
+
+def arrange_contexts(kernel: Microkernel, names: Iterable[str]) -> None:
+    """Put the contexts of these names in this order; others come behind them."""
+    arrange(kernel._contexts, names)
 
 
 async def request(

@@ -66,7 +66,7 @@ class ConnectOptions(TypedDict, total=False):
     """Connectors that each port takes at the most; -1 is any number."""
     allow_duplicate: bool
     """Whether there may be a second connector between the same two ports."""
-    adapt: bool
+    adapt: bool | Literal["text"]
     """Whether a FlexiFilter is put between ports that do not fit."""
     mapping: Mapping[str, str]
     """Of service ports: which provided interface answers a required one, by path or name."""

@@ -15,7 +15,7 @@ from difflib import get_close_matches
 from enum import StrEnum
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Literal, TypeVar
 
 from aiorts.errors import InvalidNameError, WiringError
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
@@ -195,9 +195,10 @@ def connector_profile(
             limits[key] = get.integer(key, 1, MAX_LENGTH, 100)
     if "connection_limit" in limits:
         limits["connection_limit"] = get.integer("connection_limit", -1, MAX_LENGTH, -1)
-    for key in ("allow_duplicate", "adapt"):
-        if key in limits:
-            limits[key] = is_yes(where, key, limits[key])
+    if "allow_duplicate" in limits:
+        limits["allow_duplicate"] = is_yes(where, "allow_duplicate", limits["allow_duplicate"])
+    if "adapt" in limits:
+        limits["adapt"] = how_to_adapt(where, limits["adapt"])
     return profile, limits
 
 
@@ -388,6 +389,16 @@ def is_yes(where: str, key: str, value: object) -> bool:
     if answer is None:
         raise WiringError(f"{where}: {key} = {value!r}: expected true or false")
     return answer
+
+
+def how_to_adapt(where: str, value: object) -> bool | Literal["text"]:
+    """The option `adapt`: a truth value, or "text", where numbers may be made of texts, too."""
+    if isinstance(value, str) and value.strip().lower() == "text":
+        return "text"
+    try:
+        return is_yes(where, "adapt", value)
+    except WiringError as error:
+        raise WiringError(f'{error}, or "text"') from None
 
 
 def _check_once(where: str, options: Mapping[str, Any], plain: Mapping[str, Any]) -> None:

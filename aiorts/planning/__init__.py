@@ -9,7 +9,7 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.planning.canon import Canon, service_connection, table, whole
+    from aiorts.planning.canon import Canon, service_connection, table, whole, without_provenance
     from aiorts.planning.planning import Planning
     from aiorts.planning.reading import wanted_of
     from aiorts.planning.setting import ACTIVE, Setting, setting_alone
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _late(
     globals(),
     {
-        "aiorts.planning.canon": "Canon service_connection table whole",
+        "aiorts.planning.canon": "Canon service_connection table whole without_provenance",
         "aiorts.planning.planning": "Planning",
         "aiorts.planning.reading": "wanted_of",
         "aiorts.planning.setting": "ACTIVE Setting setting_alone",

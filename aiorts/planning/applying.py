@@ -55,7 +55,8 @@ from aiorts.model.wanted.steps import (
 )
 from aiorts.planning.setting import Setting
 from aiorts.planning.shown import shown_name
-from aiorts.planning.switching import switch, tops
+from aiorts.planning.snapshot import Snapshot
+from aiorts.planning.switching import CompositesAside, switch, tops, without_components
 from aiorts.reload import Trial, check_replaceable, code_of
 from aiorts.supervision import Supervising
 
@@ -83,7 +84,11 @@ class Application:
         self._begun: list[Step] = []
         self.goes_back = False
         """Whether what was done is being taken back."""
+        self._before = Snapshot(planning)
         self._parked: dict[str, Component] = {}
+        self._composites = CompositesAside(keeps=True)
+        self._lost: set[str] = set()
+        """Components that could not be made again."""
         names = {one.name: shown_name(self._kernel, one) for one in self._kernel.connectors.values()}
         self._shown = {name: shown for name, shown in names.items() if shown != name}
         """By the name of a connector: what plans call it, where that is another."""
@@ -91,11 +96,11 @@ class Application:
         """Those that are parked, in order."""
         self._of_services: list[Connector] = []
         """Those of services that are parked: no step is about them, they come back with their ports."""
+        self.ended: frozenset[str] = frozenset()
+        """Once all steps are carried out: the components that they have taken out of all contexts."""
         self._trials: dict[str, Trial] = {}
         """Those that are instances of another type now, by name."""
         self._held: set[Component] = set()
-        self._were_active: set[tuple[str, str]] = set()
-        """Context and component, of those that were active before."""
         self._table: Final[Mapping[type[Step], Callable[[Any], Awaitable[None]]]] = {
             Create: self._create,
             Remove: self._remove,
@@ -143,12 +148,6 @@ class Application:
         Raises:
             BaseException: what a step raised; nothing is taken back yet.
         """
-        self._were_active = {
-            (context.name, one.name)
-            for context in self._kernel.contexts.values()
-            for one in context.members
-            if context.state(one) is _ACTIVE
-        }
         for step in self.plan.steps:
             self._kernel.check_open("apply")
             self._begun.append(step)
@@ -158,6 +157,7 @@ class Application:
         ]
         if rules:
             await self._kernel.service(Supervising).start_in_order(rules)
+        self.ended = self._before.ended()
 
     async def carry_out(self, step: Step) -> None:
         """Carry out one step; what fails is raised, and some of it may be done."""
@@ -176,18 +176,22 @@ class Application:
         return self._begun[-1].text if self._begun else "apply"
 
     async def back(self) -> list[str]:
-        """Take back what was begun, the last step first; what could not be taken back, and why."""
-        self.goes_back = True
+        """Take back what was begun, the last step first; what is not as it was, and why."""
+        self.goes_back, self._composites.keeps = True, False
         failed = []
         for step in reversed(self._begun):
             back = step.reverse()
+            if isinstance(back, Move):
+                back = without_components(back, self._lost)
             try:
                 with acting(None):  # the files that are named again were not named by the client
                     await self.carry_out(back)
             except Exception as error:  # noqa: BLE001 - the rest is taken back all the same, and this is said
                 failed.append(f"{back.text}: {format_error(error)}")
+                if isinstance(back, Create):
+                    self._lost.add(back.component.name)
         self._begun = []
-        return failed
+        return failed + await self._before.restore(self._lost)
 
     def release(self) -> None:
         """All are in their places: ports are open or closed as always."""
@@ -214,6 +218,7 @@ class Application:
         parked, self._parked = self._parked, {}
         for component in reversed(tuple(parked.values())):
             await kernel.registry.end_parked(component)
+        await self._composites.end()
 
     # -- components ------------------------------------------------------------------------------------------------
 
@@ -247,13 +252,14 @@ class Application:
             self._parked[name] = component
 
     async def _configure(self, step: Configure) -> None:
-        component = self._kernel.components[step.after.name]
-        edit = partial(_as_wanted, _setting(step.after), component)
+        component = self._component(step.after.name)
+        before = self._before.configuration(component.name) if self.goes_back else None
+        edit = partial(_as_wanted, _setting(step.after), component) if before is None else lambda _: before
         await between_cycles(self._kernel, component, partial(commit, component, edit))
 
     async def _reload(self, step: Reload) -> None:
         kernel, entry = self._kernel, step.after
-        old = kernel.components[entry.name]
+        old = self._component(entry.name)
         trial = self._trials.pop(entry.name, None)
         if trial is not None:
             await trial.take_back(StateError("the plan was taken back"))
@@ -275,7 +281,7 @@ class Application:
         self._supervise_as(kernel.components[entry.name], entry)
 
     async def _supervise(self, step: Supervise) -> None:
-        self._supervise_as(self._kernel.components[step.after.name], step.after)
+        self._supervise_as(self._component(step.after.name), step.after)
 
     def _supervise_as(self, component: Component, entry: ComponentEntry) -> None:
         (self._planning.exclusive.add if entry.exclusive else self._planning.exclusive.discard)(entry.name)
@@ -289,6 +295,13 @@ class Application:
         if policy is not None or there is not None:
             make = partial(_setting(entry).make, self._types[entry.type])
             supervising.supervise(component, policy or Supervision(), make)
+
+    def _component(self, name: str) -> Component:
+        """The component of this name. StateError: it was removed, or could not be made again."""
+        component = self._kernel.components.get(name)
+        if component is None:
+            raise StateError(f"{name}: is not there any more")
+        return component
 
     # -- connectors ------------------------------------------------------------------------------------------------
 
@@ -370,7 +383,9 @@ class Application:
             self._put_back()
 
     async def _change(self, step: Change) -> None:
-        connector = self._kernel.connectors[self._named(step.name)]
+        connector = self._kernel.connectors.get(self._named(step.name))
+        if connector is None:
+            raise StateError(f"{step.name}: is not there any more")
         profile = _profile(connector, step.after)
         words = {
             word: getattr(profile, word)
@@ -401,9 +416,21 @@ class Application:
         kind = self._kernel.plugins.find("contexts", entry.kind).load_class(Context)
         return settings_of(kind, {"name": entry.name, **entry.options})
 
+    def _made_or_again(self, entry: ContextEntry) -> Context:
+        """A new context; where the plan is taken back the one that was stopped, which starts again."""
+        before = self._before.contexts.get(entry.name) if self.goes_back else None
+        return self._context(entry) if before is None else before
+
+    def _running(self, name: str) -> Context:
+        """The context of this name. StateError: it was stopped."""
+        context = self._kernel.contexts.get(name)
+        if context is None:
+            raise StateError(f"{name}: was stopped meanwhile")
+        return context
+
     async def _start(self, step: StartContext) -> None:
         if step.context.name not in self._kernel.contexts:
-            await self._kernel.start(self._context(step.context))
+            await self._kernel.start(self._made_or_again(step.context))
 
     async def _stop(self, step: StopContext) -> None:
         context = self._kernel.contexts.get(step.context.name)
@@ -411,29 +438,34 @@ class Application:
             await context.stop()
 
     async def _retime(self, step: Retime) -> None:
-        context: Any = self._kernel.contexts[step.after.name]
+        context: Any = self._running(step.after.name)
         await context.set_rate(step.after.options["rate"])
 
     async def _renew_context(self, step: RenewContext) -> None:
         kernel, name = self._kernel, step.after.name
         there = kernel.contexts.get(name)
-        members = [kernel.components[one] for one in step.before.members] if there is None else tops(there)
+        named = [kernel.components[one] for one in step.before.members if one in kernel.components]
+        members = named if there is None else tops(there)
         active = self._active_in(there)
         self._hold(members)
-        made = self._context(step.after)
+        made = self._made_or_again(step.after)
         if there is not None:
             await there.stop()
         await kernel.start(made, *members)
-        again = [one for one in made.members if (name, one.name) in (active or self._were_active)]
+        again = [
+            one for one in made.members if (one.name in active if active else self._before.was_active(name, one.name))
+        ]
         if again:
             await made.activate(*again)
 
     async def _activate(self, step: Activate) -> None:
-        context = self._kernel.contexts[step.context]
-        if step.after:
-            await context.activate(*(one for one in context.members if context.state(one) is LifecycleState.INACTIVE))
-        else:
-            await context.deactivate(*(one for one in context.members if context.state(one) is _ACTIVE))
+        context = self._running(step.context)
+        state = LifecycleState.INACTIVE if step.after else _ACTIVE
+        members = [one for one in context.members if context.state(one) is state]
+        if self.goes_back:
+            members = [one for one in members if self._before.was_active(step.context, one.name) is step.after]
+        if members:
+            await (context.activate if step.after else context.deactivate)(*members)
 
     async def _move(self, step: Move) -> None:
         kernel = self._kernel
@@ -444,22 +476,22 @@ class Application:
             for composite in places.composites.values():
                 names.update(dict.fromkeys(() if composite is None else (composite.name, *composite.members)))
         self._hold([kernel.components[name] for name in names if name in kernel.components])
-        await switch(kernel, step.after, self._activates)
+        await switch(kernel, step.after, self._activates, self._composites)
 
     def _activates(self, context: str, component: Component) -> bool:
         """Whether who comes into a context is to be active there."""
         leaves = [one.name for one in parts_of(component)]
         known = [name for name in leaves if name in self._now.components]
         if self.goes_back and known:
-            return any((context, name) in self._were_active for name in known)
+            return any(self._before.was_active(context, name) for name in known)
         entry = (self._now if self.goes_back else self._wanted).contexts.get(context)
         starts = self._wanted.components.get(component.name)
         return entry is not None and entry.activate and (starts is None or starts.start is None)
 
-    def _active_in(self, context: Context | None) -> set[tuple[str, str]]:
+    def _active_in(self, context: Context | None) -> set[str]:
         if context is None:
             return set()
-        return {(context.name, one.name) for one in context.members if context.state(one) is _ACTIVE}
+        return {one.name for one in context.members if context.state(one) is _ACTIVE}
 
     def _hold(self, components: list[Component]) -> None:
         """Have open in-ports stay open, wherever their component is meanwhile: what is unread stays unread."""

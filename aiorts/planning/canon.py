@@ -11,10 +11,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.errors import ConfigurationError, SystemFileError
+from aiorts.errors import ConfigurationError, PluginError, SystemFileError
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.extensions.arguments import needs_rate, path_settings
 from aiorts.kernel.extensions.type_texts import type_text
+from aiorts.kernel.service import KernelService
 from aiorts.model.configuration.sets import DEFAULT, same
 from aiorts.model.converter import Converter
 from aiorts.model.names import names_kernel
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.extensions.catalogue import Catalogue
     from aiorts.model.configuration.sets import ConfigurationState
     from aiorts.model.profile import ConnectorProfile
+    from aiorts.model.wanted.entries import Wanted
     from aiorts.model.wanted.start_rules import StartRule
     from aiorts.services import ServicePort
 
@@ -224,6 +226,19 @@ def table(settings: type, given: Mapping[str, Any]) -> Mapping[str, Any]:
     paths = path_settings(settings)
     found = {key: whole(Path(value)) if key in paths and value else _frozen(value) for key, value in given.items()}
     return MappingProxyType({key: value for key, value in found.items() if value != usual.get(key, _MISSING)})
+
+
+def without_provenance(wanted: Wanted, catalogue: Catalogue) -> Wanted:
+    """The system without the tables of services that say only where it came from."""
+
+    def is_difference(name: str) -> bool:
+        try:
+            return not catalogue.find("services", name).load_class(KernelService).provenance
+        except PluginError:
+            return True  # of a service that is not installed here
+
+    kept = {name: one for name, one in wanted.services.items() if is_difference(name)}
+    return wanted if len(kept) == len(wanted.services) else dataclasses.replace(wanted, services=MappingProxyType(kept))
 
 
 def whole(path: Path) -> Path:

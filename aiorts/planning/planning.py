@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import os
-from collections.abc import Awaitable, Callable, Collection, Generator, Iterator
+from collections.abc import Awaitable, Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -21,6 +21,7 @@ from aiorts.model.stepwise import finished
 from aiorts.model.wanted.applied import Applied
 from aiorts.model.wanted.plan import Plan, planning
 from aiorts.model.wanted.system_text import Saved, system_text
+from aiorts.planning.canon import without_provenance
 from aiorts.planning.turns import in_turns
 
 if TYPE_CHECKING:
@@ -142,6 +143,7 @@ class Planning(KernelService):
                 service.started()
 
     def _planning(self, now: Wanted, wanted: Wanted) -> Generator[None, None, Plan]:
+        now, wanted = (without_provenance(one, self.kernel.plugins) for one in (now, wanted))
         components = self.kernel.components.values()
         limited = {port.path for one in components for port in one.ports.values() if _is_limited(port)}
         yield
@@ -167,7 +169,7 @@ class Planning(KernelService):
                 making.enter_context(self.services_wait())
 
                 async def why(application: Application) -> str:
-                    worse = None if before is None else await self._worse(before, window, application.new)
+                    worse = None if before is None else await self._worse(before, window, application)
                     return str(worse or "") or ("" if agreed is None else await agreed(application.plan))
 
                 return await self._carried_out(wanted, why, making)
@@ -209,10 +211,10 @@ class Planning(KernelService):
         await application.settle()
         return Applied(application.plan, not refused, refused, left)
 
-    async def _worse(self, before: Window, window: float, new: Collection[str]) -> Unhealthy | None:
+    async def _worse(self, before: Window, window: float, application: Application) -> Unhealthy | None:
         """What the system does worse than before; None when the kernel closes meanwhile: it stays as it is."""
         try:
-            return verdict(before, await self.health.window(window), new)
+            return verdict(before, await self.health.window(window), application.new, application.ended)
         except ClosedError:
             return None
 

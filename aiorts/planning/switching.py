@@ -6,14 +6,16 @@ is taken back by the reverse step.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from aiorts.composites import Composite, group_of, outer_of, parts_of
 from aiorts.errors import ComponentError, StateError, format_error
 from aiorts.kernel.execution.cell import cell, flattened
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.wanted.steps import Move, Places
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
     from aiorts.kernel.execution.member import Member
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.model.wanted.entries import CompositeEntry
-    from aiorts.model.wanted.steps import Places
 
 
 def tops(context: Context) -> list[Component]:
@@ -36,17 +37,55 @@ def tops(context: Context) -> list[Component]:
     return list(found)
 
 
-async def switch(kernel: Microkernel, after: Places, activates: Callable[[str, Any], bool]) -> None:
+class CompositesAside:
+    """Composites that are out of their kernel.
+
+    Args:
+        keeps: whether one that goes is kept for its return; else it is removed.
+    """
+
+    def __init__(self, *, keeps: bool) -> None:
+        self.keeps = keeps
+        self._kept: dict[str, Composite] = {}
+
+    async def take_out(self, composite: Component) -> None:
+        """Take a composite out of its kernel; its members stay there."""
+        group = group_of(composite)
+        if not self.keeps or group is None or not isinstance(composite, Composite):
+            await composite.kernel.remove(composite)
+            return
+        await group.dissolve()
+        composite.kernel.registry.park(composite)
+        self._kept[composite.name] = composite
+
+    def take_back(self, name: str) -> Composite | None:
+        """Put the kept composite of this name into its kernel again, without members; None where there is none."""
+        composite = None if self.keeps else self._kept.pop(name, None)
+        if composite is not None:
+            composite.kernel.registry.unpark(composite)
+        return composite
+
+    async def end(self) -> None:
+        """End those that are kept."""
+        kept, self._kept = self._kept, {}
+        for composite in kept.values():
+            await composite.kernel.registry.end_parked(composite)
+
+
+async def switch(
+    kernel: Microkernel, after: Places, activates: Callable[[str, Any], bool], aside: CompositesAside | None = None
+) -> None:
     """Have the places be as these say.
 
     Args:
         activates: whether a component that comes into a context of this name is to be active there.
+        aside: takes the composites that go; they are removed where there is none.
 
     Raises:
         AiortsError: what a component, a context or a composite refuses, or a hook raised; some of it may be done.
     """
     with _keeping_connectors(kernel):
-        await _switch(kernel, after, activates)
+        await _switch(kernel, after, activates, aside or CompositesAside(keeps=False))
 
 
 @contextmanager
@@ -63,7 +102,9 @@ def _keeping_connectors(kernel: Microkernel) -> Iterator[None]:
             group.known.update({port: those for port, those in known.items() if port in group.known})
 
 
-async def _switch(kernel: Microkernel, after: Places, activates: Callable[[str, Any], bool]) -> None:
+async def _switch(
+    kernel: Microkernel, after: Places, activates: Callable[[str, Any], bool], aside: CompositesAside
+) -> None:
     composites = kernel.components
     anew = [name for name, one in after.composites.items() if _is_made_anew(composites.get(name), one)]
     for context_name, members in after.contexts.items():
@@ -74,9 +115,9 @@ async def _switch(kernel: Microkernel, after: Places, activates: Callable[[str, 
                 await context.remove(*gone)
     for name in _outer_first(kernel, anew):
         _forget_placements(composites[name])
-        await kernel.remove(composites[name])
+        await aside.take_out(composites[name])
     for name, entry in _inner_first(after.composites):
-        composite = composites.get(name)
+        composite = composites.get(name) or aside.take_back(name)
         if not isinstance(composite, Composite):
             await kernel.add(Composite(entry.name, *entry.members, **entry.options))
         else:
@@ -162,7 +203,7 @@ async def _fill(context: Context, wanted: list[Component], activates: Callable[[
     if whole:
         await context.add(*whole)
     there = tops(context)
-    single = [one for one in wanted if one not in there]
+    single = [one for one in wanted if one not in there and not isinstance(one, Composite)]
     leaving = [one for one in there if one not in wanted]
     line: Any = flattened(wanted)
     if single or leaving or tuple(context.members) != line:
@@ -223,3 +264,28 @@ def _failed(member: Any, hook: str, error: BaseException) -> ComponentError:
     failed = ComponentError(f"{member.component.name}: {hook} in {member.context.name} failed: {format_error(error)}")
     failed.__cause__ = error
     return failed
+
+
+def without_components(move: Move, names: Collection[str]) -> Move:
+    """The change without the components of these names."""
+
+    def less(members: Iterable[str]) -> tuple[str, ...]:
+        return tuple(name for name in members if name not in names)
+
+    def entry(one: CompositeEntry | None) -> CompositeEntry | None:
+        if one is None:
+            return None
+        options = dict(one.options)
+        if exported := options.get("exported"):
+            options["exported"] = {rule: name for rule, name in exported.items() if rule.partition(".")[0] not in names}
+        if groups := options.get("groups"):
+            options["groups"] = tuple(filter(None, map(less, groups)))
+        return replace(one, members=less(one.members), options=options)
+
+    def places(one: Places) -> Places:
+        return Places(
+            {name: less(line) for name, line in one.contexts.items()},
+            {name: entry(composite) for name, composite in one.composites.items()},
+        )
+
+    return replace(move, before=places(move.before), after=places(move.after))

@@ -7,6 +7,7 @@ come has no influence, as long as no port overflows.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import field
@@ -165,7 +166,7 @@ def _exact(lanes: tuple[Lane, ...], _tolerance_ns: int | None) -> tuple[Any, ...
 
 
 def _nearest(lanes: tuple[Lane, ...], tolerance_ns: int | None) -> tuple[Any, ...] | None:
-    """For a sample of the first port the nearest ones of the others; none is used twice."""
+    """For a sample of the first port its partners of the others (see `_partner`)."""
     lead, *others = lanes
     within = tolerance_ns or 0
     while (floor := lead.floor) is not None:
@@ -173,33 +174,64 @@ def _nearest(lanes: tuple[Lane, ...], tolerance_ns: int | None) -> tuple[Any, ..
             lane.drop_before(floor - within)
         if not lead.queue:
             return None
-        stamps = [_nearest_in(lane, floor, within) for lane in others]
-        if None in stamps:
-            lead.drop("unmatched")
-        elif _UNKNOWN in stamps:
+        leads = [held.tm for held in lead.queue]
+        partners = [_partner(leads, lane, within) for lane in others]
+        if _UNKNOWN in partners:
             return None
-        else:
-            for lane, stamp in zip(others, stamps, strict=True):
+        if None not in partners:
+            for lane, stamp in zip(others, partners, strict=True):
                 lane.drop_before(stamp or 0)
             return tuple(lane.take() for lane in lanes)
+        lead.drop("unmatched")
+        for lane, stamp in zip(others, partners, strict=True):
+            if stamp is not None:
+                lane.drop_before(stamp + 1)
     return None
 
 
-def _nearest_in(lane: Lane, tm: int, within: int) -> int | None:
-    """The stamp nearest to `tm`, of two the earlier one; None: no sample is within reach, and none will be."""
-    before = None
-    for held in lane.queue:
-        if held.tm >= tm:
-            after = held.tm
-            break
-        before = held.tm
-    else:
-        if lane.newest is None or lane.newest < tm + within:
-            return _UNKNOWN
-        return before
-    if before is not None and tm - before <= after - tm:
-        return before
-    return after if after - tm <= within else None
+def _partner(leads: list[int], lane: Lane, within: int) -> int | None:
+    """The stamp in a lane that goes with the first of the leads.
+
+    The lead and the sample that are nearest to each other of all go together; then the same holds for those before
+    both and for those after both. So a lead gets no sample that is nearer to another lead, unless that has one nearer
+    still. The nearest first, and not the first lead first: that one would take the partner of the next where its own is
+    lost, the next that of the one after it, and so on to the end.
+
+    Returns:
+        The stamp; None where there is none within reach and none will be; `_UNKNOWN` where it depends on samples that
+        are still to come.
+    """
+    stamps = [held.tm for held in lane.queue]
+    newest = -1 if lane.newest is None else lane.newest
+    ended = False  # whether nothing can come any more among those that are looked at
+    while True:
+        lead = 0
+        while True:  # from each to the one nearest to it, until two are nearest to each other
+            tm = leads[lead]
+            place = _nearest_in(stamps, tm)
+            if not ended and newest < tm + within and (not stamps or stamps[-1] < tm):
+                return _UNKNOWN
+            if place is None or abs(stamps[place] - tm) > within:
+                return None  # of the first lead: each of the others has one, by which it was found
+            back = _nearest_in(leads, stamps[place]) or 0
+            if not ended and leads[-1] < stamps[place]:
+                return _UNKNOWN
+            if back == lead:
+                break
+            lead = back
+        if lead == 0:
+            return stamps[place]
+        leads, stamps, ended = leads[:lead], stamps[:place], True
+
+
+def _nearest_in(stamps: list[int], tm: int) -> int | None:
+    """The place of the stamp nearest to `tm`, of two the earlier one; None: there are none."""
+    after = bisect_left(stamps, tm)
+    if after == len(stamps):
+        return after - 1 if stamps else None
+    if after and tm - stamps[after - 1] <= stamps[after] - tm:
+        return after - 1
+    return after
 
 
 def _latest(lanes: tuple[Lane, ...], tolerance_ns: int | None) -> tuple[Any, ...] | None:

@@ -38,7 +38,8 @@ class Synchronizer(Generic[M]):
     Args:
         ports: two in-ports or more, whose types have a time stamp `tm`.
         policy: "exact" matches samples of one and the same stamp; "nearest" those nearest to a sample of the first
-            port, each used once; "latest" the last ones that are not after it, used as often as needed.
+            port, and to no other of its samples, each used once; "latest" the last ones that are not after it, used as
+            often as needed.
         tolerance: seconds between the stamp of the first port's sample and the others. None is 0.01 with "nearest" and
             any with "latest". "exact" takes none.
         length: samples held of each port until those of the others are there; then the oldest is dropped.

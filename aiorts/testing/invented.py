@@ -100,6 +100,8 @@ def _ndarray(kind: Any, dice: random.Random) -> Any:
 
 
 def _map(kind: Any, dice: random.Random) -> dict[str, Any]:
+    if kind.entries:
+        return {f"key{number}": _value(dice.choice(kind.entries), dice) for number in range(dice.choice((0, 1, 3)))}
     entries = {"bool": True, "int": -5, "float": -0.0, "text": "ä", "bytes": b"\x00", "array": _array("f8", (4,), dice)}
     entries["map"] = {"inner": dict(entries), "float": 0.5, "map": {}}
     return {key: entries[key] for key in dice.sample(sorted(entries), dice.randint(0, len(entries)))}

@@ -222,9 +222,17 @@ MAP_LEVELS = 16
 
 
 class MapKind(Kind):
-    """Text to bool, int (64 bits), float, text, bytes, array or such a map; kept as read-only mappings of its own."""
+    """Text to bool, int (64 bits), float, text, bytes, array or such a map; kept as read-only mappings of its own.
+
+    Args:
+        entries: the kinds that values may have; none for any of these. They bind the writer alone: on the wire each
+            value says what it is.
+    """
 
     spelling = "map"
+
+    def __init__(self, entries: tuple[Kind, ...] = ()) -> None:
+        self.entries = entries
 
     def check(self, value: Any, where: str) -> Any:
         return self._check(value, where, MAP_LEVELS)
@@ -238,11 +246,21 @@ class MapKind(Kind):
         for key in value:
             name = SCALARS["str"].check(key, f"{where} key")
             entry, place = value[key], f"{where}[{shown(key)}]"
-            if isinstance(entry, Mapping):
-                kept[name] = self._check(entry, place, levels - 1)
-            else:
-                kept[name] = _entry_kind(entry).check(entry, place)
+            kept[name] = self._entry(entry, place, levels) if self.entries else _undeclared(entry, place, levels)
         return MappingProxyType(kept)
+
+    def _entry(self, value: Any, where: str, levels: int) -> Any:
+        """The value as one of the declared kinds has it: as that of its own class, else as the first that takes it."""
+        for kind in self.entries:
+            if kind.exact is type(value):
+                return value
+        for kind in self.entries:
+            try:
+                return kind._check(value, where, levels - 1) if isinstance(kind, MapKind) else kind.check(value, where)
+            except RecordError:
+                if len(self.entries) == 1:
+                    raise
+        raise wrong_type(where, " or ".join(kind.spelling for kind in self.entries), value)
 
     def zero(self) -> Any:
         return {}
@@ -254,6 +272,14 @@ class MapKind(Kind):
         raise TypeError("a record that holds a map cannot be hashed")
 
 
+def _undeclared(value: Any, where: str, levels: int) -> Any:
+    """The value of a map that declares no kind for it."""
+    if isinstance(value, Mapping):
+        return _ANY._check(value, where, levels - 1)
+    return _entry_kind(value).check(value, where)
+
+
+_ANY = MapKind()
 _ENTRY = {bool: "bool", int: "i64", float: "f64", str: "str", bytes: "bytes"}
 
 

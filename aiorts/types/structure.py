@@ -13,6 +13,7 @@ import sys
 import types
 import typing
 from collections.abc import Mapping, MutableMapping, MutableSequence, Sequence
+from contextlib import suppress
 from enum import Enum
 from typing import Annotated, Any, ClassVar, get_args, get_origin
 
@@ -29,6 +30,7 @@ if typing.TYPE_CHECKING:
 
 MISSING: Any = dataclasses.MISSING
 NUMBERS = frozenset({*(f"{sign}{bits}" for sign in "iu" for bits in (8, 16, 32, 64)), "f32", "f64", "bool"})
+_FLOATS = ("f32", "f64")
 STRUCTURE = "__aiorts_structure__"
 _BARE = (bool, int, float, str)
 
@@ -258,8 +260,7 @@ def _generic(annotation: Any, where: str, owner: type | None) -> Kind | None:
     if origin in (tuple, list, Sequence, MutableSequence) and args:
         return TupleKind(kind_of(args[0], where, owner), restore=list if origin in (list, MutableSequence) else tuple)
     if origin in (dict, Mapping, MutableMapping) and args and args[0] is str:
-        _check_entries(args[1], where, owner)
-        return MapKind()
+        return MapKind(_entry_kinds(args[1], where, owner))
     return _numpy_array(annotation, origin, args)
 
 
@@ -290,17 +291,30 @@ def _literal(values: tuple[Any, ...], where: str) -> Kind:
     return kind if len(choices) == len(values) else OptionalKind(kind)
 
 
-def _check_entries(annotation: Any, where: str, owner: type | None) -> None:
-    """DeclarationError if a map of these values cannot travel: it has scalars, arrays and maps, told by the value."""
-    if annotation in (Any, object) or get_origin(annotation) in (typing.Union, types.UnionType):
-        return
+def _entry_kinds(annotation: Any, where: str, owner: type | None) -> tuple[Kind, ...]:
+    """The kinds of a map's values; none for all that can travel in one. Of a union its members that can travel.
+
+    Raises:
+        DeclarationError: a map of these values cannot travel: it has scalars, arrays and maps, told by the value.
+    """
+    if annotation in (Any, object):
+        return ()
+    if get_origin(annotation) in (typing.Union, types.UnionType):
+        found: list[Kind] = []
+        for one in get_args(annotation):
+            with suppress(DeclarationError):
+                found += _entry_kinds(one, where, owner)
+        return tuple(sorted(found, key=lambda kind: kind.spelling in _FLOATS))  # which would take an int, too
     kind = kind_of(annotation, where, owner)
     item = kind.item.spelling if isinstance(kind, TupleKind) else ""
-    if not (kind.spelling in _ENTRIES or item in NUMBERS or isinstance(kind, (ArrayKind, MapKind))):
+    if item in NUMBERS:
+        return (ArrayKind(item),)  # a list of numbers travels in a map as an array
+    if not (kind.spelling in _ENTRIES or isinstance(kind, (ArrayKind, MapKind))):
         raise DeclarationError(
             f"{where}: a map has bool, int, float, str, bytes, arrays and maps as its values, not {_label(annotation)};"
             " write a record for it"
         )
+    return (kind,)
 
 
 def _numpy_array(annotation: Any, origin: Any, args: tuple[Any, ...]) -> Kind | None:

@@ -22,3 +22,4 @@ class OpenRTM(KernelService):
 
     name = "openrtm"
     settings = OpenRTMSettings
+    provenance = True

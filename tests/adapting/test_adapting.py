@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import math
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from aiorts import (
     Component,
@@ -19,19 +23,27 @@ from aiorts import (
     PeriodicContext,
     ThreadContext,
 )
+from aiorts.adapting import between
+from aiorts.adapting.proposing import conversion
 from aiorts.errors import AiortsError, PluginError, StateError, SystemFileError, WiringError
 from aiorts.system import build, check, graph, load, parse, prepare, wanted
 from aiorts.types import (
     Point2D,
     Pose2D,
+    TimedBoolean,
+    TimedChar,
     TimedDouble,
     TimedDoubleSeq,
     TimedLong,
     TimedPoint2D,
     TimedPose2D,
+    TimedString,
+    TimedStringSeq,
     TimedVelocity2D,
     Velocity2D,
+    record,
 )
+from aiorts_flexi.mapping.conversion import conversion as conversion_of
 
 pytestmark = pytest.mark.anyio
 
@@ -442,3 +454,159 @@ async def test_a_program_and_a_file_agree_on_every_pair_of_ports(file: Path) -> 
                     assert found == [], (out, in_)
                     await build(built, load(file))
                     assert everything(built) == everything(kernel)
+
+
+# -- units with an offset, and texts -----------------------------------------------------------------------------------
+
+SCALES = ("K", "mK", "degC", "°C", "degF", "°F")
+
+
+def exactly(value: Fraction, unit: str, wanted: str) -> Fraction:
+    """By the definitions of the scales."""
+    kelvin = {
+        "K": value,
+        "mK": value / 1000,
+        "degC": value + Fraction(27315, 100),
+        "degF": (value + Fraction(45967, 100)) * Fraction(5, 9),
+    }[unit.replace("°", "deg")]
+    return {
+        "K": kelvin,
+        "mK": kelvin * 1000,
+        "degC": kelvin - Fraction(27315, 100),
+        "degF": kelvin * Fraction(9, 5) - Fraction(45967, 100),
+    }[wanted.replace("°", "deg")]
+
+
+def filtered(text: str, value: Any, source: Any = TimedDouble, target: Any = TimedDouble) -> Any:
+    return conversion_of(text, source, target)(source(data=value)).data
+
+
+@given(unit=st.sampled_from(SCALES), wanted=st.sampled_from(SCALES), value=st.floats(-1e9, 1e9))
+def test_a_temperature_is_converted_exactly_and_back(unit: str, wanted: str, value: float) -> None:
+    found, back = conversion(unit, wanted), conversion(wanted, unit)
+    assert found is not None
+    assert back is not None
+    assert found[0] * back[0] == 1
+    assert found[1] * back[0] + back[1] == 0
+    one = between(OutPort(TimedDouble, unit=unit), InPort(TimedDouble, unit=wanted))
+    assert one is not None
+    if found[1]:  # a factor alone is a float, as ever
+        assert filtered(one.entries, value) == float(exactly(Fraction(value), unit, wanted))
+
+
+@pytest.mark.parametrize(
+    ("unit", "wanted", "value", "got"),
+    [
+        ("degC", "K", 0.0, 273.15),
+        ("K", "degC", 273.15, 0.0),
+        ("degF", "degC", 32.0, 0.0),
+        ("degF", "degC", 212.0, 100.0),
+        ("degC", "degF", 100.0, 212.0),
+        ("degC", "degF", -40.0, -40.0),
+        ("degF", "K", -459.67, 0.0),
+        ("degC", "mK", 0.0, 273150.0),
+        ("K", "mK", 1.5, 1500.0),
+    ],
+)
+async def test_a_temperature_arrives_in_the_unit_of_the_reader(
+    unit: str, wanted: str, value: float, got: float
+) -> None:
+    class Thermometer(Component):
+        value = OutPort(TimedDouble, unit=unit)
+        whole = OutPort(TimedLong, unit=unit)
+
+    class Display(Component):
+        value = InPort(TimedDouble, unit=wanted)
+
+    async with Kernel() as kernel:
+        one, two = await kernel.create(Thermometer, "a"), await kernel.create(Display, "b")
+        await kernel.start(EventContext(), one, two, activate=True)
+        await kernel.connect("a.value", "b.value", adapt=True)
+        found = (await through(kernel, "a.value", TimedDouble(data=value), "b.value")).data
+        assert found == pytest.approx(got, rel=1e-15, abs=1e-13)
+        if value not in (273.15, -459.67):  # which no float is
+            assert found == got
+
+
+def test_infinity_and_nan_stay_what_they_are_and_whole_numbers_whole() -> None:
+    assert filtered("0>1+5463/20>0", math.inf) == math.inf
+    assert math.isnan(filtered("0>5/9-160/9>0", math.nan))
+    assert filtered("0>5/9-160/9>0", 41, TimedLong, TimedLong) == 5
+
+
+TEXTS: list[tuple[Any, Any, bool]] = [
+    (TimedString, TimedDouble, True),
+    (TimedString, TimedLong, True),
+    (TimedString, TimedBoolean, True),
+    (TimedString, TimedChar, True),
+    (str, TimedDouble, True),
+    (str, float, True),
+    (TimedChar, TimedDouble, True),
+    (TimedDouble, TimedString, False),
+    (TimedChar, TimedString, False),
+    (TimedString, str, False),
+]
+
+
+@pytest.mark.parametrize(("source", "target", "refused"), TEXTS)
+async def test_a_number_is_made_of_a_text_only_where_the_connection_says_so(
+    source: Any, target: Any, refused: bool
+) -> None:
+    class Writer(Component):
+        value = OutPort(source)
+
+    class Reader(Component):
+        value = InPort(target)
+
+    async with Kernel() as kernel:
+        one, two = await kernel.create(Writer, "a"), await kernel.create(Reader, "b")
+        await kernel.start(EventContext(name="c"), one, two, activate=True)
+        before = everything(kernel)
+        if refused:
+            with pytest.raises(WiringError, match=r'made of a text.*adapt = "text"'):
+                await kernel.connect("a.value", "b.value", adapt=True)
+            assert everything(kernel) == before
+        await kernel.connect("a.value", "b.value", adapt="text" if refused else True)
+        assert len(kernel.components) == 3
+
+
+async def test_a_text_in_a_record_and_in_a_sequence_is_one_too() -> None:
+    @record
+    class Named:
+        x: str = ""
+
+    class Writer(Component):
+        named = OutPort(Named)
+        words = OutPort(TimedStringSeq, shape=(2,))
+
+    class Reader(Component):
+        point = InPort(TimedPoint2D)
+        two = InPort(TimedDoubleSeq, shape=(2,))
+
+    async with Kernel() as kernel:
+        one, two = await kernel.create(Writer, "a"), await kernel.create(Reader, "b")
+        await kernel.start(EventContext(), one, two, activate=True)
+        for ports in (("a.named", "b.point"), ("a.words", "b.two")):
+            with pytest.raises(WiringError, match="made of a text"):
+                await kernel.connect(*ports, adapt=True)
+
+
+@pytest.mark.parametrize("value", ["text", "Text", "true", "maybe"])
+def test_a_file_says_that_a_text_is_a_number(value: str, tmp_path: Path) -> None:
+    (tmp_path / "parts.py").write_text(
+        "from aiorts import Component, InPort, OutPort\n"
+        "from aiorts.types import TimedDouble, TimedString\n"
+        "class A(Component):\n    value = OutPort(TimedString)\n"
+        "class B(Component):\n    value = InPort(TimedDouble)\n"
+    )
+    file = tmp_path / "system.toml"
+    file.write_text(
+        'schema = 1\n[components.a]\ntype = "parts.py:A"\n[components.b]\ntype = "parts.py:B"\n'
+        f'[[connections]]\nfrom = "a.value"\nto = "b.value"\nadapt = "{value}"\n'
+        '[contexts.c]\nkind = "event"\nmembers = ["a", "b"]\n'
+    )
+    said = [one for one in check(file) if one.severity == "error"]
+    if value.lower() == "text":
+        assert said == []
+    else:
+        assert ('adapt = "text"' if value == "true" else '"text"') in " ".join(one.message for one in said)

@@ -10,8 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aiorts import Kernel
 from aiorts.cli.app import run_command
 from aiorts.errors import MissingExtra
+from aiorts.system import build, load, wanted
+from aiorts.testing import simulate
 from aiorts_openrtm import Conf, OpenRTMError, read_system
 from openrtm_parts import REAL
 
@@ -123,6 +126,72 @@ def test_a_managers_configuration_becomes_a_system_that_runs(
     )
     assert run_command(["run", str(tmp_path / "system.toml"), "--simulate", "--control=off"]) == 0
     assert "ear got 7" in capsys.readouterr().out
+
+
+PRECONNECT = "manager.components.preconnect: Talker0.out?port=ear.into&subscription_type=new&interface_type=corba_cdr"
+FORMS = {
+    "2.0": ("Talker0.out?port=ear.into&subscription_type=new", 'subscription = "new"\n'),
+    "1.1": ("Talker0.out:ear.into(subscription_type=new&interface_type=corba_cdr)", 'subscription = "new"\n'),
+    "1.1, with a comma": (
+        "Talker0.out:ear.into(data_type=x, subscription_type=new)",
+        'subscription = "new"\n',
+    ),
+    "1.1, with no options": ("Talker0.out:ear.into", ""),
+    "1.1, with blanks": ("Talker0.out : ear.into ()", ""),
+    "an address": ("rtcname://localhost:2809/Talker0.rtc.out?port=rtcname://localhost:2809/ear.rtc.into", ""),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("more", ["", ", ear.more?interface_type=ros&topic=chatter", ", ear.more?interface_type=ros2"])
+def test_a_connection_is_read_in_each_form_beside_ports_of_other_interfaces(
+    form: str, more: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, options = FORMS[form]
+    lab(tmp_path, RTC_CONF.replace(PRECONNECT, f"manager.components.preconnect: {text}{more}"), talker="")
+    assert run_command(["import", str(tmp_path / "rtc.conf"), "-o", str(tmp_path / "system.toml")]) == 0
+    assert f'from = "Talker0.out"\nto = "ear.into"\n{options}\n' in (tmp_path / "system.toml").read_text()
+    notes = [line for line in capsys.readouterr().err.splitlines() if "rtc.conf:8" in line]
+    if more:
+        (note,) = notes
+        assert "a port without a partner, of the interface 'ros" in note
+    else:
+        assert notes == []
+
+
+def test_a_set_that_the_class_declares_is_active(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    conf = f"{RTC_CONF}Talking.Talker0.configuration.active_config: fast\n"
+    lab(tmp_path, conf, talker="conf.default.step: 3\n")
+    assert run_command(["import", str(tmp_path / "rtc.conf"), "-o", str(tmp_path / "system.toml")]) == 0
+    assert 'active = "fast"' in (tmp_path / "system.toml").read_text()
+    assert "no configuration set 'fast' stands here, which is to be active; its class has to have it" in (
+        capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize("change", [("rtc.conf", "other.conf"), ('[openrtm]\nprofile = "rtc.conf"\n\n', "")])
+def test_where_a_system_came_from_is_no_difference(
+    change: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab(tmp_path, RTC_CONF, talker="")
+    one, two = tmp_path / "system.toml", tmp_path / "other.toml"
+    assert run_command(["import", str(tmp_path / "rtc.conf"), "-o", str(one)]) == 0
+    two.write_text(one.read_text().replace(*change))
+    assert two.read_text() != one.read_text()
+    for old, new in ((one, two), (two, one)):
+        assert run_command(["plan", str(old), str(new)]) == 0
+    two.write_text(two.read_text().replace("rate = 50.0", "rate = 60.0"))
+    assert run_command(["plan", str(one), str(two)]) == 1
+    capsys.readouterr()
+
+    async def main() -> None:
+        async with Kernel() as kernel:
+            await build(kernel, load(one))
+            applied = await kernel.apply(wanted(load(two)))
+            assert applied.done
+            assert [step.text for step in applied.plan.steps] == ["retime ear_ec0: rate 50.0 -> 60.0"]
+
+    simulate(main())
 
 
 def test_the_name_that_name_servers_have_goes_into_the_profile(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 import tomllib
@@ -10,10 +11,12 @@ from typing import Any
 
 import pytest
 
-from aiorts import Catalogue
+from aiorts import Catalogue, Component, Param
 from aiorts.cli.app import run_command
 from aiorts.cli.new.project import literal
+from aiorts.errors import ConfigurationError
 from aiorts.system import check
+from aiorts_openrtm.mapping.describing import description
 from openrtm_parts import REAL
 
 OPENING = """<?xml version="1.0" encoding="UTF-8"?>
@@ -127,8 +130,6 @@ def test_it_runs_and_is_configured_by_its_conf(
     ("old", "new", "says"),
     [
         ("TimedPose3D", "TimedPoze3D", "port pose: "),
-        ('rtc:defaultValue="2.5"', 'rtc:defaultValue="much"', "default 'much' is no double"),
-        ('rtc:defaultValue="2.5"', 'rtc:defaultValue="20"', "must be <= 10"),
         ('rtc:name="mode"', 'rtc:name="a b"', "letters, digits and _"),
         ('rtc:name="mode"', 'rtc:name="name"', "has this name already"),
         ('rtc:name="mode"', 'rtc:name="gain"', "is given twice"),
@@ -198,3 +199,97 @@ def test_the_real_component_is_made_and_runs(tmp_path: Path) -> None:
     assert run_command(words) == 0
     shown = ran(tmp_path, "aiorts", "run", "gui/system.toml", "--simulate", "--for", "0.01")
     assert "poseOut TimedPose3D" in shown
+
+
+# -- one reading of a text, notes, lines -------------------------------------------------------------------------------
+
+READINGS = [
+    *(("bool", text) for text in ("1", "0", "YES", "no", "on", "Off", "true", "maybe", "2")),
+    *(("int", text) for text in ("0x10", "1_000", " 7 ", "-3", "1.5", "many", "0b11")),
+    *(("double", text) for text in ("1e3", "1_000.5", "nan", "inf", "x")),
+    *(("short", "0x10"), ("std::vector<int>", "0x10,2"), ("std::vector<int>", "1,x")),
+]
+
+
+@pytest.mark.parametrize(("kind", "text"), READINGS)
+def test_a_default_is_read_as_a_parameter_reads_it_or_it_is_a_note(
+    kind: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    configuration = f'<rtc:ConfigurationSet><rtc:Configuration rtc:name="p" rtc:type="{kind.replace("<", "&lt;")}"'
+    configuration += f' rtc:defaultValue="{text}"/></rtc:ConfigurationSet>'
+    assert arm(tmp_path, f"{OPENING}{BASIC}{configuration}</rtc:RtcProfile>") == 0
+    said = capsys.readouterr().err
+    bare = kind.removeprefix("std::vector<").removesuffix(">")
+    zero = {"bool": False, "double": 0.0}.get(bare, 0)
+    parameter: Any = type("Read", (Component,), {"p": Param(zero)})()
+    expected, doubtful = [], False
+    for part in text.split(",") if "vector" in kind else [text]:
+        try:
+            value = parameter.params.check({"p": part})["p"]
+        except ConfigurationError:
+            value = math.nan
+        doubtful = doubtful or not math.isfinite(value)
+        expected.append(value if math.isfinite(value) else zero)
+    (found,) = (one.default for one in description(tmp_path / "RTC.xml").parameters)
+    assert found == (tuple(expected) if "vector" in kind else expected[0])
+    assert type(found) is (tuple if "vector" in kind else type(zero))
+    assert ("RTC.xml:5: p: default" in said) is doubtful
+
+
+@pytest.mark.parametrize(
+    ("inside", "said"),
+    [
+        (
+            '<rtc:ConfigurationSet>\n<rtc:Configuration rtc:name="k" rtc:type="int"/>\n'
+            '<rtc:Configuration rtc:name="k" rtc:type="int"/></rtc:ConfigurationSet>',
+            "RTC.xml:7: k: is given twice (first in line 6)",
+        ),
+        (
+            '<rtc:DataPorts rtc:portType="DataInPort" rtc:name="a" rtc:type="RTC::TimedDouble"/>\n'
+            '<rtc:DataPorts rtc:portType="DataInPort" rtc:name="a" rtc:type="RTC::TimedDouble"/>',
+            "RTC.xml:6: a: is given twice (first in line 5)",
+        ),
+        (
+            '<rtc:ServicePorts rtc:name="s">'
+            '<rtc:ServiceInterface rtc:direction="Provided" rtc:name="i" rtc:type="I"/>\n'
+            '<rtc:ServiceInterface rtc:direction="Provided" rtc:name="i" rtc:type="I"/></rtc:ServicePorts>',
+            "RTC.xml:6: i: is given twice (first in line 5)",
+        ),
+    ],
+)
+def test_what_is_given_twice_is_said_with_both_lines(
+    inside: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert arm(tmp_path, f"{OPENING}{BASIC}{inside}</rtc:RtcProfile>") == 2
+    err = capsys.readouterr().err
+    assert f"E-OPENRTM: {tmp_path}/{said}" in err
+
+
+@pytest.mark.parametrize("default", ["20", "much"])
+def test_a_default_outside_its_constraint_costs_the_constraint_alone(
+    default: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = WHOLE.replace('rtc:defaultValue="2.5"', f'rtc:defaultValue="{default}"')
+    if default == "much":
+        text = text.replace("<rtc:Literal>0<", "<rtc:Literal>1<")
+    name = f"arm_{default}"
+    assert arm(tmp_path, text, name) == 0
+    assert "its constraint is left out" in capsys.readouterr().err
+    gain = made_of(tmp_path, name)("arm0").params["gain"].spec
+    assert gain.default == (20.0 if default == "20" else 0.0)
+
+
+DIO = """<rtc:DataPorts rtc:portType="DataInPort" rtc:name="DIO" rtc:type="RTC::TimedULong"/>
+<rtc:DataPorts rtc:portType="DataOutPort" rtc:name="DIO" rtc:type="RTC::TimedULong"/>
+<rtc:ConfigurationSet><rtc:Configuration rtc:name="AI" rtc:type="int" rtc:defaultValue="1"/></rtc:ConfigurationSet>
+<rtc:DataPorts rtc:portType="DataInPort" rtc:name="AI" rtc:type="RTC::TimedDouble"/>"""
+
+
+def test_an_in_port_and_an_out_port_of_one_name_are_told_apart(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert arm(tmp_path, f"{OPENING}{BASIC}{DIO}</rtc:RtcProfile>") == 0
+    assert "RTC.xml:6: there is an in-port 'DIO', too; the out-port is 'DIO_out' here" in capsys.readouterr().err
+    assert not [one for one in check(tmp_path / "arm" / "system.toml") if one.severity == "error"]
+    done = ran(tmp_path / "arm", "aiorts", "run", "system.toml", "--simulate", "--for", "1", "--control=off")
+    assert "Traceback" not in done

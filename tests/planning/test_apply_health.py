@@ -130,6 +130,15 @@ MEANT: dict[str, Callable[[Wanted], Wanted]] = {
     "samples are left out": lambda now: with_options(now, 0, push="skip", skip=1),
     "a longer buffer": lambda now: with_options(now, 0, length=8),
     "not active": lambda now: with_context(now, replace(now.contexts["writing"], activate=False)),
+    "the writer is in no context": lambda now: with_context(now, replace(now.contexts["writing"], members=())),
+    "one between is in no context": lambda now: with_context(now, replace(now.contexts["passing"], members=())),
+    "the reader is in no context": lambda now: with_context(now, replace(now.contexts["sinking"], members=())),
+    "the writer runs on events alone": lambda now: with_context(
+        now, replace(now.contexts["writing"], kind="event", options=MappingProxyType({}))
+    ),
+    "the context of the writer is stopped": lambda now: replace(
+        now, contexts=MappingProxyType({name: one for name, one in now.contexts.items() if name != "writing"})
+    ),
 }
 
 

@@ -81,7 +81,7 @@ def test_it_is_made_anew_when_the_plan_is_taken_back(tmp_path: Path) -> None:
             before = kernel.components["camera"]
             with pytest.raises(ApplyError, match="dark") as refused:
                 await kernel.apply(wanted(load(a_system(tmp_path, "camera", "Failing"))))
-            assert refused.value.not_undone == ()
+            assert refused.value.not_undone == ("camera: was made anew: what it held in attributes is lost",)
             now = kernel.components["camera"]
             assert now is not before
             assert type(now) is type(before)

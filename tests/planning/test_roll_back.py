@@ -181,7 +181,7 @@ def test_who_does_not_park_is_finalized_before_its_replacement_is_made(kind: str
             log.clear()
             applied = await kernel.apply(wanted(load(files(kind, worse=True))), window=1.0)
             assert not applied.done
-            assert applied.notes == ()
+            assert applied.notes == ("keeper: was made anew: what it held in attributes is lost",)
             again = kernel.components["keeper"]
             assert again is not camera
             assert type(again) is type(camera)

@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -371,9 +372,9 @@ async def test_a_foreign_thread_that_cannot_wake_a_waiting_reader_is_told_at_onc
             await asyncio.to_thread(source.out.write_nowait, long(1))
         [connector] = source.out.connectors
         assert connector.statistics.balanced
-        assert unread_of(connector) == 1  # it lies there, nobody was woken
+        assert connector.statistics.written == unread_of(connector) == 0
         source.out.write_nowait(long(2))
-        assert (await asyncio.wait_for(reading, 5.0)).data == (1 if transport_of(connector).room > 1 else 2)
+        assert (await asyncio.wait_for(reading, 5.0)).data == 2
         sink.inp.drain()
         await asyncio.to_thread(source.out.write_from_thread, long(3))  # what it says is to be done
         assert (await asyncio.wait_for(sink.inp.read(), 5.0)).data == 3
@@ -394,7 +395,57 @@ async def test_a_foreign_thread_cannot_wake_an_event_context_and_is_told(anyio_b
         with pytest.raises(ThreadError, match=r"sink\.inp: "):
             await asyncio.to_thread(source.out.write_nowait, long(1))
         source.out.write_nowait(long(2))
-        await reached(lambda: sink.seen == 2)
+        await reached(lambda: sink.seen == 1)
+
+
+WRITES: dict[str, Callable[[OutPort[TimedLong]], object]] = {
+    "write_nowait": lambda out: out.write_nowait(long(1)),
+    "write in another loop": lambda out: asyncio.run(asyncio.wait_for(out.write(long(1)), 1.0)),
+}
+MORE: list[dict[str, Any]] = [
+    *WAYS,
+    {"stamp": "read"},
+    {"length": 1, "full": "reject"},
+    {"length": 1, "full": "block"},
+    {"length": 0},
+    {"lifespan": 1.0},
+    {"keep_last": True},
+    {"measure": 10},
+    {"max_gap": 5.0},
+    {"convert": lambda sample: sample},
+    {"subscription": "periodic", "push_rate": 5.0},
+]
+
+
+@pytest.mark.fault("A16")
+@pytest.mark.parametrize("write", WRITES)
+@pytest.mark.parametrize("options", MORE, ids=lambda options: "-".join(options) or "default")
+@pytest.mark.parametrize("place", [0, 1, 2], ids=["the first waits", "the second waits", "the last waits"])
+async def test_a_write_that_a_foreign_thread_may_not_make_reaches_no_reader(
+    place: int, options: dict[str, Any], write: str, anyio_backend: Any
+) -> None:
+    """Of three readers one sleeps: it gets the sample with the others, or nobody does."""
+    async with Kernel() as kernel:
+        source = await kernel.add(Source())
+        sinks = [await kernel.add(Sink(f"sink{number}")) for number in range(3)]
+        connectors = [
+            await kernel.connect(source.out, sink.inp, **(options if number == place else {}))
+            for number, sink in enumerate(sinks)
+        ]
+        reading = asyncio.create_task(sinks[place].inp.read())
+        await asyncio.sleep(0)
+        try:
+            await asyncio.wait_for(asyncio.to_thread(WRITES[write], source.out), 5.0)
+            raised = None
+        except (ThreadError, WouldBlock) as error:
+            raised = error
+        written = [connector.statistics.written for connector in connectors]
+        assert written == ([0] * 3 if raised is not None else [1] * 3), raised
+        assert all(connector.statistics.balanced for connector in connectors)
+        if raised is not None:
+            assert not any(sink.inp.is_new for sink in sinks)
+        reading.cancel()
+        await asyncio.wait([reading])
 
 
 @pytest.mark.fault("A16")

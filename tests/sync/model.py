@@ -24,30 +24,22 @@ def exact(streams: Streams, _within: int | None = None) -> list[tuple[int, ...]]
 
 
 def nearest(streams: Streams, within: int | None) -> list[tuple[int, ...]]:
-    """For each stamp of the first stream the nearest of the others behind those used before, while it is known."""
+    """The stamps of the first stream that have a partner in each of the others."""
     assert within is not None
     lead, *others = streams
-    used = [-1] * len(others)
-    matches = []
-    for tm in lead:
-        chosen: list[int | None] = []
-        known = True
-        for number, stream in enumerate(others):
-            free = [one for one in stream if one > used[number] and abs(one - tm) <= within]
-            known = known and (any(one >= tm for one in free) or any(one >= tm + within for one in stream))
-            chosen.append(min(free, key=lambda one: (abs(one - tm), one), default=None))
-        out_of_reach = any(
-            one is None and stream and stream[-1] >= tm + within for one, stream in zip(chosen, others, strict=True)
-        )
-        if out_of_reach:
-            continue
-        if not known:
-            break
-        match = [one for one in chosen if one is not None]
-        assert len(match) == len(others)
-        used = match
-        matches.append((tm, *match))
-    return matches
+    partners = [pairs(lead, stream, within) for stream in others]
+    return [(tm, *(one[tm] for one in partners)) for tm in lead if all(tm in one for one in partners)]
+
+
+def pairs(leads: Sequence[int], others: Sequence[int], within: int) -> dict[int, int]:
+    """The two that are nearest to each other, then the same with those before both, and with those after both."""
+    apart = [(abs(lead - other), lead, other) for lead in leads for other in others if abs(lead - other) <= within]
+    if not apart:
+        return {}
+    _, lead, other = min(apart)
+    before = pairs([one for one in leads if one < lead], [one for one in others if one < other], within)
+    after = pairs([one for one in leads if one > lead], [one for one in others if one > other], within)
+    return {**before, lead: other, **after}
 
 
 def latest(streams: Streams, within: int | None) -> list[tuple[int, ...]]:

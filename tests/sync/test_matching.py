@@ -13,6 +13,7 @@ from aiorts.sync.matching import POLICIES, Matching
 from campaign import cases
 from sync.model import MODELS, check_order, rising
 
+PAST = 1000
 STREAMS = st.lists(st.lists(st.integers(0, 60), max_size=25), min_size=2, max_size=4)
 
 
@@ -71,6 +72,37 @@ def test_each_policy_matches_what_it_says(
     assert MODELS[policy](streams, within) == matches
 
 
+@settings(max_examples=cases(10_000), deadline=None)
+@given(STREAMS, st.integers(0, 12), st.integers(0, 1 << 30))
+def test_no_match_of_nearest_ones_is_given_out_before_it_is_known(
+    streams: list[list[int]], within: int, seed: int
+) -> None:
+    matching = Matching(len(streams), "nearest", within, 1000)
+    early = fed(matching, interleaved(streams, seed))
+    ended = [[*rising(stream), PAST] for stream in streams]
+    assert early == MODELS["nearest"](ended, within)[: len(early)]
+    for number, stream in enumerate(ended):
+        if stream[:-1]:
+            going_on = [*ended]
+            going_on[number] = [*stream[:-1], stream[-2] + 1, PAST]
+            assert early == MODELS["nearest"](going_on, within)[: len(early)]
+
+
+def stamps(period: int, count: int, offset: int = 0, lost: tuple[int, ...] = ()) -> list[int]:
+    return [period * number + offset for number in range(1, count + 1) if number not in lost]
+
+
+@pytest.mark.parametrize("offset", [1, -1, 40, -40])
+@pytest.mark.parametrize("lost_of_lead", [(), (7,)])
+def test_one_lost_sample_loses_one_match(offset: int, lost_of_lead: tuple[int, ...]) -> None:
+    streams = [stamps(100, 12, lost=lost_of_lead), stamps(100, 12, offset, lost=(3,))]
+    for seed in range(20):
+        found = fed(Matching(2, "nearest", 110, 100), interleaved(streams, seed))
+        left = [100 * number for number in range(1, 13) if number != 3 and number not in lost_of_lead]
+        assert found[:9] == [(tm, tm + offset) for tm in left][:9]
+        assert all(abs(other - tm) == abs(offset) for tm, other in found)
+
+
 def test_every_sample_is_counted_by_what_became_of_it() -> None:
     matching = Matching(2, "nearest", 2, 3)
     order = [(0, 10), (0, 9), (0, 10), (1, 4), (1, 11), (0, 30), (1, 50), (0, 60), (0, 70), (0, 80), (0, 90)]
@@ -90,6 +122,8 @@ def test_any_streams_match_as_in_the_model_in_whatever_order_they_come(
     policy: str, streams: list[list[int]], within: int, unlimited: bool, seed: int
 ) -> None:
     limit = None if policy == "exact" or (policy == "latest" and unlimited) else within
+    if policy == "nearest":  # which is known of all of them once each port is past them
+        streams = [[*stream, PAST] for stream in streams]
     matching = Matching(len(streams), policy, limit, 1000)
     matches = fed(matching, interleaved(streams, seed))
     assert matches == MODELS[policy]([rising(stream) for stream in streams], limit)

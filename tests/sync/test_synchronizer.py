@@ -203,6 +203,8 @@ def test_the_same_samples_give_the_same_matches_in_any_context_and_order(policy:
     for case in range(cases(500)):
         draw = random.Random(case)
         streams = [sorted(draw.sample(range(60), draw.randrange(30))) for _ in range(3)]
+        if policy == "nearest":  # which is known of all of them once each port is past them
+            streams = [[*stream, 1000] for stream in streams]
         for seed in (2 * case, 2 * case + 1):
 
             async def main(clock: SimulatedClock, seed: int = seed, streams: list[list[int]] = streams) -> Any:

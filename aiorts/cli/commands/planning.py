@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import click
 
-from aiorts import exits
+from aiorts import Catalogue, exits
 from aiorts.cli.commands.live.showing import timeout_option
 from aiorts.cli.commands.live.target import complete_kernels, kernels
 from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
@@ -18,6 +18,7 @@ from aiorts.cli.console.output import say, say_json
 from aiorts.errors import LimitError, SystemFileError
 from aiorts.model.wanted.carried import carried
 from aiorts.model.wanted.plan import plan
+from aiorts.planning import without_provenance
 from aiorts.system import AS_WRITTEN, Choices, Wanted, check, load, prepare, wanted
 
 _FILE: Final = click.Path(dir_okay=False, path_type=Path)
@@ -58,8 +59,8 @@ def plan_command(
             found = running.kernel(live.rstrip("/")).client.call("plan", timeout, wanted=parts)
     elif live is None and new is not None:
         file = new
-        before = wanted_of(old, (), AS_WRITTEN, plugins)
-        found = plan(before, wanted_of(file, changes, choices, plugins)).to_plain()
+        both = wanted_of(old, (), AS_WRITTEN, plugins), wanted_of(file, changes, choices, plugins)
+        found = plan(*(without_provenance(one, Catalogue(one.plugin_paths)) for one in both)).to_plain()
     else:
         raise click.UsageError("give two files, or one file and --live KERNEL")
     check_steps(found["steps"], file, changes, choices, plugins)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, Final
 
@@ -49,8 +52,8 @@ def design_of(found: ComponentDescription, name: str) -> tuple[Design, list[str]
         ConfigurationError: it has what no component can have; says where.
     """
     notes = list(found.notes)
-    used = {*IMPORTED, pascal(name)}
-    ports = [_port(one, used, notes) for one in found.ports]
+    used = {*IMPORTED, pascal(name), *(one.name for one in found.parameters)}
+    ports = [_port(one, used, notes) for one in _told_apart(found.ports, notes)]
     used |= {one.type for _, one in ports}
     params = tuple(_parameter(one, notes) for one in found.parameters)
     used |= {one.name for one in params}
@@ -83,6 +86,21 @@ def design_of(found: ComponentDescription, name: str) -> tuple[Design, list[str]
     return made, notes
 
 
+def _told_apart(ports: Sequence[PortDescription], notes: list[str]) -> Iterator[PortDescription]:
+    """The ports, an out-port with the name of an in-port renamed: all ports of a component have names of their own."""
+    ins = {one.name for one in ports if one.direction == "in"}
+    taken = {one.name for one in ports}
+    for one in ports:
+        if one.direction == "out" and one.name in ins:
+            words = chain(("_out",), (f"_out{number}" for number in count(2)))
+            name = next(other for word in words if (other := one.name + word) not in taken)
+            taken.add(name)
+            notes.append(f"{one.where}: there is an in-port {one.name!r:.80}, too; the out-port is {name!r:.90} here")
+            yield replace(one, name=name)
+        else:
+            yield one
+
+
 def _port(one: PortDescription, used: set[str], notes: list[str]) -> tuple[str, Port]:
     try:
         cls = find_type(one.type)
@@ -101,14 +119,19 @@ def _parameter(one: ParameterDescription, notes: list[str]) -> Parameter:
         if name in IMPORTED:
             raise ConfigurationError(f"parameter {name}: is the name of a class that is used; choose another")
         made = Parameter(name, one.default, _line(one.unit), _line(one.doc), one.constraint, one.widget)
-        try:
-            made.declared()
-        except DeclarationError as error:
-            if not one.widget:
-                raise
-            made = Parameter(name, one.default, _line(one.unit), _line(one.doc), one.constraint)
-            made.declared()
-            notes.append(f"{one.where}: {_cause(error)}; it is left out")
+        for left_out in ("widget", "constraint"):
+            try:
+                made.declared()
+                break
+            except DeclarationError as error:
+                if not (one.widget or one.constraint):
+                    raise
+                if not getattr(made, left_out):
+                    continue
+                what = "it" if left_out == "widget" else "its constraint"
+                notes.append(f"{one.where}: {_cause(error)}; {what} is left out")
+                made = replace(made, **{left_out: ""})
+        made.declared()
     except AiortsError as error:
         raise ConfigurationError(f"{one.where}: {_cause(error)}") from None
     return made

@@ -9,6 +9,7 @@ way; nothing on these paths asks again.
 from __future__ import annotations
 
 from functools import partial
+from threading import get_ident
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 
 from anyio import WouldBlock
@@ -58,7 +59,9 @@ class OutPort(Port[T]):
         "_shapes",
         "_shared",
         "_stale",
+        "_thread",
         "_thread_writes",
+        "_unlocked",
         "stamp",
     )
 
@@ -105,6 +108,10 @@ class OutPort(Port[T]):
         """The direct transports with full = block."""
         self._shapes: tuple[tuple[Port[Any], tuple[int, ...]], ...] = ()
         """Shapes that a sample must have, and which port says so: this one or a reader."""
+        self._unlocked: tuple[Receiver, ...] = ()
+        """The receivers without a lock, whose readers are woken on the loop alone."""
+        self._thread = 0
+        """The thread of that loop, where there is such a receiver."""
         self._thread_writes: ThreadWrites | None = None
         """What foreign threads wrote; None before the first did."""
 
@@ -149,16 +156,22 @@ class OutPort(Port[T]):
                 sample.
             PortTypeError: the sample is not of the port's type or shape; nothing was sent.
             RecordError: a field of a dataclass is not what it says; nothing was sent.
-            ThreadError: called in a foreign thread, which cannot wake a reader that sleeps; the sample lies unread.
+            ThreadError: called in a foreign thread, which cannot wake a reader that sleeps; nothing was sent.
         """
         if sample.__class__ is self._class:
             queue = self._fast
             if len(queue) < self._room:
+                if self._receiver.notify_enabled:  # type: ignore[union-attr] # set where there is room
+                    if get_ident() != self._receiver.thread:  # type: ignore[union-attr]
+                        raise self._receiver.cannot_wake()  # type: ignore[union-attr]
+                    queue.append(sample)
+                    self._sent += 1
+                    self._receiver.wake()  # type: ignore[union-attr]
+                    return True
                 queue.append(sample)
                 self._sent += 1
-                if self._receiver.notify_enabled:  # type: ignore[union-attr] # set where there is room
-                    self._receiver.notify()  # type: ignore[union-attr]
                 return True
+            return self._write_checked(sample)
         return self._write_general(sample)
 
     async def write(self, sample: T) -> bool:
@@ -183,15 +196,22 @@ class OutPort(Port[T]):
         if sample.__class__ is self._class:
             queue = self._fast
             if len(queue) < self._room:
+                if self._receiver.notify_enabled:  # type: ignore[union-attr] # set where there is room
+                    if get_ident() != self._receiver.thread:  # type: ignore[union-attr]
+                        raise self._receiver.cannot_wake()  # type: ignore[union-attr]
+                    queue.append(sample)
+                    self._sent += 1
+                    self._receiver.wake()  # type: ignore[union-attr]
+                    return True
                 queue.append(sample)
                 self._sent += 1
-                if self._receiver.notify_enabled:  # type: ignore[union-attr] # set where there is room
-                    self._receiver.notify()  # type: ignore[union-attr]
                 return True
         if self._stale:
             self._update_fast_path()
         if sample.__class__ is not self._class:
             sample = self._checked(sample)
+        if get_ident() != self._thread and self._unlocked:
+            self._check_can_wake()
         if (self._blocking or self._others) and self._without_room() is not None:
             return await self._write_waiting(sample)
         return self._deliver(sample)
@@ -273,9 +293,21 @@ class OutPort(Port[T]):
             self._update_fast_path()
         if sample.__class__ is not self._class:
             sample = self._checked(sample)
+        return self._write_checked(sample)
+
+    def _write_checked(self, sample: T) -> bool:
+        """Send a sample that is as it travels, by the paths that are chosen."""
+        if get_ident() != self._thread and self._unlocked:
+            self._check_can_wake()
         if (self._blocking or self._others) and self._without_room() is not None:
             self._raise_unless_awaited()
         return self._deliver(sample)
+
+    def _check_can_wake(self) -> None:
+        """Raise ThreadError where this thread, which is not the loop's, would have to wake a reader of the loop."""
+        for receiver in self._unlocked:
+            if receiver.notify_enabled:
+                raise receiver.cannot_wake()
 
     def _without_room(self) -> Connector | None:
         """A connector that a write would have to wait for."""
@@ -345,7 +377,7 @@ class OutPort(Port[T]):
         self._sent += 1
         for receiver in notified:
             if receiver.notify_enabled:
-                receiver.notify()
+                receiver.wake()
         for transport in self._others:
             done &= transport.offer(sample)
         return done
@@ -494,6 +526,8 @@ class OutPort(Port[T]):
         self._fan = tuple(way[:4] for way in ways if way[3].tokens is None)
         self._merged = tuple(way for way in ways if way[3].tokens is not None)
         self._others = tuple(transport for transport in transports if transport not in direct)
+        self._unlocked = tuple(transport.receiver for transport in transports if transport.receiver.lock is None)
+        self._thread = self._unlocked[0].thread if self._unlocked else 0
         first: Any
         last: Any
         if not connectors:

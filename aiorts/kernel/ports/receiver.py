@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 
 _PULL: Final = Dataflow.PULL
 _THE_READER: Final = (
-    "the reader, which sleeps on the kernel's loop, and the sample lies unread; "
-    "write with port.write_from_thread(sample)"
+    "the reader, which sleeps on the kernel's loop, and nothing was sent; write with port.write_from_thread(sample)"
 )
 _THE_WRITER: Final = "the writer, which waits on the kernel's loop for room, and nothing was read; read on that loop"
 
@@ -416,11 +415,14 @@ class Receiver:
             ThreadError: called in another thread than the loop's, which would wake nobody; it stays enabled.
         """
         if get_ident() != self.thread:
-            raise self._cannot_wake(_THE_READER)
+            raise self.cannot_wake()
+        self.wake()
+
+    def wake(self) -> None:
+        """`notify` in the loop's thread."""
         self.notify_enabled = False
-        waiter = self.waiter
-        if waiter is not None:
-            self.waiter = None
+        if self.waiter is not None:
+            waiter, self.waiter = self.waiter, None
             if not waiter.done():
                 waiter.set_result(None)
         callback = self.callback
@@ -479,6 +481,10 @@ class Receiver:
         """Raise ThreadError when a read in this thread would let a writer in and could not wake it."""
         if self.lock is None and get_ident() != self.thread and any(one.waiting for one in self.transports):
             raise self._cannot_wake(_THE_WRITER)
+
+    def cannot_wake(self) -> ThreadError:
+        """The error of a write in a thread that cannot wake the reader."""
+        return self._cannot_wake(_THE_READER)
 
     def _cannot_wake(self, whom: str) -> ThreadError:
         thread = current_thread().name

@@ -22,6 +22,7 @@ from aiorts.model.policy import Stamp
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.timing import ConnectorTimes
 from aiorts.model.values import shown
+from aiorts.model.wanted.ordering import ordered
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.host import KernelSide
@@ -149,6 +150,21 @@ def unpark(connector: Connector) -> None:
         in_._receiver.refresh()
     out._connectors = _after(out.connectors, connector, out._connectors)
     out._refresh()
+
+
+def arrange(port: Port[Any], connectors: Sequence[Connector]) -> None:
+    """Put the connectors of a data port in this order; others come behind them."""
+    shown = port.connectors
+    line = tuple(ordered(shown, connectors))
+    if line == shown:
+        return
+    if isinstance(port, InPort):
+        with port._receiver.guard():
+            port._connectors = line + port._connectors[len(shown) :]
+            port._receiver.refresh()
+    elif isinstance(port, OutPort):
+        port._connectors = line + port._connectors[len(shown) :]
+        port._refresh()
 
 
 def renewed_profile(connector: Connector, options: Mapping[str, Any]) -> ConnectorProfile:

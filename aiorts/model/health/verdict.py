@@ -1,7 +1,8 @@
 """Whether a system does worse after a change than before it: pure, from the window before and the window after.
 
 What a change is meant to do is no fault of it. Where it has lowered the rate of a context, or taken away what an
-in-port was fed by, less is expected of all that is downstream; and nothing of a component that is not active.
+in-port was fed by, less is expected of all that is downstream; and nothing of a component that is not active, or that
+it has taken out of its contexts. Samples that such a component would have read are no losses.
 
 What the machine does to a system is no fault of a change either. Overruns that it is to blame for do not count. Where
 it took more of the time than before, backlogs follow, and what is late by them cannot be told from what is late by
@@ -49,11 +50,12 @@ class Unhealthy:
         return f"{self.name}: {self.text}"
 
 
-def verdict(before: Window, after: Window, new: Collection[str] = ()) -> Unhealthy | None:
+def verdict(before: Window, after: Window, new: Collection[str] = (), ended: Collection[str] = ()) -> Unhealthy | None:
     """What is worse in the window after a change than in the one before it; None: nothing, or too little was counted.
 
     Args:
         new: components that the change has made or replaced: for any other, to be in error as before is no worse.
+        ended: components that contexts ran before the change, and that it has taken out of all of them.
     """
     for name, why in after.errors.items():
         if name in new or name not in before.errors:
@@ -72,6 +74,8 @@ def verdict(before: Window, after: Window, new: Collection[str] = ()) -> Unhealt
             text = f"{late} of {ran.ticks} ticks overran in {seconds:g} s, and {late_before} of {was.ticks} before"
             return Unhealthy("overruns", name, text)
     for name, one in after.edges.items():
+        if _component(one.target) in ended:
+            continue
         had = before.edges.get(name, _NO_SAMPLES)
         if _too_many(one.dropped, one.written, had.dropped, *lengths, 0.0) and (
             not after.stalled or _too_many(one.dropped, one.written, had.dropped, *lengths, _at_once(one, after, taken))
@@ -80,7 +84,7 @@ def verdict(before: Window, after: Window, new: Collection[str] = ()) -> Unhealt
             return Unhealthy("drops", name, f"{lost}, and {had.dropped} of {had.written} before")
     if taken > BUSY or after.stalled > BUSIEST:
         return None
-    return _slower(before, after, *lengths)
+    return _slower(before, after, ended, *lengths)
 
 
 _NO_TICKS: Final = ContextCounts()
@@ -103,7 +107,7 @@ def _at_once(edge: EdgeCounts, window: Window, taken: float) -> float:
     return seen if paced else max(taken, seen)
 
 
-def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealthy | None:
+def _slower(before: Window, after: Window, ended: Collection[str], now_ns: int, then_ns: int) -> Unhealthy | None:
     """The first edge that is too slow."""
     expected: Mapping[str, float] | None = None
     for name, one in after.edges.items():
@@ -111,7 +115,7 @@ def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealt
         if had is None or had.written < SAMPLES or 100 * one.written * then_ns >= SLOWEST * had.written * now_ns:
             continue
         if expected is None:  # for few, since most systems are healthy
-            expected = _expected(before, after)
+            expected = _expected(before, after, ended)
         due = had.written * now_ns / then_ns * expected.get(_component(one.source), 1.0)
         if due >= SAMPLES and 100 * one.written < SLOWEST * due:
             now, then = one.written * 1e9 / now_ns, had.written * 1e9 / then_ns
@@ -119,14 +123,15 @@ def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealt
     return None
 
 
-def _expected(before: Window, after: Window) -> dict[str, float]:
+def _expected(before: Window, after: Window, ended: Collection[str]) -> dict[str, float]:
     """For components of which less is expected, the part of what they wrote before: from 0 to 1."""
-    found = dict.fromkeys(after.idle, 0.0)
-    rates = _rates(before)
-    for name, rate in _rates(after).items():
-        was = rates.get(name, 0.0)
-        if was > 0.0 and rate < was:
-            found[name] = min(found.get(name, 1.0), rate / was)
+    found = dict.fromkeys((*after.idle, *ended), 0.0)
+    rates, without = _rates(before)
+    rates_now, without_now = _rates(after)
+    for name in {name for one in after.contexts.values() for name in one.members}:
+        was, rate = rates.get(name, 0.0), rates_now.get(name, 0.0)
+        if rate < was or without_now[name] < without[name]:
+            found[name] = min(found.get(name, 1.0), rate / was if was else 0.0)
     for one in after.contexts.values():
         if one.left_out > 0:
             share = 1.0 - one.left_out / max(one.ticks, one.left_out)
@@ -139,13 +144,16 @@ def _expected(before: Window, after: Window) -> dict[str, float]:
     return found
 
 
-def _rates(window: Window) -> dict[str, float]:
-    """The highest rate of the contexts of each component; 0 where none has one."""
+def _rates(window: Window) -> tuple[dict[str, float], Counter[str]]:
+    """The rates of the contexts of each component together, and in how many it is that have none."""
     rates: dict[str, float] = {}
+    without: Counter[str] = Counter()
     for one in window.contexts.values():
-        for name in one.members:
-            rates[name] = max(rates.get(name, 0.0), one.rate or 0.0)
-    return rates
+        if one.rate is None:
+            without.update(one.members)
+        else:
+            rates.update({name: rates.get(name, 0.0) + one.rate for name in one.members})
+    return rates, without
 
 
 def _starved(before: Window, after: Window) -> list[str]:

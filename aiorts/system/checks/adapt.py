@@ -49,6 +49,10 @@ def _told(
         for port, written in ((out, proposed.source), (in_, proposed.target))
         if port.path in proposed.guessed
     )
+    guess += "".join(
+        f"# {what} is made of a text: one that is no value of it puts the filter into error\n"
+        for what in proposed.texts
+    )
     replaced = f"in place of connections[{connection.number}]"
     if len(connection.ports) > 2:
         replaced = f'and take "{in_.path}" out of connections[{connection.number}]'

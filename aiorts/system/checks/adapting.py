@@ -76,7 +76,8 @@ class _Work:
         plain = replace(entry, options=MappingProxyType(options))
         try:
             pairs = self._pairs(plain)
-            filters = [self._filter(out, in_) for (_, out), (_, in_) in pairs]
+            adapt = self._found.profiles[entry.number][1]["adapt"]
+            filters = [self._filter(out, in_, adapt) for (_, out), (_, in_) in pairs]
         except AiortsError as error:
             self._refuse(entry, error)
             return
@@ -121,13 +122,13 @@ class _Work:
             return None if known is None else known.ports.get(port)
         raise WiringError(f"the ports of {name} are known only when it runs; put a {FILTER} of your own between them")
 
-    def _filter(self, out: OutPort[Any], in_: InPort[Any]) -> Between | None:
+    def _filter(self, out: OutPort[Any], in_: InPort[Any], adapt: bool | str) -> Between | None:
         """What is to be put between two ports; None where they fit, or nothing is known that does it."""
         if next(pair_faults(out, in_), None) is None:
             return None
         if FILTER not in self._found.catalogue.extensions("components"):
             raise PluginError(f"no plugin offers the type {FILTER!r}, which joins them; install a plugin that does")
-        between = plain_between(out, in_)
+        between = plain_between(out, in_, adapt)
         return between if between is not None and is_accepted(self._found.catalogue, between) else None
 
     def _insert(self, between: Between, out: OutPort[Any], in_: InPort[Any]) -> str:

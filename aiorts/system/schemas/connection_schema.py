@@ -115,7 +115,11 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     "fan_out": {**_whole(1, MAX_LENGTH), "description": "Connectors that the out-port takes at the most."},
     "connection_limit": {**_whole(-1, MAX_LENGTH), "description": "Connectors of each port at the most; -1 is any."},
     "allow_duplicate": {**_YES, "default": False, "description": "A second connector between the same two ports."},
-    "adapt": {**_YES, "default": False, "description": "Put a FlexiFilter between ports that do not fit."},
+    "adapt": {
+        "anyOf": [*_YES["anyOf"], {"type": "string", "pattern": r"^\s*[tT][eE][xX][tT]\s*$"}],
+        "default": False,
+        "description": 'Put a FlexiFilter between ports that do not fit; "text": also one that makes numbers of texts.',
+    },
 }
 """By key. What `Kernel.connect` takes, and OpenRTM's words for the same values."""
 _KEPT: Final = ("data_type", "interface_type", "buffer_type", "marshaling_type", "thread_type")

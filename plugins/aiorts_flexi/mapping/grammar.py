@@ -4,9 +4,9 @@
     entry := in [":" pin] ">" [ mult [off] ">" ] out [":" pin]
 
 `in` and `out` are port numbers; a pin is a number (0 when missing) or a field path such as `position.x`. `mult` is a
-decimal with optional sign and exponent, `off` the same with its sign required; of two readings the longer number wins,
-so `0>1e3>0` is a factor of 1000 and `0>1-5e3>0` is x - 5000. Blanks are allowed beside "," and ">" only. Every other
-character that does not fit is an error with its place.
+decimal with optional sign and exponent, or a fraction such as `5/9`, `off` the same with its sign required; of two
+readings the longer number wins, so `0>1e3>0` is a factor of 1000 and `0>1-5e3>0` is x - 5000. Blanks are allowed beside
+"," and ">" only. Every other character that does not fit is an error with its place.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from fractions import Fraction
 
 from aiorts.errors import ConfigurationError
 from aiorts_flexi.common.place import TypedTextError
@@ -25,12 +26,15 @@ _QUOTED = 60
 _NUMBER = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _PORT = re.compile(r"[0-9]{1,6}")
 _PIN = re.compile(r"[0-9]{1,9}|[A-Za-z_]\w*(?:\.[A-Za-z_]\w*|\[-?[0-9]{1,9}\])*")
-_MULT = re.compile(rf"[+-]?{_NUMBER}")
-_OFF = re.compile(rf"[+-]{_NUMBER}")
+_FRACTION = r"[0-9]+/0*[1-9][0-9]*"
+_MULT = re.compile(rf"[+-]?(?:{_FRACTION}|{_NUMBER})")
+_OFF = re.compile(rf"[+-](?:{_FRACTION}|{_NUMBER})")
+_DECIMAL = re.compile(rf"[+-]?{_NUMBER}")
 _BLANKS = re.compile(r"[ \t\r\n]*")
 
 Pin = int | str
-Number = int | float
+Number = int | float | Fraction
+"""A `Fraction` makes the result exact: it is rounded once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +72,9 @@ def parse_map(text: str) -> tuple[Entry, ...]:
         scanner.symbol(",", "a comma or the end")
 
 
-def parse_number(text: str, where: str) -> Number:
+def parse_number(text: str, where: str) -> int | float:
     """Parse a decimal number: an int when written as one. ConfigurationError for other texts and infinite floats."""
-    if _MULT.fullmatch(text) is None or len(text) > _LONGEST_NUMBER:
+    if _DECIMAL.fullmatch(text) is None or len(text) > _LONGEST_NUMBER:
         raise ConfigurationError(f"{where}: expected a decimal number such as -1.5e3, got {text[:_QUOTED]!r}")
     if text.lstrip("+-").isdecimal():
         return int(text)
@@ -120,7 +124,7 @@ class _Scanner:
     def number(self, pattern: re.Pattern[str]) -> Number | None:
         place = self.place
         found = self.take(pattern)
-        return None if found is None else parse_number(found, f"map, character {place + 1}")
+        return None if found is None else _number(found, f"map, character {place + 1}")
 
     def error(self, expected: str) -> TypedTextError:
         return TypedTextError("map", self.text, self.place, f"expected {expected}")
@@ -160,19 +164,27 @@ def _factor(scanner: _Scanner) -> tuple[Number | None, Number | None]:
         scanner.place = place
         return None, None
     where = f"map, character {place + 1}"
-    mult = parse_number(found, where)
-    off = None if with_offset is None else parse_number(with_offset, where)
+    mult = _number(found, where)
+    off = None if with_offset is None else _number(with_offset, where)
     scanner.symbol(">", "'>'")
     scanner.blanks()
     return mult, off
 
 
+def _number(text: str, where: str) -> Number:
+    if "/" not in text:
+        return parse_number(text, where)
+    if len(text) > _LONGEST_NUMBER:
+        raise ConfigurationError(f"{where}: expected a fraction such as 5/9, got {text[:_QUOTED]!r}")
+    return Fraction(text)
+
+
 def _number_text(number: Number) -> str:
-    return repr(number)
+    return f"{number.numerator}/{number.denominator}" if isinstance(number, Fraction) else repr(number)
 
 
 def _offset_text(off: Number | None) -> str:
     if off is None:
         return ""
-    text = repr(off)
+    text = _number_text(off)
     return text if text.startswith("-") else f"+{text}"

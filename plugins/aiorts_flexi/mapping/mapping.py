@@ -11,13 +11,14 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as ReadOnlyMap
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Any, Final
 
 from aiorts.errors import ConfigurationError, ConversionError, RecordError
 from aiorts.types import convert, describe, has_tm, with_tm
 from aiorts_flexi.common.place import TypedTextError
 from aiorts_flexi.common.ports import PortSpec
-from aiorts_flexi.mapping.grammar import Entry, parse_map, parse_number
+from aiorts_flexi.mapping.grammar import Entry, Number, parse_map, parse_number
 from aiorts_flexi.mapping.pins import holder, reader, with_values
 
 COMBINE: Final = ("", "sum", "min", "max", "newest")
@@ -199,7 +200,10 @@ class Mapping:
             return value
         number = self._without_nan(convert(value, "f64")) if isinstance(value, str) else value
         try:
-            result = number * entry.mult + (entry.off or 0)
+            if isinstance(entry.mult, Fraction) or isinstance(entry.off, Fraction):
+                result = _exactly(number, entry.mult, entry.off or 0)
+            else:
+                result = number * entry.mult + (entry.off or 0)
         except OverflowError:
             result = math.copysign(math.inf, number) * math.copysign(1.0, entry.mult)
         if isinstance(result, float) and math.isinf(result) and math.isfinite(number):
@@ -360,6 +364,14 @@ def _port(specs: Sequence[PortSpec], number: int, word: str) -> PortSpec:
         names = ", ".join(spec.name for spec in specs[:20]) or "none"
         raise ConfigurationError(f"there is no {word} {number}; there are {names}")
     return specs[number]
+
+
+def _exactly(number: float, mult: Number, off: Number) -> float:
+    """The number times a factor, and an offset, rounded once; a whole number stays one where the result is whole."""
+    if not math.isfinite(number):
+        return number * float(mult) + float(off)
+    exact = Fraction(number) * Fraction(mult) + Fraction(off)
+    return exact.numerator if isinstance(number, int) and exact.denominator == 1 else float(exact)
 
 
 def _newest(found: Sequence[tuple[Any, int | None]]) -> tuple[Any, int | None]:

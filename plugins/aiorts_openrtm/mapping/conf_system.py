@@ -41,6 +41,8 @@ _ACTS: Final = frozenset(
 )
 _OF_COMPONENTS: Final = ("conf.", "configuration.", "exec_cxt.", "execution_contexts", "ec.", "port.")
 _EC: Final = re.compile(r"\s*([\w.]+)\s*(?:\(\s*([\w.-]*)\s*\))?\s*")
+_COMMA: Final = re.compile(r",(?![^()]*\))")
+_OF_TWO: Final = re.compile(r"([\w.-]+\.[\w-]+)\s*:\s*([\w.-]+\.[\w-]+)\s*(?:\(([^()]*)\))?")
 _USUAL_TYPE: Final = "PeriodicExecutionContext"
 _USUAL_RATE: Final = "1000"
 _USUAL_FORMAT: Final = "%h.host_cxt/%n.rtc"
@@ -396,11 +398,15 @@ class _Reader:
     def _connectors(self, components: list[_Component]) -> Iterator[Element]:
         entry = self._entry("manager.components.preconnect")
         kinds = {one.name: one.type for one in components}
-        for text in entry.items:
-            head, _, query = text.partition("?")
+        for text in _connections_in(entry.value):
+            head, _, query = _of_two(text).partition("?")
             pairs = [part.partition("=")[::2] for part in query.split("&") if part]
             ports = [value.strip() for key, value in pairs if re.fullmatch(r"port\d*", key.strip())]
             options = {key.strip(): value.strip() for key, value in pairs if not re.fullmatch(r"port\d*", key.strip())}
+            if not ports and (kind := options.get("interface_type", "corba_cdr")) != "corba_cdr":
+                what = f"{text!r:.80}: a port without a partner, of the interface {kind!r:.40}; nothing here acts on it"
+                self._notes.append(Note(entry.where, what))
+                continue
             if not ports:
                 raise OpenRTMError(f"{entry.where}: {text!r:.80}: expected A.out?port=B.in&KEY=VALUE")
             for port in ports:
@@ -455,6 +461,20 @@ class _Reader:
                 first = key.partition(".")[0]
                 what = "nothing here acts on it" if first in _OF_MANAGERS else "no component that is made here"
                 self._notes.append(Note(entry.where, f"{key} = {entry.value!r:.60}: {what}"))
+
+
+def _connections_in(text: str) -> Iterator[str]:
+    """The connections of a list; a comma within parentheses is between the options of one."""
+    return (part.strip() for part in _COMMA.split(text) if part.strip())
+
+
+def _of_two(text: str) -> str:
+    """A connection as `A.out?port=B.in&KEY=VALUE`, also where it is written `A.out:B.in(KEY=VALUE)`, as in 1.1."""
+    found = _OF_TWO.fullmatch(text)
+    if found is None:
+        return text
+    options = [part.strip() for part in re.split("[&,]", found[3] or "") if part.strip()]
+    return f"{found[1]}?{'&'.join((f'port={found[2]}', *options))}"
 
 
 def _of_uri(text: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any, Final
 from aiorts.description import ComponentDescription, ParameterDescription, PortDescription, ServiceDescription
 from aiorts_openrtm.errors import OpenRTMError
 from aiorts_openrtm.mapping.context_kinds import kind_of
-from aiorts_openrtm.mapping.values import typed
+from aiorts_openrtm.mapping.values import kind_of_word, typed
 from aiorts_openrtm.profiles.rtc_profile import RtcParameter, RtcProfile, RtcServicePort
 
 _VECTOR: Final = re.compile(r"(?:std::)?vector<\s*([\w: ]+?)\s*>")
@@ -24,7 +24,9 @@ def description(path: Path) -> ComponentDescription:
         MissingExtra: what reads XML is not installed.
     """
     profile = RtcProfile.read(path)
-    return ComponentDescription(
+    notes: list[str] = []
+    parameters = tuple(_parameter(one, notes) for one in profile.parameters)
+    found = ComponentDescription(
         profile.name,
         profile.description,
         tuple(
@@ -32,35 +34,50 @@ def description(path: Path) -> ComponentDescription:
             for one in profile.data_ports
             if (direction := one.direction) != "event"
         ),
-        tuple(map(_parameter, profile.parameters)),
+        parameters,
         tuple(service for port in profile.service_ports for service in _services(port)),
         profile.rate,
-        tuple(_notes(profile)),
+        (*notes, *_notes(profile)),
     )
+    _check_distinct(found)
+    return found
 
 
-def _parameter(one: RtcParameter) -> ParameterDescription:
-    value = _value(one)
+def _check_distinct(found: ComponentDescription) -> None:
+    """OpenRTMError for two parameters, two ports of one direction, or two services of one name: says on which lines."""
+    lines: dict[tuple[str, str], str] = {}
+    for sort, name, where in (
+        *((one.direction, one.name, one.where) for one in found.ports),
+        *(("parameter", one.name, one.where) for one in found.parameters),
+        *(("service", f"{one.port}.{one.name}", one.where) for one in found.services),
+    ):
+        if (sort, name) in lines:
+            raise OpenRTMError(
+                f"{where}: {name.rpartition('.')[2]}: is given twice (first in line {lines[sort, name]})"
+            )
+        lines[sort, name] = where.rpartition(":")[2]
+
+
+def _parameter(one: RtcParameter, notes: list[str]) -> ParameterDescription:
+    value = _value(one, notes)
     return ParameterDescription(one.name, value, one.unit, one.doc, one.constraint, one.widget, one.where)
 
 
-def _value(one: RtcParameter) -> Any:
+def _value(one: RtcParameter, notes: list[str]) -> Any:
     """The default, of the parameter's type; a text for a type that is not known, as all is in OpenRTM."""
     if (vector := _VECTOR.fullmatch(one.type.strip())) and one.default.strip():
-        return tuple(_plain(one, vector[1], part) for part in one.default.split(","))
-    return _plain(one, one.type, one.default)
+        return tuple(_plain(one, vector[1], part, notes) for part in one.default.split(","))
+    return _plain(one, one.type, one.default, notes)
 
 
-def _plain(one: RtcParameter, kind: str, text: str) -> Any:
+def _plain(one: RtcParameter, kind: str, text: str, notes: list[str]) -> Any:
+    here = kind_of_word(kind)
     value = typed(text, kind)
-    if not isinstance(value, str):
+    if here is None or not isinstance(value, str):
         return value
-    zero = next((zero for zero in (typed("0", kind), typed("false", kind)) if not isinstance(zero, str)), "")
-    if isinstance(zero, str):
-        return text
     if text.strip():
-        raise OpenRTMError(f"{one.where}: {one.name}: default {one.default!r:.80} is no {one.type}")
-    return zero
+        notes.append(f"{one.where}: {one.name}: default {text.strip()!r:.80} is no {kind}; it is {here()} here")
+    return here()
 
 
 def _services(port: RtcServicePort) -> Iterator[ServiceDescription]:

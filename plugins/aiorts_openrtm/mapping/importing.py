@@ -103,8 +103,8 @@ class _Importer:
         params, sets = self._sets(one)
         active = one.active if one.active not in ("", DEFAULT) else ""
         if active and active not in sets:
-            self._notes.append(Note(one.where, f"{name}: no configuration set {active!r:.60}, which is to be active"))
-            active = ""
+            what = f"no configuration set {active!r:.60} stands here, which is to be active; its class has to have it"
+            self._notes.append(Note(one.where, f"{name}: {what}"))
         supervision = extra(one.properties, "supervision", dict, one.where, self._notes)
         options = extra(one.properties, "options", list, one.where, self._notes) or []
         return ComponentEntry(

@@ -3,38 +3,54 @@
 from __future__ import annotations
 
 import math
-import re
+from collections.abc import Mapping
+from functools import cache
 from typing import Any, Final
 
 from aiorts import Component, Param
-from aiorts.errors import AiortsError
+from aiorts.errors import AiortsError, ConfigurationError
 
-_WHOLE: Final = re.compile(r"[+-]?\d{1,18}")
 _WHOLE_TYPES: Final = frozenset(
     {
         *("int", "short", "long", "long long", "unsigned short", "unsigned long", "unsigned int", "octet"),
         *("int8_t", "int16_t", "int32_t", "int64_t", "uint8_t", "uint16_t", "uint32_t", "uint64_t"),
     }
 )
-_FLOAT_TYPES: Final = frozenset({"float", "double", "long double"})
-_BOOL_TYPES: Final = frozenset({"bool", "boolean"})
+_KINDS: Final[Mapping[str, type[bool] | type[int] | type[float]]] = {
+    **dict.fromkeys(_WHOLE_TYPES, int),
+    **dict.fromkeys(("float", "double", "long double"), float),
+    **dict.fromkeys(("bool", "boolean"), bool),
+}
+"""By OpenRTM's name of a type, what its values are here; all others are texts."""
+_LONGEST: Final = 100
 
 
 def typed(text: str, kind: str) -> Any:
-    """The value that a text is, of a type as OpenRTM calls it; the text itself where it is none of that type."""
-    word = " ".join(kind.split()).lower()
-    bare = text.strip()
-    if word in _WHOLE_TYPES and _WHOLE.fullmatch(bare):
-        return int(bare)
-    if word in _FLOAT_TYPES and len(bare) <= 40:
-        try:
-            number = float(bare)
-        except ValueError:
-            return text
-        return number if math.isfinite(number) else text
-    if word in _BOOL_TYPES and bare.lower() in ("true", "false"):
-        return bare.lower() == "true"
-    return text
+    """The value that a text is, of a type as OpenRTM calls it; the text itself where it is none of that type.
+
+    It is read as a parameter of that type reads what `--set` gives it.
+    """
+    here = kind_of_word(kind)
+    if here is None or len(text) > _LONGEST:
+        return text
+    try:
+        value = _parameter_of(here.__name__).params.check({"value": text})["value"]
+    except ConfigurationError:
+        return text
+    return value if math.isfinite(value) else text
+
+
+def kind_of_word(kind: str) -> type[bool] | type[int] | type[float] | None:
+    """The class of the values of a type, by OpenRTM's name of it; None for texts."""
+    return _KINDS.get(" ".join(kind.split()).lower())
+
+
+@cache
+def _parameter_of(kind: str) -> Component:
+    """A component with one parameter of this type: "bool", "int" or "float"."""
+    zero = {"bool": False, "int": 0, "float": 0.0}[kind]
+    made: Component = type("Read", (Component,), {"value": Param(zero)})()
+    return made
 
 
 def text_of(value: Any) -> str:
