@@ -118,7 +118,7 @@ async def test_injected_samples_arrive_and_take_no_place() -> None:
         lines = ["1", '{"data": 2.5, "tm": 7}']
         with await opened("into") as client:
             said = await asyncio.to_thread(lambda: client.call("inject", port="narrow.in", lines=lines))
-            assert said == {"written": 2, "refused": 0}
+            assert (said["written"], said["refused"], said["dropped"]) == (2, 0, {})
             assert narrow.in_.connectors == ()
             assert len(kernel.connectors) == 1
             await kernel.connect("counter0.out", "narrow.in")
@@ -145,7 +145,44 @@ async def test_a_full_reader_refuses_and_is_counted(full: str) -> None:
                     "inject", WAIT, port="narrow.in", lines=["1"] * 5, length=2, full=full, timeout=0.01
                 )
             )
-    assert said == {"written": 2, "refused": 3}
+    assert said == {"written": 2, "refused": 3, "dropped": {}, "unread": 2}
+
+
+@pytest.mark.parametrize(
+    ("words", "active", "status", "said"),
+    [
+        ((), True, 0, {"written": 1, "refused": 0, "dropped": {}}),
+        ((), False, 1, {"written": 1, "refused": 0, "dropped": {"inactive": 1}}),
+        (("--timeout", "0.1"), True, 1, {"written": 1, "refused": 0, "dropped": {"lost": 1}}),
+        (("--no-wait",), True, 0, {"written": 1, "refused": 0, "dropped": {}}),
+    ],
+    ids=["delivered", "inactive", "lost", "not waited"],
+)
+async def test_the_command_waits_until_its_samples_are_delivered_and_says_what_is_lost(
+    capsys: pytest.CaptureFixture[str], words: tuple[str, ...], active: bool, status: int, said: dict[str, Any]
+) -> None:
+    """The reader's next cycle comes 0.5 s later."""
+    async with controlled("slow") as kernel:
+        narrow = await kernel.create(Narrow, "narrow")
+        await kernel.start(PeriodicContext(rate=2.0, name="second"), narrow, activate=active)
+        found, text = await commanded(capsys, "inject", "narrow.in", "1.5", "--json", *words)
+        assert (found, json.loads(text)) == (status, said)
+        if not words and active:
+            assert narrow.seen == [1.5]
+
+
+async def test_an_inject_with_other_options_loses_nothing_of_the_one_before() -> None:
+    async with controlled("others") as kernel:
+        narrow = await kernel.create(Narrow, "narrow")
+        await kernel.start(PeriodicContext(rate=5.0, name="second"), narrow, activate=True)
+        with await opened("others") as client:
+            for length in (2, 3, 2):
+                await asyncio.to_thread(
+                    lambda length=length: client.call("inject", port="narrow.in", lines=[str(length)], length=length)
+                )
+            last = await asyncio.to_thread(lambda: client.call("inject", WAIT, port="narrow.in", lines=[], wait=5.0))
+    assert last == {"written": 0, "refused": 0, "dropped": {}, "unread": 0}
+    assert narrow.seen == [2.0, 3.0, 2.0]
 
 
 async def test_what_a_session_injects_by_ends_with_it() -> None:
@@ -229,13 +266,13 @@ async def test_a_file_is_checked_as_a_whole_before_the_first_write_and_a_pipe_by
                 source = os.fdopen(read)
             with source as stdin:
                 monkeypatch.setattr(sys, "stdin", stdin)
-                status, said = await commanded(capsys, "inject", "narrow.in", "--length", "200", "--json")
+                status, said = await commanded(capsys, "inject", "narrow.in", "--length", "200", "--json", "--no-wait")
             if wrong:
                 before = "no" if kind == "file" else r"\d\d"
                 assert status == 2
                 assert re.search(rf"narrow.in: line 101: .*; {before} samples were written before", said)
             else:
-                assert (status, json.loads(said)) == (0, {"written": 99, "refused": 0})
+                assert (status, json.loads(said)) == (0, {"written": 99, "refused": 0, "dropped": {}})
 
 
 async def test_some_fields_and_some_samples_are_printed(capsys: pytest.CaptureFixture[str]) -> None:

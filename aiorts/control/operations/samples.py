@@ -7,8 +7,9 @@ and no end of a run waits for it. Its losses are its own, and counted.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
@@ -29,8 +30,10 @@ if TYPE_CHECKING:
 _LINES: Final = 1_000
 """Lines that one call may inject."""
 _LOOK: Final = 0.005
-_LOOKS: Final = 200
-"""How often it is looked whether injected samples have come to another process."""
+_ARRIVE: Final = 1.0
+"""Seconds that injected samples have to come to another process."""
+_REFUSED: Final = ("rejected", "timeout")
+"""Reasons of drops that the writer was told of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +91,8 @@ class Injected:
     """The number of the first line, for what is wrong with one."""
     check: bool = False
     """Only check them."""
+    wait: float = 0.0
+    """Seconds until all that this session has written to the port must be delivered or dropped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +102,10 @@ class Written:
     written: int
     refused: int
     """The reader's buffer was full, also after `timeout`."""
+    dropped: Mapping[str, int]
+    """By reason, what was dropped after it was written, of all samples of this session to the port."""
+    unread: int
+    """Of these, the samples that the reader has not taken: they are lost when the session ends."""
 
 
 class _Sample(Made):
@@ -177,8 +186,10 @@ def _schema(_: Session, given: TypeNamed) -> TypeSchema:
     return TypeSchema(wire_name(cls), schema_text(cls))
 
 
-_INJECTORS: Final[WeakKeyDictionary[Session, dict[str, tuple[Injected, Connector]]]] = WeakKeyDictionary()
-"""Of each session, the connectors it injects by, by in-port."""
+_Way: TypeAlias = tuple[str, int, str, float | None]
+"""An in-port, and the options of a connector to it: length, full, timeout."""
+_INJECTORS: Final[WeakKeyDictionary[Session, dict[_Way, Connector]]] = WeakKeyDictionary()
+"""The connectors by which a session injects: one for each in-port and its options."""
 
 
 async def _inject(session: Session, given: Injected) -> Written:
@@ -192,7 +203,7 @@ async def _inject(session: Session, given: Injected) -> Written:
         raise RecordError(f"inject: {len(given.lines)} lines; at most {_LINES} in a call")
     samples = _read(in_, given, session.kernel.time_ns())
     if given.check:
-        return Written(0, 0)
+        return Written(0, 0, {}, 0)
     connector = _injector(session, in_, given)
     written = 0
     for sample in samples:
@@ -203,19 +214,29 @@ async def _inject(session: Session, given: Injected) -> Written:
                 await connector.out.write(sample)
                 written += 1
             except WriteTimeout:
-                return Written(written, len(samples) - written)
+                break
         else:
             written += connector.out.write_nowait(sample)
-    await _arrived(connector)
-    return Written(written, len(samples) - written)
+    ours = _injectors_at(session, given.port)
+    await _taken(ours, given.wait or (_ARRIVE if connector.profile.far_end else 0.0))
+    dropped: Counter[str] = Counter()
+    for one in ours:
+        dropped.update({why: n for why, n in one.statistics.dropped.items() if n and why not in _REFUSED})
+    return Written(written, len(samples) - written, dict(dropped), sum(map(_unread, ours)))
 
 
-async def _arrived(connector: Connector) -> None:
-    """Wait, for a short time, until the process of the in-port has what was written: the client may end now."""
-    for _ in range(_LOOKS if connector.profile.far_end else 0):
-        found = connector.statistics
-        if connector.closed or not (found.buffered or found.in_flight):
-            return
+def _unread(connector: Connector) -> int:
+    """The samples that are written, and neither delivered nor dropped."""
+    found = connector.statistics
+    return 0 if connector.closed else found.buffered + found.in_flight
+
+
+async def _taken(connectors: Sequence[Connector], within: float) -> None:
+    """Wait until these connectors have delivered or dropped all their samples, or so many seconds have passed."""
+    loop = asyncio.get_running_loop()
+    until = loop.time() + within
+    # It is looked again and again: a read notifies nobody, which would cost each one.
+    while any(map(_unread, connectors)) and loop.time() < until:  # noqa: ASYNC110
         await asyncio.sleep(_LOOK)
 
 
@@ -231,19 +252,21 @@ def _read(in_: InPort[Any], given: Injected, now_ns: int) -> list[Any]:
 
 
 def _injector(session: Session, in_: InPort[Any], given: Injected) -> Connector:
-    """The connector of this session to an in-port: the one that it has, or another where its options are others."""
-    own = _INJECTORS.setdefault(session, {})
-    before, connector = own.get(given.port, (None, None))
+    """The connector of this session to an in-port with these options."""
+    own, way = _INJECTORS.setdefault(session, {}), (given.port, given.length, given.full, given.timeout)
+    connector = own.get(way)
+    if connector is not None and not connector.closed and connector.in_ is in_:
+        return connector
     options: Mapping[str, Any] = {"length": given.length, "full": given.full, "timeout": given.timeout}
-    if before is not None and connector is not None and not connector.closed and connector.in_ is in_:
-        if (before.length, before.full, before.timeout) == (given.length, given.full, given.timeout):
-            return connector
-        connector.close()
     made = session.kernel.service(Tools).inject(session.who, in_, options)
     session.keep(_when_removed(session, given.port, lambda _: made.close()))
     session.keep(made.close)
-    own[given.port] = (given, made)
+    own[way] = made
     return made
+
+
+def _injectors_at(session: Session, port: str) -> list[Connector]:
+    return [connector for (at, *_), connector in _INJECTORS.get(session, {}).items() if at == port]
 
 
 def _when_removed(session: Session, path: str, call: Callable[[str], object]) -> Callable[[], None]:

@@ -158,7 +158,8 @@ def _number(value: Any) -> float | None:
     "--full", type=click.Choice(["reject", "overwrite", "block"]), default="block", help="When there is no room."
 )
 @click.option("--length", type=click.IntRange(min=1), default=8, help="Samples that wait for the reader.")
-@timeout_option(5.0, "Wait S seconds for room")
+@click.option("--no-wait", is_flag=True, help="End at once: what the reader has not taken by then is lost.")
+@timeout_option(5.0, "Wait S seconds for room, and at the end until all is delivered")
 @json_option("Print the counts as one JSON document.")
 def inject(
     port: str,
@@ -167,10 +168,11 @@ def inject(
     count: int | None,
     full: str,
     length: int,
+    no_wait: bool,
     timeout: float,
     as_json: bool,
 ) -> int:
-    """Write samples to an in-port of what runs.
+    """Write samples to an in-port of what runs; exit status 1 when one of them was refused, dropped or lost.
 
     VALUE is JSON: the data of the sample, or {"data": ..., "tm": ...}. Without VALUE, JSON lines are read from standard
     input until it ends. VALUE and a file are checked against the type of the port as a whole before the first sample is
@@ -182,6 +184,7 @@ def inject(
       aiorts print plant0.output | aiorts inject logger0.input
     """
     written = refused = 0
+    dropped: dict[str, int] = {}
     with kernels(changing=True) as found:
         client, path, field = _port(found.find(port), port)
         if field:
@@ -200,11 +203,17 @@ def inject(
                     break
         except RecordError as error:
             raise RecordError(f"{error}; {written or 'no'} samples were written before") from None
+        if written and not no_wait:
+            last = client.call("inject", timeout + 5.0, lines=[], wait=timeout, **how)
+            dropped = {**last["dropped"], **({"lost": last["unread"]} if last["unread"] else {})}
     if as_json:
-        say_line({"written": written, "refused": refused})
+        say_line({"written": written, "refused": refused, "dropped": dropped})
     elif refused:
         report("W-DROPPED", f"{path}: {refused} samples were refused, since the reader's buffer was full")
-    return exits.FAILED if refused else exits.DONE
+    for why, number in () if as_json else dropped.items():
+        text = f"not read within {timeout:g} s, and lost" if why == "lost" else f"dropped ({why})"
+        report("W-DROPPED", f"{path}: {number} of {written} samples were {text}")
+    return exits.FAILED if refused or dropped else exits.DONE
 
 
 def _constant(value: str, rate: float | None, count: int | None) -> Iterator[tuple[int, list[str]]]:
