@@ -437,10 +437,12 @@ class _Move:
                 unread.setdefault((port, writer), []).extend(samples)
             return is_all_sent
 
-        await self._wait_for("what was written to it to arrive", has_all_come)
-        for connector, made in self._fed:
-            key = made.in_.name, str(self._links.path_of(connector.out))
-            put_in_front(made, [unpacked(one) for one in unread.get(key, ())])
+        try:
+            await self._wait_for("what was written to it to arrive", has_all_come)
+        finally:  # what was taken out is in no buffer: it goes on here, or is passed on when the move is taken back
+            for connector, made in self._fed:
+                key = made.in_.name, str(self._links.path_of(connector.out))
+                put_in_front(made, [unpacked(one) for one in unread.get(key, ())])
 
     async def finish(self) -> None:
         """The links of the old one end, once the other ends have said that they have all."""

@@ -15,7 +15,6 @@ from aiorts.links.layout import difference, layout_of
 from aiorts.links.messages import Answer, LinkRequest, fields, versions_of
 from aiorts.links.reader_link import ReaderLink, reader_options
 from aiorts.links.transport import LinkOffer
-from aiorts.links.writer_link import WriterLink
 from aiorts.model.links import READ, WRITE, versions
 from aiorts.model.links.negotiation import LinkEvent
 from aiorts.model.names import Path
@@ -128,7 +127,9 @@ class Answering:
         if offer.schema != schema:
             raise WiringError(f"types differ: {difference(offer.type_text, text) or 'their hashes differ'}")
         if end is None or not _is_end(end.connector.in_, found):
-            self._ends.check_made(offer.writer)
+            if any(map(self._ends.was_given_up, self._names(offer, caller))):
+                raise WiringError(f"{offer.reader}: was disconnected before this offer came, which it had asked for")
+            self._ends.check_made(offer.writer, found.path)
             end = self._new_reader(replace(offer, writer=writer), found)
             end.negotiation.is_stale(epoch, offer.number)
         self._ends.offered.put(key, end)  # which may have had another name there
@@ -136,11 +137,14 @@ class Answering:
         return Answer(number=self._number, epoch=end.link.end.epoch), end
 
     def _expected(self, offer: LinkOffer, caller: Caller) -> LinkEnd[ReaderLink] | None:
-        """The reader's end that expects this offer, with the writer's host in its path or without."""
+        """The reader's end that expects this offer."""
+        return next(filter(None, map(self._ends.expected.get, self._names(offer, caller))), None)
+
+    def _names(self, offer: LinkOffer, caller: Caller) -> list[tuple[str, str]]:
+        """Writer and reader of an offer, with the writer's host in its path and without."""
         hosts = ("",) if caller.peer is None else ("", caller.peer.host)
         reader = str(replace(offer.reader, host="", kernel=self._links.reached_as))
-        names = [(str(replace(offer.writer, host=host)), reader) for host in hosts]
-        return next(filter(None, map(self._ends.expected.get, names)), None)
+        return [(str(replace(offer.writer, host=host)), reader) for host in hosts]
 
     def _is_of(self, end: LinkEnd[Any], caller: Caller) -> bool:
         """Whether the other end is in the kernel that asks."""
@@ -179,12 +183,12 @@ class Answering:
         if not isinstance(found, OutPort):
             raise WiringError(f"{request.writer}: is no out-port")
         full = replace(reader, host=self._links.reach.host_of(caller.peer))
-        for end in self._ends.at(reader.component):
-            if isinstance(end.link, WriterLink) and _is_end(end.connector.out, found) and end.far in (reader, full):
-                end.on(LinkEvent.WANTED)
-                return Answer()
+        end = self._ends.between(found, full) or self._ends.between(found, reader)
+        if end is not None:
+            end.on(LinkEvent.WANTED)
+            return Answer()
         try:
-            self._ends.check_made(reader)
+            self._ends.check_made(reader, found.path)
             with self._connecting():
                 self._links.kernel.connections.make((found, str(full)), request.options)
         except AiortsError as error:

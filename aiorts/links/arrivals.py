@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from aiorts.links.kernels import Kernels
     from aiorts.links.transport import Caller, Peer
 
-_AWAITED: Final = 10_000
-"""Components that are not there whose coming other kernels are told of."""
+_AWAITED: Final = 1_000
+"""Components that are not there whose coming one other kernel is told of."""
 _UNTOLD: Final = 1_000
 """Links that ended while the other kernel was away, of which it is told, at the most."""
 _SECONDS: Final = 2.0
@@ -39,6 +39,8 @@ class Arrivals:
         self._links = links
         self._awaited: dict[str, set[Peer]] = {}
         """Components that are not there, and the kernels that want to connect to them."""
+        self._waits: dict[Peer, set[str]] = {}
+        """The same by kernel."""
         self._making = False
         self._starting: set[str] = set()
         """Components that were made and do not run yet."""
@@ -51,16 +53,24 @@ class Arrivals:
             port = kernel.registry.port(asked)
         except WiringError as error:
             caller.check(right, asked)  # before it is told what there is
-            if path.component in kernel.components or caller.peer is None or len(self._awaited) >= _AWAITED:
+            if path.component in kernel.components or not self._await(path.component, caller.peer):
                 raise
-            self._awaited.setdefault(path.component, set()).add(caller.peer)
             return Answer(absent=str(error))
         caller.check(right, port.path)  # that of a composite has the name that it has in its member
         # What is written to it would be dropped; what it writes must have a way; calls are answered in any state.
-        if caller.peer is not None and isinstance(port, InPort) and self._is_coming(path.component):
-            self._awaited.setdefault(path.component, set()).add(caller.peer)
+        is_coming = isinstance(port, InPort) and self._is_coming(path.component)
+        if is_coming and self._await(path.component, caller.peer):
             return Answer(absent=f"{path.component} is being started")
         return port
+
+    def _await(self, component: str, peer: Peer | None) -> bool:
+        """Tell this kernel when the component comes; False: none asks, or it waits for too many."""
+        waits = () if peer is None else self._waits.setdefault(peer, set())
+        if peer is None or (len(waits) >= _AWAITED and component not in waits):
+            return False
+        self._waits[peer].add(component)
+        self._awaited.setdefault(component, set()).add(peer)
+        return True
 
     def _is_coming(self, component: str) -> bool:
         """Whether it does not run yet. One that is being added is about to be connected by who adds it."""
@@ -89,8 +99,11 @@ class Arrivals:
 
     def gone(self, peer: Peer) -> None:
         """Another kernel waits no more."""
-        for peers in self._awaited.values():
-            peers.discard(peer)
+        for component in self._waits.pop(peer, ()):
+            peers = self._awaited[component]
+            peers.remove(peer)
+            if not peers:
+                del self._awaited[component]
 
     def _state_changed(self, event: StateChanged) -> None:
         if event.new is LifecycleState.ACTIVE and event.component in self._starting:
@@ -103,6 +116,10 @@ class Arrivals:
     def _wake(self, component: str) -> None:
         """Have the kernels ask again that wait for it."""
         for peer in self._awaited.pop(component, ()):
+            waits = self._waits[peer]
+            waits.remove(component)
+            if not waits:
+                del self._waits[peer]
             self._links.run(self._tell(peer, component), "aiorts link")
 
     async def _tell(self, peer: Peer, component: str) -> None:

@@ -202,7 +202,7 @@ class Links(KernelService):
             writer.on(LinkEvent.PRESENT)
         if isinstance(connector.out, FarOutPort) and (not for_others or connector.out.far.kernel in carried):
             reader = self._read_end(connector, own=True)
-            self.ends.expected.put((str(reader.far), reader.reader_path()), reader)
+            self.ends.expect((str(reader.far), reader.reader_path()), reader)
             reader.on(LinkEvent.PRESENT)
 
     def _read_end(self, connector: Connector, *, own: bool = False) -> LinkEnd[ReaderLink]:

@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Generic, TypeAlias, TypeVar
 
-from aiorts.errors import AiortsError, LinkError, StateError, WiringError
+from aiorts.errors import AiortsError, LinkError, StateError, WiringError, format_error
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.ports.connector import unread_of
 from aiorts.kernel.ports.far import FarInPort, FarOutPort
@@ -33,7 +33,7 @@ from aiorts.observe import Introspection
 
 if TYPE_CHECKING:
     from aiorts.kernel.loop.timers import Cancellable
-    from aiorts.kernel.ports import InPort
+    from aiorts.kernel.ports import InPort, Port
     from aiorts.kernel.ports.connector import Connector
     from aiorts.links.arrivals import Departures
     from aiorts.links.kernels import Kernels
@@ -51,6 +51,10 @@ _BY_ONE: Final = 10_000
 """Connectors of this kernel that another one may have made."""
 _BY_ALL: Final = 20_000
 """Connectors of this kernel that others may have made, all together."""
+_GIVEN_UP: Final = 1_000
+"""Reader's ends that were disconnected before the first answer, of which is known that their offers are late."""
+_AT_ONE: Final = 256
+"""Connectors that others may have made with one port: each takes part in every write to it."""
 Name: TypeAlias = tuple[str, str]
 Side = TypeVar("Side", bound="WriterLink | ReaderLink", covariant=True)
 
@@ -101,6 +105,8 @@ class LinkEnd(Generic[Side]):
         """The kernel that was late, and the epoch of its end."""
         self._timer: Cancellable | None = None
         self._watchers: list[asyncio.Future[None]] = []
+        self.requested = False
+        """Whether the writer's kernel was asked for an offer, and makes it or has not said that it does not."""
         self._refused_by = ""
         self._said = ""
         """The reason to wait that was logged last since it was up."""
@@ -168,7 +174,7 @@ class LinkEnd(Generic[Side]):
 
     def offered(self, offer: LinkOffer, peer: Peer | None) -> None:
         """An offer has come and was taken, as is said in the answer."""
-        self._offer, self._peer = offer, peer
+        self._offer, self._peer, self.requested = offer, peer, False
         self.on(LinkEvent.OFFER)
 
     def left(self, _link: object = None) -> None:
@@ -226,15 +232,25 @@ class LinkEnd(Generic[Side]):
     async def _asked(self, step: int) -> None:
         try:
             await self._links.reach.opened_for(self.far)
-            peer = self._peer = self._links.reach.peer_of(self.far)
+            peer = self._links.reach.peer_of(self.far)
+            if step != self.negotiation.step:
+                return None
+            self._peer = peer
             if peer is None:
                 return self._on_step(step, LinkEvent.MISSING)
             # A call of `connect` waits for the first answer, and not for thousands of links that are offered again.
             async with self._links.turn(peer) if self.first.done() else nullcontext():
                 if step == self.negotiation.step:
                     await (self._make_offer if isinstance(self.link, WriterLink) else self._request)(step, peer)
-        except LinkError as error:
-            self._on_step(step, LinkEvent.UNANSWERED, str(error))
+        except Exception as error:  # noqa: BLE001 - whatever a transport raises, a link that is not tried again is lost
+            self._on_step(step, LinkEvent.UNANSWERED, self._fault_of(error))
+        return None
+
+    def _fault_of(self, error: Exception) -> str:
+        """The text of an error; what is no LinkError is a fault of a transport, and the link is tried again as well."""
+        if not isinstance(error, LinkError):
+            _LOG.error("links: %s failed: %s", self.connector.name, format_error(error), exc_info=error)
+        return str(error) if isinstance(error, AiortsError) else format_error(error)
 
     async def _make_offer(self, step: int, peer: Peer) -> None:
         assert isinstance(self.link, WriterLink)  # noqa: S101 - a reader's end requests
@@ -258,8 +274,10 @@ class LinkEnd(Generic[Side]):
     async def _request(self, step: int, peer: Peer) -> None:
         options = chosen_options(self.connector.profile)
         request = LinkRequest(str(self.far), self.reader_path(peer), options, versions.SPOKEN)
+        self.requested = True
         answer = await self._question(peer, "request", request.to_bytes())
         if answer.absent or answer.refused:
+            self.requested = False
             self._not_now(step, answer)
         else:
             self._on_step(step, LinkEvent.PROMISED)
@@ -294,10 +312,10 @@ class LinkEnd(Generic[Side]):
         try:
             async with asyncio.timeout(_OPEN_SECONDS):
                 channel = await self._links.reach.carrier(peer).channel(offer, self.link)
-        except LinkError as error:
-            return self._on_step(step, LinkEvent.UNMADE, str(error))
         except TimeoutError:
             return self._on_step(step, LinkEvent.UNMADE, f"{self.far.kernel}: no channel within {_OPEN_SECONDS:g} s")
+        except Exception as error:  # noqa: BLE001 - as above
+            return self._on_step(step, LinkEvent.UNMADE, self._fault_of(error))
         if step != self.negotiation.step:
             channel.close()
             if peer is not None:
@@ -491,6 +509,12 @@ class Ends:
         self.offered = NamedEnds()
         """Reader's ends by the writer's host and kernel, and its name of the link."""
         self._by_component: dict[str, dict[LinkEnd[Any], None]] = {}
+        self._by_ports: dict[tuple[str, str], dict[LinkEnd[WriterLink], None]] = {}
+        """Writer's ends by their out-port and the port at the other end; several with `allow_duplicate`."""
+        self._given_up: dict[Name, None] = {}
+        """Reader's ends by writer and reader that were disconnected before the offer came that they had asked for."""
+        self._of_ports: Counter[str] = Counter()
+        """The ends that other kernels have made at each port of this one, by its path."""
         self._made: Counter[str] = Counter()
         """How many each of the other kernels has connected, by its name."""
 
@@ -498,8 +522,11 @@ class Ends:
         """There is an end."""
         (self.writers if isinstance(end.link, WriterLink) else self.readers)[end.connector] = end
         self._by_component.setdefault(end.far.component, {})[end] = None
+        if isinstance(end.link, WriterLink):
+            self._by_ports.setdefault((_port_of(end.connector.out), str(end.far)), {})[end] = None
         if not end.own:
             self._made[end.far.kernel] += 1
+            self._of_ports[_near(end)] += 1
 
     def remove(self, end: LinkEnd[Any]) -> None:
         """It has ended."""
@@ -508,8 +535,18 @@ class Ends:
         del there[end]
         if not there:
             del self._by_component[end.far.component]
+        ports = _port_of(end.connector.out), str(end.far)
+        if (between := self._by_ports.get(ports)) is not None and end in between:
+            del between[end]
+            if not between:
+                del self._by_ports[ports]
+        if end.requested and (name := self.expected.name_of(end)) is not None:
+            self._given_up[name] = None
+            if len(self._given_up) > _GIVEN_UP:
+                del self._given_up[next(iter(self._given_up))]
         if not end.own:
-            self._made -= Counter((end.far.kernel,))
+            _take_one(self._made, end.far.kernel)
+            _take_one(self._of_ports, _near(end))
         self.expected.forget(end)
         self.offered.forget(end)
 
@@ -526,7 +563,42 @@ class Ends:
         """The ends of links to a component of this name in any kernel, in the order in which they were added."""
         return tuple(self._by_component.get(component, ()))
 
-    def check_made(self, path: Path) -> None:
-        """WiringError: another kernel has connected too many ports here to connect this one, too."""
+    def between(self, out: Port[Any], far: Path) -> LinkEnd[WriterLink] | None:
+        """The writer's end from an out-port to a port of another kernel."""
+        return next(iter(self._by_ports.get((_port_of(out), str(far)), ())), None)
+
+    def expect(self, name: Name, end: LinkEnd[ReaderLink]) -> None:
+        """A reader's end asks its writer to offer, by writer and reader."""
+        self._given_up.pop(name, None)
+        self.expected.put(name, end)
+
+    def was_given_up(self, name: Name) -> bool:
+        """Whether an offer between these two ports was asked for by an end that is there no more; forgets it."""
+        return self._given_up.pop(name, name) is None
+
+    def check_made(self, path: Path, near: str) -> None:
+        """WiringError: other kernels have connected too many ports here to connect this one, too.
+
+        Args:
+            near: the path of the port of this kernel.
+        """
+        if self._of_ports[near] >= _AT_ONE:
+            raise WiringError(f"{near}: other kernels have made {_AT_ONE:,} connectors with it; no more are made")
         if self._made[path.kernel] >= _BY_ONE or self._made.total() >= _BY_ALL:
             raise WiringError(f"{path}: other kernels have made {self._made.total():,} connectors; no more are made")
+
+
+def _port_of(port: Port[Any]) -> str:
+    """The path of a port; what stands for a port of a third kernel has that one's."""
+    return str(getattr(port, "far", None) or port.elsewhere or port.path)
+
+
+def _near(end: LinkEnd[Any]) -> str:
+    return end.connector.out.path if isinstance(end.link, WriterLink) else end.connector.in_.path
+
+
+def _take_one(counts: Counter[str], name: str) -> None:
+    """Count one less, and forget what is not there any more."""
+    counts[name] -= 1
+    if not counts[name]:
+        del counts[name]

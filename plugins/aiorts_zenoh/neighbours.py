@@ -91,8 +91,7 @@ class Neighbours:
         if self._secured is None:
             return True
         return any(
-            name == there and int(source.rpartition(":")[2]) not in self._listens
-            for (source, _), there in self._links.items()
+            name == there and _port_of(source) not in self._listens for (source, _), there in self._links.items()
         )
 
     def admits_client(self, name: str, operates: bool) -> bool:
@@ -229,3 +228,9 @@ class Neighbours:
         if text not in self._said and len(self._said) < _SAID:
             self._said.add(text)
             self._report(f"zenoh: {text}")
+
+
+def _port_of(source: str) -> int:
+    """The port of an address as the engine gives it; -1 for one that has none. Metadata may stand behind it."""
+    port = source.partition("?")[0].partition("#")[0].rpartition(":")[2]
+    return int(port) if port.isdecimal() else -1

@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
+from itertools import islice
 from typing import Any, Final
 
 from aiorts.errors import DeniedError, LinkError
@@ -103,6 +104,10 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         """Those that have sent what is no message, which is said once."""
         self._gate: Gate
         self._answers: dict[tuple[str, bytes, int], asyncio.Future[tuple[bool, bytes]]] = {}
+        self._answering = 0
+        """Questions that are being answered."""
+        self._news = asyncio.Event()
+        """Set, and another one from then on, when there is another kernel."""
         """What was asked last, by who asks and its number: a question that comes twice is answered once."""
         self._ways: dict[Peer, _Way] = {}
         self._looking: asyncio.TimerHandle | None = None
@@ -248,6 +253,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         if up:
             self._ways[peer] = _Way()
             self._named[name] += 1
+            self._have_looked()
             return self.found(peer)
         del self._ways[peer]
         self._named[name] -= 1
@@ -257,6 +263,16 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         self._clocks.pop(peer, None)
         self.lost(peer, "is gone")
         return self._sessions.end(peer)
+
+    def presence(self, tell: Callable[[Peer, bool], None]) -> Callable[[], None]:
+        remove = super().presence(tell)
+        self._have_looked()
+        return remove
+
+    def _have_looked(self) -> None:
+        """Have all look again that wait for the kernel that asked them."""
+        self._news.set()
+        self._news = asyncio.Event()
 
     # -- channels --------------------------------------------------------------------------------------------------
 
@@ -423,7 +439,16 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
     def _was_asked(self, key: str, body: bytes, beside: bytes, query: Any) -> None:
         if self._closed:
             return
-        self.kernel.run_in_background(self._answer(key, body, beside, query), "aiorts answer")
+        if self._answering >= _ASKED:  # refused here and now, it costs no task
+            self.engine.reply(query, b"too many questions at the same time", good=False)
+            return
+        self._answering += 1
+        self.kernel.run_in_background(self._answer(key, body, beside, query), "aiorts answer").add_done_callback(
+            self._answered
+        )
+
+    def _answered(self, _: object) -> None:
+        self._answering -= 1
 
     async def _answer(self, key: str, body: bytes, beside: bytes, query: Any) -> None:
         name, what = asked(key)
@@ -443,13 +468,12 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
             late.set_result((False, b"it was answered, and the answer was too long to be kept"))
 
     async def _answer_of(self, name: str, what: str, body: bytes, who: bytes) -> tuple[bool, bytes]:
-        until = self.loop.time() + _MARGIN
-        while (peer := self._who(name, who)) is None or not self.is_watched:
-            if self.loop.time() > until:
-                return False, b"who asks is not known here"
-            await asyncio.sleep(_ASK_AGAIN)  # its token is on the way, or nobody here has heard of it yet
-        if len(self._answers) > _ASKED:
-            return False, b"too many questions at the same time"
+        try:
+            async with asyncio.timeout(_MARGIN):
+                while (peer := self._who(name, who)) is None or not self.is_watched:
+                    await self._news.wait()  # its token is on the way, or nobody here has heard of it yet
+        except TimeoutError:
+            return False, b"who asks is not known here"
         return await self.answer_to(what, body, Caller(peer, f"kernel {peer.host}/{peer.kernel}", self.allowed))
 
     def _give(self, peer: Peer | None, size: int, work: Callable[[], None]) -> None:
@@ -470,8 +494,8 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
                 await in_thread(work)
 
     def _forget_answers(self) -> None:
-        """Forget the oldest that were given."""
-        for key in [key for key, task in self._answers.items() if task.done()][: _ASKED // 2]:
+        """Forget those of the oldest that were given."""
+        for key in [key for key in islice(self._answers, _ASKED // 2) if self._answers[key].done()]:
             del self._answers[key]
 
     def _who(self, name: str, who: bytes) -> Peer | None:

@@ -43,7 +43,7 @@ class FileAccess:
                 "clients (aiorts run --files DIR)"
             )
         try:
-            real = os.path.realpath(path)
+            real = os.path.realpath(os.fsdecode(path))
         except ValueError as error:
             raise DeniedError(f"{where}: is no path: {error}") from None
         if os.path.commonpath((real, self.folder)) != str(self.folder):
