@@ -209,8 +209,7 @@ class Answering:
     async def _left(self, body: bytes, caller: Caller) -> bytes:
         """In the kernel that asks the other end of a link was disconnected."""
         (epoch,) = fields(body, (int,), longer=True)
-        for end in self._ends.all():
-            is_meant = end.link.end.epoch == epoch and not end.own  # its own are connected again
-            if is_meant and self._is_of(end, caller):
-                end.left()
+        end = self._ends.by_epoch.get(epoch)
+        if end is not None and not end.own and self._is_of(end, caller):  # its own are connected again
+            end.left()
         return b""

@@ -509,6 +509,7 @@ class Ends:
         self.offered = NamedEnds()
         """Reader's ends by the writer's host and kernel, and its name of the link."""
         self._by_component: dict[str, dict[LinkEnd[Any], None]] = {}
+        self.by_epoch: dict[int, LinkEnd[Any]] = {}
         self._by_ports: dict[tuple[str, str], dict[LinkEnd[WriterLink], None]] = {}
         """Writer's ends by their out-port and the port at the other end; several with `allow_duplicate`."""
         self._given_up: dict[Name, None] = {}
@@ -522,6 +523,7 @@ class Ends:
         """There is an end."""
         (self.writers if isinstance(end.link, WriterLink) else self.readers)[end.connector] = end
         self._by_component.setdefault(end.far.component, {})[end] = None
+        self.by_epoch[end.link.end.epoch] = end
         if isinstance(end.link, WriterLink):
             self._by_ports.setdefault((_port_of(end.connector.out), str(end.far)), {})[end] = None
         if not end.own:
@@ -532,7 +534,7 @@ class Ends:
         """It has ended."""
         del (self.writers if isinstance(end.link, WriterLink) else self.readers)[end.connector]
         there = self._by_component[end.far.component]
-        del there[end]
+        del there[end], self.by_epoch[end.link.end.epoch]
         if not there:
             del self._by_component[end.far.component]
         ports = _port_of(end.connector.out), str(end.far)

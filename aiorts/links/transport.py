@@ -16,6 +16,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Hashable, Sequence
 from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 
 from aiorts.errors import AiortsError, InvalidNameError, LinkError, LinkTimeout, WiringError, format_error
+from aiorts.kernel.ports.port import give_turn
 from aiorts.late import dataclass
 from aiorts.links.messages import checked, fields, packed
 from aiorts.model.links import Allowed
@@ -406,7 +407,7 @@ class BaseTransport(Generic[C]):
             give(number)
             await asyncio.wait((future,), timeout=within)
             for _ in range(0 if future.done() else _LOOKS):
-                await asyncio.sleep(0)  # where it was this end that stood still, the answer has come, and is not read
+                await give_turn()  # where it was this end that stood still, the answer has come, and is not read
             if future.done():
                 return future.result()
             raise LinkTimeout(f"{peer.kernel}: no answer within {within:g} s")

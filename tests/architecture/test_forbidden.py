@@ -52,6 +52,9 @@ BROAD_EXCEPT = {
     "aiorts/cli/runtime/component_process.py:_operate",
     # Round a plugin's transport while it is made.
     "aiorts/links/reaching.py:find_transport",
+    # Round the questions and channels of a transport, which a plugin may offer: a link that is not tried again is lost.
+    "aiorts/links/ends.py:_asked",
+    "aiorts/links/ends.py:_opened",
     # Round a sample of another kernel: its class may check values in its own way, and the next ones still come.
     "aiorts/links/call_values.py:restored",
     "aiorts/links/reader_link.py:_deliver",

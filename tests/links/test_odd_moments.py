@@ -100,33 +100,18 @@ def test_other_kernels_connect_a_bounded_number_of_times_with_one_port(monkeypat
     simulate(main())
 
 
-class Held:
-    """A transport that asks only when it is let."""
-
-    def __init__(self, transport: Any) -> None:
-        self._transport, self.let = transport, asyncio.Event()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._transport, name)
-
-    async def ask(self, *arguments: Any, **options: Any) -> Any:
-        await self.let.wait()
-        return await self._transport.ask(*arguments, **options)
-
-
 def test_a_link_that_is_disconnected_before_its_first_answer_does_not_come_up() -> None:
     async def main() -> None:
         network = MemoryNetwork()
         async with kernel_of(network, "one") as one, kernel_of(network, "two") as two:
             source, sink = await one.add(Source("source")), await two.add(Sink("sink"))
-            reach = one.service(Links).reach
-            (peer,) = reach.peers
-            held = reach.peers[peer] = Held(reach.peers[peer])  # the writer's kernel offers later
+            network.stop("one")
             connecting = asyncio.ensure_future(two.connect("one/source.out", sink.inp))
-            await until(lambda: one.service(Links).report())
+            await until(lambda: two.connectors)
+            await asyncio.sleep(0.1)  # the request is on its way
             for connector in tuple(two.connectors.values()):
                 await two.disconnect(connector)
-            held.let.set()
+            network.go("one")
             await asyncio.wait([connecting])
             await asyncio.sleep(5.0)
             assert (two.service(Links).report(), one.service(Links).report()) == ({}, {})

@@ -20,6 +20,8 @@ LOOKUPS = {
     "Ends.writers": "by connector",
     "Ends.readers": "by connector",
     "Ends._by_component": "by the component at the other end",
+    "Ends._by_ports": "by the ports at both ends",
+    "Ends.by_epoch": "by its epoch",
     "NamedEnds._ends": "by names of two parts",
 }
 """Collections of ends: what each is looked up by."""
