@@ -258,7 +258,7 @@ class ThreadDriver:
             return
         self._hurried = True
         self.give_up_blocking(tuple(self.context.runner.members))
-        cancel = self._in_real_seconds(budget.limit + budget.grace, self._abandon)
+        cancel = self.after(budget.limit + budget.grace, self._abandon)
         self.ended.add_done_callback(lambda _: cancel())
 
     def give_up_blocking(self, members: Sequence[Member]) -> None:
@@ -268,7 +268,7 @@ class ThreadDriver:
             for port in member.component.ports.values():
                 give_up_blocking(port)
 
-    def _in_real_seconds(self, seconds: float, callback: Callable[[], None]) -> Callable[[], None]:
+    def after(self, seconds: float, callback: Callable[[], None]) -> Callable[[], None]:
         """Call back on the loop; returns what cancels it. A thread takes real time, whatever the loop's clock is."""
         loop = self._kernel.loop
         if isinstance(clock_of(loop), SystemClock):

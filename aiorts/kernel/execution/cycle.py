@@ -147,6 +147,10 @@ class Driver(Protocol):
         """A stop began: hooks are limited from now on, the one that runs included."""
         ...
 
+    def after(self, seconds: float, callback: Callable[[], None]) -> Callable[[], None]:
+        """Call back on the loop after so many seconds of the time that hooks take; returns what cancels it."""
+        ...
+
     def give_up_blocking(self, members: Sequence[Member]) -> None:
         """These members are about to end: a hook that waits for data, or blocks its thread, gives up."""
         ...

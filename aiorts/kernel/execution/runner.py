@@ -376,7 +376,7 @@ class Runner:
             return lambda: None
         paused = Pause(self.kernel, driver)
         self.submit(Action(partial(self.life.pause, paused)))
-        await _first_of(budget, paused.begun, driver.ended)
+        await _first_of(budget, driver, paused.begun)
         return paused.resume
 
     async def retire(self, members: Sequence[Member], budget: StopBudget) -> None:
@@ -389,7 +389,7 @@ class Runner:
         driver.give_up_blocking(members)
         if self.inside():
             return
-        await _first_of(budget, awaited.future, driver.ended)
+        await _first_of(budget, driver, awaited.future)
         awaited.withdraw()
 
     async def end(self, budget: StopBudget) -> None:
@@ -451,9 +451,14 @@ async def _settled(kernel: KernelSide, futures: Sequence[asyncio.Future[Any]], t
             timer.cancel()
 
 
-async def _first_of(budget: StopBudget, *futures: asyncio.Future[Any]) -> None:
-    """Wait until one is done, no longer than a hook may take."""
-    await asyncio.wait(futures, timeout=budget.limit, return_when=asyncio.FIRST_COMPLETED)
+async def _first_of(budget: StopBudget, driver: Driver, done: asyncio.Future[Any]) -> None:
+    """Wait until it is done or the context has ended, no longer than a hook may take."""
+    late: asyncio.Future[None] = done.get_loop().create_future()
+    cancel = driver.after(budget.limit, partial(_resolve, late))
+    try:
+        await asyncio.wait([done, driver.ended, late], return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        cancel()
 
 
 def _resolve(future: asyncio.Future[None]) -> None:

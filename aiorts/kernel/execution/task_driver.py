@@ -191,6 +191,10 @@ class TaskDriver:
             elif self.turn is not None:
                 self.loop.call_later(budget.limit, _resolve, self.turn, False)
 
+    def after(self, seconds: float, callback: Callable[[], None]) -> Callable[[], None]:
+        """Call back after so many seconds of the loop's time; returns what cancels it."""
+        return self.loop.call_later(seconds, callback).cancel
+
     def give_up_blocking(self, members: Sequence[Member]) -> None:
         """These members are about to end: a hook of theirs that waits for a sample does so no longer."""
         for helper in self.helpers:
