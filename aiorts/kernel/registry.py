@@ -491,7 +491,7 @@ class Registry:
 
     def task_failed(self, component: Component, name: str, error: BaseException) -> None:
         """A task that a component started has failed, and no code has retrieved its exception."""
-        if isinstance(error, EndingError):
+        if issubclass(type(error), EndingError):
             return  # it waited for a sample, and its component has ended
         guarded("could not add a note", note, error, f"in task {name!r} started by component {component.name}")
         if members := tuple(cell(component).members):

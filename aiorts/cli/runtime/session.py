@@ -152,7 +152,7 @@ async def _session(run: _Run) -> int:
     def note(event: HookFailed) -> None:
         if issubclass(type(event.error), HookAbandoned):
             left.append(event)
-        elif isinstance(event.error, OutputError):
+        elif issubclass(type(event.error), OutputError):
             stopper.request(exits.FAILED)  # an end condition that counts written samples would never come
 
     kernel.bus.subscribe(HookFailed, note)

@@ -94,4 +94,5 @@ def _added(first: Mapping[str, int], second: Mapping[str, int]) -> dict[str, int
 def end_report(found: RecordingStatistics) -> dict[str, object]:
     """The counts that a recording has in its end report."""
     known = {"stored": found.stored, "dropped": dict(found.dropped), "refused": dict(found.refused)}
-    return {**known, "reasons": {name: dict(why) for name, why in found.reasons.items()}, "clamped": found.clamped}
+    reasons = {name: dict(why) for name, why in found.reasons.items()}
+    return {**known, **({"reasons": reasons} if reasons else {}), "clamped": found.clamped}
