@@ -50,7 +50,7 @@ def test_the_line_tells_how_it_goes_and_is_gone_in_the_end(folder: Path) -> None
         terminal.send(signal.SIGINT)
         assert terminal.end() == 130
     (last,) = re.findall(r"wrote \d+ in periodic 100.0", terminal.text)
-    assert shown(terminal.text) == ["ready", "stopped in event", last, ""]
+    assert shown(terminal.text) == ["ready", last, "stopped in event", ""]  # who writes ends before who reads
     lines = STATUS.findall(terminal.text)
     assert re.fullmatch(
         r"0:00:01  2 active  \d+ samples/s  0 dropped  late \d+\.\d ms at worst  \d+ overruns", lines[-1]
