@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import sys
 
-from aiorts.control import Client, entries
 from aiorts.errors import AiortsError
+from aiorts.sessions import Client, entries
 
 entry = next(one for one in entries() if one.name == sys.argv[1])
 clients: list[Client] = []

@@ -22,9 +22,9 @@ from typing import Any
 from linked_program import lines, resident  # its folder is the first where this program looks
 
 from aiorts import Component, InPort, Kernel, OutPort, Param, PeriodicContext
-from aiorts.control import Client, Entry
 from aiorts.errors import AiortsError
 from aiorts.links import Links
+from aiorts.sessions import Client, Entry
 from aiorts.types import TimedLong
 from aiorts_zenoh import Network, NetworkSettings
 from aiorts_zenoh.gateway import Gateway

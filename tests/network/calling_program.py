@@ -17,9 +17,10 @@ from pathlib import Path
 import msgpack
 import zenoh
 
-from aiorts.control import NEWEST, OLDEST, framed
 from aiorts.errors import BusyError
 from aiorts.links import Peer
+from aiorts.sessions import framed
+from aiorts.sessions.protocol import NEWEST, OLDEST
 from aiorts_zenoh import NetworkSettings
 from aiorts_zenoh.envelope import FRAME, message
 from aiorts_zenoh.keys import HELLO, INFO, ClientKeys, peer_of

@@ -9,8 +9,8 @@ import json
 import sys
 from pathlib import Path
 
-from aiorts.control import Client, entries
 from aiorts.errors import AiortsError
+from aiorts.sessions import Client, entries
 from file_parts import PLACES, WAYS
 
 entry = next(one for one in entries() if one.name == sys.argv[1])
