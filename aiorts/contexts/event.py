@@ -19,6 +19,7 @@ from aiorts.kernel.execution.context import Context
 from aiorts.kernel.execution.cycle import Wait
 from aiorts.kernel.execution.member import Member
 from aiorts.kernel.ports import InPort
+from aiorts.kernel.ports.connector import unread_at
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.kernel.ports.notified_ports import NotifiedPorts
 from aiorts.model.lifecycle import LifecycleState
@@ -216,11 +217,15 @@ class EventContext(Context):
                 due[member] = now_ns + self._every_ns
         return members
 
+    def _unread_by(self, member: EventMember) -> int:  # type: ignore[override] # as above
+        return sum(map(unread_at, member.in_ports))
+
     def _begin_last_cycle(self, member: EventMember) -> bool:  # type: ignore[override] # as above
+        member.triggered = False  # it runs for data alone
         if not member.ready or member.execute is None or not _has_cause(member):
             return False
         self._ready.remove(member)
-        member.ready = member.triggered = False
+        member.ready = False
         self.ticks += 1
         member.in_ports.begin()
         return True

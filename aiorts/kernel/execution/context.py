@@ -236,6 +236,10 @@ class Context:
         """A cycle begins now: who takes part in it."""
         return tuple(self._members)
 
+    def _unread_by(self, member: Member) -> int:
+        """The number of unread samples that a member runs for before it ends."""
+        return 0
+
     def _begin_last_cycle(self, member: Member) -> bool:
         """Begin one more cycle of a member that is about to end, for what it has to read; False: there is nothing."""
         return False

@@ -35,8 +35,6 @@ _FAULTS: Final = 3
 """Faults of the kernel's own, about no member, after each of which a context goes on; at the next it ends in order."""
 _TURNS: Final = 16
 """What others do takes several turns of the loop one after another: none of them may cost a whole long cycle."""
-_LAST_CYCLES: Final = 1_000
-"""The most cycles of a member that ends and still has data: a member that feeds itself would never end."""
 _NEVER: Final = 1 << 63
 """Nanoseconds, later than any time."""
 
@@ -458,8 +456,8 @@ class Life:
 
     def _retire(self, member: Member) -> Steps:
         context = self._context
-        for _ in range(_LAST_CYCLES):
-            if not context._begin_last_cycle(member):
+        for _ in range(context._unread_by(member)):  # no more: one that feeds itself would never end
+            if context._stopping or not context._begin_last_cycle(member):
                 break
             yield Batch(iter((member,)), first_pass)
             context._end_cycle((member,))
