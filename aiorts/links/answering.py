@@ -129,7 +129,7 @@ class Answering:
         if end is None or not _is_end(end.connector.in_, found):
             if any(map(self._ends.was_given_up, self._names(offer, caller))):
                 raise WiringError(f"{offer.reader}: was disconnected before this offer came, which it had asked for")
-            self._ends.check_made(offer.writer, found.path)
+            self._ends.check_made(offer.writer)
             end = self._new_reader(replace(offer, writer=writer), found)
             end.negotiation.is_stale(epoch, offer.number)
         self._ends.offered.put(key, end)  # which may have had another name there
@@ -188,7 +188,8 @@ class Answering:
             end.on(LinkEvent.WANTED)
             return Answer()
         try:
-            self._ends.check_made(reader, found.path)
+            self._ends.check_made(reader)
+            self._ends.check_readers(found.path)
             with self._connecting():
                 self._links.kernel.connections.make((found, str(full)), request.options)
         except AiortsError as error:

@@ -53,8 +53,8 @@ _BY_ALL: Final = 20_000
 """Connectors of this kernel that others may have made, all together."""
 _GIVEN_UP: Final = 1_000
 """Reader's ends that were disconnected before the first answer, of which is known that their offers are late."""
-_AT_ONE: Final = 256
-"""Connectors that others may have made with one port: each takes part in every write to it."""
+_READERS: Final = 256
+"""Connectors that others may have made with one out-port: each takes part in every write (2 ms with 1,000 of them)."""
 Name: TypeAlias = tuple[str, str]
 Side = TypeVar("Side", bound="WriterLink | ReaderLink", covariant=True)
 
@@ -514,8 +514,8 @@ class Ends:
         """Writer's ends by their out-port and the port at the other end; several with `allow_duplicate`."""
         self._given_up: dict[Name, None] = {}
         """Reader's ends by writer and reader that were disconnected before the offer came that they had asked for."""
-        self._of_ports: Counter[str] = Counter()
-        """The ends that other kernels have made at each port of this one, by its path."""
+        self._readers_of: Counter[str] = Counter()
+        """The writer's ends that other kernels have made at each out-port, by its path."""
         self._made: Counter[str] = Counter()
         """How many each of the other kernels has connected, by its name."""
 
@@ -528,7 +528,7 @@ class Ends:
             self._by_ports.setdefault((_port_of(end.connector.out), str(end.far)), {})[end] = None
         if not end.own:
             self._made[end.far.kernel] += 1
-            self._of_ports[_near(end)] += 1
+            self._readers_of.update(_out_of(end))
 
     def remove(self, end: LinkEnd[Any]) -> None:
         """It has ended."""
@@ -548,7 +548,8 @@ class Ends:
                 del self._given_up[next(iter(self._given_up))]
         if not end.own:
             _take_one(self._made, end.far.kernel)
-            _take_one(self._of_ports, _near(end))
+            for out in _out_of(end):
+                _take_one(self._readers_of, out)
         self.expected.forget(end)
         self.offered.forget(end)
 
@@ -578,16 +579,15 @@ class Ends:
         """Whether an offer between these two ports was asked for by an end that is there no more; forgets it."""
         return self._given_up.pop(name, name) is None
 
-    def check_made(self, path: Path, near: str) -> None:
-        """WiringError: other kernels have connected too many ports here to connect this one, too.
-
-        Args:
-            near: the path of the port of this kernel.
-        """
-        if self._of_ports[near] >= _AT_ONE:
-            raise WiringError(f"{near}: other kernels have made {_AT_ONE:,} connectors with it; no more are made")
+    def check_made(self, path: Path) -> None:
+        """WiringError: another kernel has connected too many ports here to connect this one, too."""
         if self._made[path.kernel] >= _BY_ONE or self._made.total() >= _BY_ALL:
             raise WiringError(f"{path}: other kernels have made {self._made.total():,} connectors; no more are made")
+
+    def check_readers(self, out: str) -> None:
+        """WiringError: other kernels read this out-port over too many connectors to make one more."""
+        if self._readers_of[out] >= _READERS:
+            raise WiringError(f"{out}: other kernels have made {_READERS:,} connectors with it; no more are made")
 
 
 def _port_of(port: Port[Any]) -> str:
@@ -595,8 +595,9 @@ def _port_of(port: Port[Any]) -> str:
     return str(getattr(port, "far", None) or port.elsewhere or port.path)
 
 
-def _near(end: LinkEnd[Any]) -> str:
-    return end.connector.out.path if isinstance(end.link, WriterLink) else end.connector.in_.path
+def _out_of(end: LinkEnd[Any]) -> tuple[str, ...]:
+    """The out-port of a writer's end; () for a reader's."""
+    return (end.connector.out.path,) if isinstance(end.link, WriterLink) else ()
 
 
 def _take_one(counts: Counter[str], name: str) -> None:

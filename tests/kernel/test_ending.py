@@ -258,8 +258,9 @@ async def test_a_thread_that_answers_works_until_those_that_call_have_ended() ->
     async with Kernel() as kernel:
         slow, driver = await kernel.add(Slow("slow")), await kernel.add(Driver("driver"))
         await kernel.connect(driver.r, slow.s)
-        await kernel.start(PeriodicContext(200.0), driver, activate=True)
+        context = await kernel.start(PeriodicContext(200.0), driver)  # the last started would end first, but for calls
         await kernel.start(ThreadContext(200.0), slow, activate=True)
+        await context.activate()
         await asyncio.sleep(0.1)
     assert in_error(slow, driver) == []
     assert driver.asked % 9 == 1

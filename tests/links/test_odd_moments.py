@@ -86,7 +86,7 @@ def test_one_kernel_that_waits_for_many_components_takes_no_place_of_another(mon
 
 
 def test_other_kernels_connect_a_bounded_number_of_times_with_one_port(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ends, "_AT_ONE", 3)
+    monkeypatch.setattr(ends, "_READERS", 3)
 
     async def main() -> None:
         network = MemoryNetwork()
