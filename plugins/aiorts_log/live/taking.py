@@ -258,6 +258,7 @@ class Taking:
             self._write(one, item)
             if self._left == 0:
                 return
+        self._count(stream, one)  # what was missed after the last item
 
     def _count(self, stream: Stream, one: Recorded) -> None:
         missed, stream.missed = stream.missed, 0
@@ -294,11 +295,11 @@ class Taking:
 
 
 def _items(stream: Stream) -> Iterator[Any]:
-    """What has come of a stream; END when it has ended."""
+    """What has come of a stream; END when it has ended. Nothing more comes of a session that has ended."""
     while True:
         try:
             item = stream.next(0.0)
-        except NoAnswerError:
+        except (NoAnswerError, ClosedError):
             return
         yield item
         if item is END:
