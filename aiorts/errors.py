@@ -14,6 +14,7 @@ __all__ = (
     "AbsentError",
     "AiortsError",
     "AmbiguousError",
+    "ApplyError",
     "BusyError",
     "CallTimeout",
     "ClosedError",

@@ -64,8 +64,8 @@ class Reach:
         self._named: dict[str, dict[Peer, None]] = {}
         """The same by their names, in the same order."""
         self._ways: dict[Peer, list[Transport]] = {}
-        """All transports that reach each of them. The one that found it first carries its links, until that kernel
-        asks by another one."""
+        """All transports that reach each of them. The general one carries its links as soon as it has found it, else
+        the one that found it first, until that kernel asks by another one: kernels of one host need no network."""
         self._hosts: dict[Peer, str] = {}
         """The host of each of them for `host_of`: the same as long as it is there."""
         self._epoch = 0
@@ -117,9 +117,14 @@ class Reach:
         await asyncio.shield(self.open_soon())
 
     async def opened_for(self, path: Path) -> None:
-        """Wait until it is known whether the kernel of a path is there. LinkError: it cannot be."""
-        if path.kernel not in self.carried and self.peer_of(path) is None:
+        """Wait until it is known whether the kernel of a path is there, and on this host. LinkError: it cannot be."""
+        if path.kernel in self.carried:
+            return
+        try:
             await self.opened()
+        except LinkError:
+            if self.peer_of(path) is None:
+                raise
 
     async def _open(self) -> None:
         self._transport = self._transport or find_transport(self._name, self._links.kernel.plugins)
@@ -199,6 +204,8 @@ class Reach:
             self._tell(peer, False)
         if not ways:
             self._ways.pop(peer, None)
+        elif before is not None and up and transport is self._transport and peer.kernel not in self.carried:
+            self.peers[peer] = transport  # what has a channel keeps it
         elif now is not None and now is not before:
             self.peers[peer], self._named.setdefault(peer.kernel, {})[peer] = now, None
             local = now is self._transport or peer.kernel in self.carried

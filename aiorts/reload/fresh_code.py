@@ -22,7 +22,7 @@ from types import CodeType, ModuleType
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
-from aiorts.errors import ClosedError, DeclarationError, PluginError
+from aiorts.errors import AbsentError, ClosedError, DeclarationError, PluginError
 from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.execution.hooks import further_kinds
@@ -103,7 +103,8 @@ def find_type(kernel: Microkernel, kind: type[Component] | str) -> Origin:
     """The type that a class, its name, or a type as text (`extensions/type_names.py`) stands for; it has instances.
 
     Raises:
-        PluginError: there is none, there are several (all are named), or it does not come from a file.
+        AbsentError: there is none.
+        PluginError: there are several (all are named), or it does not come from a file.
     """
     used = {_key(cls): cls for cls in map(type, kernel.components.values())}
     if isinstance(kind, str):
@@ -118,7 +119,7 @@ def find_type(kernel: Microkernel, kind: type[Component] | str) -> Origin:
         names = sorted(cls.__qualname__ for cls in used.values())
         near = get_close_matches(str(kind).rpartition(":")[2], names, n=1) if isinstance(kind, str) else []
         hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names) or 'no components'}"
-        raise PluginError(f"reload({what}): no component of that type; {hint}")
+        raise AbsentError(f"reload({what}): no component of that type; {hint}")
     if len(found) > 1:
         several = ", ".join(f"{file_of(cls) or cls.__module__}:{cls.__qualname__}" for cls in found)
         raise PluginError(f"reload({what}): may be each of {several}; say which: a class, or 'file.py:Class'")

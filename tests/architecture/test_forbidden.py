@@ -108,6 +108,8 @@ BROAD_EXCEPT = {
     "aiorts/kernel/connections.py:contained",
     # Round what a client asked for, and round the thread that serves clients: the system goes on without them.
     "aiorts/control/session.py:begin",
+    # Round what a user's on_initialize raises: the answer of who had the component created.
+    "aiorts/control/operations/components.py:_create",
     "aiorts/control/session.py:end",
     "aiorts/control/server/listener.py:_guarded",
     "aiorts/control/server/listener.py:_serve",

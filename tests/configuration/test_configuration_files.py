@@ -259,6 +259,18 @@ async def test_everything_that_is_wrong_is_named_at_once(tmp_path: Path) -> None
 
 
 @simulated
+async def test_a_refused_value_names_the_one_in_force_as_kept(tmp_path: Path) -> None:
+    path = tmp_path / "conf.toml"
+    path.write_text("schema = 1\n[components.arm.sets.default]\nlow = -1.0\n")
+    async with Kernel() as kernel:
+        arm = await kernel.add(Arm("arm"))
+        await arm.configure(low=0.25)
+        with pytest.raises(ConfigurationError, match="; 0.25 kept"):
+            await kernel.load_configuration(path)
+        assert arm.low == 0.25
+
+
+@simulated
 async def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
     binary = tmp_path / "binary"
     binary.write_bytes(b"schema = 1\n\xff\xfe")

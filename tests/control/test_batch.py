@@ -49,6 +49,7 @@ async def test_lines_are_carried_out_in_order_and_each_sees_what_the_others_did(
         ("conf counter0 step=5\nrun other.toml\n", 2, "robot.txt:2: run: is no command for what runs", 1.0),
         ("conf counter0 step=5\nbatch other.txt\n", 2, "robot.txt:2: batch: is no command", 1.0),
         ("conf counter0 'step=5\n", 2, "robot.txt:1: No closing quotation", 1.0),
+        (f"conf counter0 step=5\n{'x' * 2**20}\n", 2, "robot.txt:2: a line of 1048576 characters; at most 65536", 1.0),
     ],
 )
 async def test_the_first_that_fails_ends_it_with_file_and_line(

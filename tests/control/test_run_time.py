@@ -136,10 +136,26 @@ async def test_code_is_replaced_by_the_name_of_a_component_or_by_its_file(
         assert (status, json.loads(text)["components"][0]["component"]) == (0, "src")
         source = kernel.components["src"]
         assert (getattr(source, "text"), source.configuration.values["top"]) == ("three", 7)  # noqa: B009
+        status, text = await commanded(capsys, "reload", "nobody")
+        assert (status, "E-ABSENT" in text) == (6, True)
         file.write_text("this is no Python")
         status, text = await commanded(capsys, "reload", "src")
         assert (status, "source_of_control.py" in text, "E-PLUGIN" in text) == (2, True, True)
         assert getattr(kernel.components["src"], "text") == "three"  # noqa: B009
+
+
+async def test_a_component_whose_on_initialize_raises_is_not_created_and_the_command_has_failed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    file = tmp_path / "raising_of_control.py"
+    file.write_text(
+        "from aiorts import Component\n\n\nclass Raising(Component):\n"
+        "    def on_initialize(self):\n        raise ValueError('no arm is there')\n"
+    )
+    async with Kernel(services={"control": {"name": "raises"}}) as kernel:
+        status, text = await commanded(capsys, "comp", "create", f"{file}:Raising", "arm")
+        assert (status, "arm: on_initialize raised ValueError: no arm is there" in text) == (1, True), text
+        assert "arm" not in kernel.components
 
 
 _WRITING = """

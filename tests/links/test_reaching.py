@@ -71,17 +71,16 @@ def test_who_is_asked_goes_by_the_transport_that_brought_the_question_and_keeps_
     """Each end may have found the other one first by another transport: a channel would be open at each."""
 
     async def play(links: Links, general: Finding, beside: Finding, told: list[tuple[Peer, bool]]) -> None:
-        first, second = (general, beside) if general_first else (beside, general)
-        first.found(PEER)
-        second.found(PEER)
+        for transport in (general, beside) if general_first else (beside, general):
+            transport.found(PEER)
         host = "" if general_first else "hb"
-        assert (links.reach.carrier(PEER), links.reach.host_of(PEER)) == (first, host)
-        good, _ = await second.answer_to("come", b"part", Caller(PEER, "test"))
+        assert (links.reach.carrier(PEER), links.reach.host_of(PEER)) == (general, host)
+        good, _ = await beside.answer_to("come", b"part", Caller(PEER, "test"))
         assert good
-        assert (links.reach.carrier(PEER), links.reach.host_of(PEER)) == (second, host)
+        assert (links.reach.carrier(PEER), links.reach.host_of(PEER)) == (beside, host)
         assert told == [(PEER, True)]
-        second.lost(PEER, "is gone")
+        beside.lost(PEER, "is gone")
         assert told[1:] == [(PEER, False), (PEER, True)]
-        assert links.reach.carrier(PEER) is first
+        assert links.reach.carrier(PEER) is general
 
     played(play)

@@ -11,7 +11,7 @@ from aiorts.control.operation import Operation, Right, is_code
 from aiorts.control.operations.known import component_named, context_named
 from aiorts.control.session import Session
 from aiorts.control.values import Done
-from aiorts.errors import StateError
+from aiorts.errors import AiortsError, ComponentError, StateError, format_error
 from aiorts.late import dataclass
 
 if TYPE_CHECKING:
@@ -59,7 +59,12 @@ async def _create(session: Session, given: Creation) -> Done:
     if given.activate and given.context is None:
         raise StateError(f"{given.name or given.type}: nothing is activated outside of a context; say which context")
     context = None if given.context is None else context_named(session, given.context)
-    component = await kernel.create(given.type, given.name, **given.params)
+    try:
+        component = await kernel.create(given.type, given.name, **given.params)
+    except AiortsError:
+        raise
+    except Exception as error:  # what a user's on_initialize raises
+        raise ComponentError(f"{given.name or given.type}: on_initialize raised {format_error(error)}") from error
     if context is not None:
         try:
             await context.add(component, timeout=given.timeout)

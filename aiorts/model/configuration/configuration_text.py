@@ -107,7 +107,7 @@ class Document:
                 spec = wished.specs.get(parameter)
                 plain = value if spec is None else _decoded(value, spec.type)
                 try:
-                    wished = wished.changed({parameter: plain}, set_name, name)
+                    wished = wished.changed({parameter: plain}, set_name, name, kept=present.values)
                 except AiortsError as error:
                     faults.add(self._at((*place, parameter), str(error)))
         try:

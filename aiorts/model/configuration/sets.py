@@ -73,15 +73,26 @@ class ConfigurationState:
 
     # -- values ----------------------------------------------------------------------------------------------------
 
-    def changed(self, changes: Mapping[str, object], name: str | None = None, owner: str = "") -> ConfigurationState:
-        """With these values in the set `name`; the active set by default."""
+    def changed(
+        self,
+        changes: Mapping[str, object],
+        name: str | None = None,
+        owner: str = "",
+        *,
+        kept: Mapping[str, object] | None = None,
+    ) -> ConfigurationState:
+        """With these values in the set `name`; the active set by default.
+
+        Args:
+            kept: values that a refusal calls kept; those of the set in this state by default.
+        """
         target = self.active if name is None else self._known(name, owner)
         check_mapping(changes, owner)
         if not changes:
             return self
         old = self.sets[target]
         whose = owner if target == self.active else f"{owner} (set {target})"
-        current = values_in_force(self.sets, target)
+        current = values_in_force(self.sets, target) if kept is None else kept
         return self._with(target, {**old, **validate(self.specs, changes, owner=whose, current=current)})
 
     # -- sets ------------------------------------------------------------------------------------------------------

@@ -282,6 +282,8 @@ def _check_kind(field: str, desc: Any, types: Mapping[str, Any], within: str) ->
     if kind == _NAME:
         if not isinstance(what, str) or not _TYPE.fullmatch(what):
             raise Unmapped(f"field {field}: {str(what)[:60]!r} is no name of a type")
+        if what not in types and what.rpartition("/")[2] == "wstring":
+            raise Unmapped(f"field {field} of {within}: a wstring is not read")
         if what not in types and what not in TIMES:
             raise Unmapped(f"field {field} of {within}: type {what[:60]} is not defined")
     elif kind != _BASE:

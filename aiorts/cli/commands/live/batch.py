@@ -15,6 +15,8 @@ from aiorts.cli.console.report import report, report_error
 from aiorts.errors import AiortsError
 
 _HERE: Final = __name__.rpartition(".")[0]
+_LONGEST: Final = 65_536
+"""Characters of a line: `shlex` takes the square of its length, 17 s for 1 MB."""
 
 
 @click.command(short_help="Carry out commands for what runs, from a file.")
@@ -64,6 +66,9 @@ def batch(ctx: click.Context, file: str, dry_run: bool, keep_going: bool) -> int
 def _lines(text: str, place: str) -> Iterator[tuple[int, list[str]]]:
     """The words of each line that has any, and its number."""
     for number, line in enumerate(text.splitlines(), 1):
+        if len(line) > _LONGEST:
+            long = f"a line of {len(line)} characters; at most {_LONGEST} are taken; give long values in a file"
+            raise click.UsageError(f"{place}:{number}: {long}")
         try:
             words = shlex.split(line, comments=True)
         except ValueError as error:
