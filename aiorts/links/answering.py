@@ -110,7 +110,8 @@ class Answering:
         _check_theirs(offer.writer, caller)
         self._links.reach.carrier(caller.peer)  # LinkError: it is gone, or not found yet, and has to ask again
         writer = replace(offer.writer, host=self._links.reach.host_of(caller.peer))
-        key = (f"{writer.host}/{writer.kernel}", offer.link)
+        # The name of its end may have no host: which transport finds a kernel first is by chance, at each start.
+        key = (caller.address, offer.link)
         end = self._ends.offered.get(key) or self._expected(offer, caller)
         if end is not None and not end.negotiation.takes_offers:
             end = None
@@ -183,7 +184,9 @@ class Answering:
         if not isinstance(found, OutPort):
             raise WiringError(f"{request.writer}: is no out-port")
         full = replace(reader, host=self._links.reach.host_of(caller.peer))
-        end = self._ends.between(found, full) or self._ends.between(found, reader)
+        hosts = dict.fromkeys((full.host, reader.host, "" if caller.peer is None else caller.peer.host))
+        ends = (self._ends.between(found, replace(reader, host=host)) for host in hosts)
+        end = next(filter(None, ends), None)
         if end is not None:
             end.on(LinkEvent.WANTED)
             return Answer()

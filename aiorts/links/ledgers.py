@@ -135,9 +135,7 @@ class Ledgers:
 
     async def _reported(self, body: bytes, caller: Caller) -> bytes:
         (name,) = fields(body, (str,), longer=True)
-        peer = caller.peer
-        whose = "" if peer is None else f"{self._links.reach.host_of(peer)}/{peer.kernel}"
-        end = self._ends.offered.get((whose, name))
+        end = self._ends.offered.get((caller.address, name))
         if end is None:
             raise LinkError(f"has no link {name!r:.80}")
         return _report(end.link).to_bytes()

@@ -61,6 +61,11 @@ class Caller:
     allowed: Allowed = EVERYTHING
     """Rights of the kernels that this transport reaches, to ports of this one."""
 
+    @property
+    def address(self) -> str:
+        """The kernel as `host/kernel`, the same whichever transport has found it first; "/" where there is none."""
+        return "/" if self.peer is None else f"{self.peer.host}/{self.peer.kernel}"
+
     def check(self, right: str, port: str) -> None:
         """WiringError: who asks has not this right to a port, `component.port`."""
         if refused := self.allowed.refusal("" if self.peer is None else self.peer.kernel, right, port):
