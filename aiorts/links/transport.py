@@ -63,7 +63,7 @@ class Caller:
 
     @property
     def address(self) -> str:
-        """The kernel as `host/kernel`, the same whichever transport has found it first; "/" where there is none."""
+        """The kernel as `host/kernel`, the same whichever transport has found it first."""
         return "/" if self.peer is None else f"{self.peer.host}/{self.peer.kernel}"
 
     def check(self, right: str, port: str) -> None:
@@ -318,7 +318,7 @@ class BaseTransport(Generic[C]):
 
     @property
     def is_watched(self) -> bool:
-        """Whether a callback is told of peers."""
+        """Whether there is a callback for peers."""
         return bool(self._tells)
 
     def presence(self, tell: Callable[[Peer, bool], None]) -> Callable[[], None]:
@@ -335,7 +335,7 @@ class BaseTransport(Generic[C]):
             tell(peer, True)
 
     def lost(self, peer: Peer, why: str) -> None:
-        """A kernel is gone: all callbacks are told, its questions fail, and its channels end, for this reason."""
+        """A kernel is gone: all callbacks are called, its questions fail, and its channels end, for this reason."""
         if peer not in self._there:
             return
         del self._there[peer]

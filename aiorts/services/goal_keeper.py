@@ -231,7 +231,8 @@ class GoalKeeper(KernelService):
                 if error:
                     goal._end_from_outside("error", text, cell(link.component).last_error)
                 elif not link.provided.always:
-                    goal._end_from_outside("deactivated", text)
+                    closed = ("closed", f"{name}: its kernel closes")
+                    goal._end_from_outside(*(closed if self.kernel.closed else ("deactivated", text)))
             elif acceptance.client == name and not _is_active(link.required):
                 goal._request(text)
 

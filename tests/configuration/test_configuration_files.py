@@ -265,7 +265,7 @@ async def test_a_refused_value_names_the_one_in_force_as_kept(tmp_path: Path) ->
     async with Kernel() as kernel:
         arm = await kernel.add(Arm("arm"))
         await arm.configure(low=0.25)
-        with pytest.raises(ConfigurationError, match="; 0.25 kept"):
+        with pytest.raises(ConfigurationError, match=r"; 0\.25 kept"):
             await kernel.load_configuration(path)
         assert arm.low == 0.25
 

@@ -21,7 +21,7 @@ pytest.importorskip("cryptography")
 
 from aiorts_zenoh import Network, NetworkSettings
 from network.certificate_parts import folder
-from network.network_parts import free_port
+from network.network_parts import by_network_alone, free_port
 
 WAIT = 20.0
 RULES = {
@@ -82,6 +82,8 @@ async def pair(path: Path, rules: Any = RULES) -> AsyncIterator[Pair]:
     near = {"zenoh": {"connect": address, "host": "near", "certificates": path}}
     async with Kernel("robot", services=far) as robot, Kernel("station", services=near) as station:
         made = Pair(robot, station)
+        by_network_alone(robot)
+        by_network_alone(station)
         made.ends = {robot: await robot.add(Robot("robot")), station: await station.add(Station("station"))}
         async with asyncio.timeout(WAIT):
             while not (robot.service(Links).peers and station.service(Links).peers):

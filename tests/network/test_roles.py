@@ -38,7 +38,7 @@ from aiorts_zenoh.security.folder import Folder
 from aiorts_zenoh.security.tls import Secured
 from network.certificate_parts import folder
 from network.engine_parts import unchecked
-from network.network_parts import free_port
+from network.network_parts import by_network_alone, free_port
 
 ROLES: Final = ("component", "coordinator", "operator", "viewer", "router", "revoked")
 KERNELS: Final = {"component", "coordinator"}
@@ -101,6 +101,7 @@ async def target(path: Path, **more: Any) -> AsyncIterator[Target]:
     zenoh = {"listen": address, "host": "far", "certificates": path, "allow_control": True, **more}
     async with Kernel("robot", services={"zenoh": zenoh, "control": {"name": "robot"}}) as kernel:
         await kernel.service(Network).opened()
+        by_network_alone(kernel)
         robot = await kernel.add(Robot("robot"))
         async with asyncio.timeout(10.0):
             while kernel.service(Network).report()["name"] != "owns":  # clients see those alone
@@ -139,6 +140,7 @@ async def as_kernel(at: Target, role: str, path: Path) -> dict[str, bool]:
     access = {"component": ["robot", name]}
     zenoh = {"connect": at.address, "host": "near", "certificates": path, "access": access}
     async with Kernel(name, services={"zenoh": zenoh}) as kernel:
+        by_network_alone(kernel)
         tries = await kernel.add(Tries("tries"))
         links, own = kernel.service(Links), at.kernel.service(Links)
         until = time.monotonic() + TRIED

@@ -234,7 +234,8 @@ async def test_a_provider_that_vanishes_ends_the_call(how: str) -> None:
             await kernel.aclose()
         with pytest.raises(ServiceUnavailable):
             await calling
-        assert now() - begun < 0.1
+        # The end of a kernel lets a call that runs go on for as long as a hook may take.
+        assert now() - begun < (2.1 if how == "closed" else 0.1)
         await asyncio.sleep(0.01)
         assert brake.notes == ["begun", "cancelled"]
 
