@@ -21,7 +21,7 @@ pytest.importorskip("cryptography")
 from aiorts import Kernel
 from aiorts.links import Links, Peer
 from aiorts_zenoh import Network
-from aiorts_zenoh.claims import TOLD, Claims, Told
+from aiorts_zenoh.claims import LOOKED_AT, TOLD, Claims, Told
 from aiorts_zenoh.keys import Keys
 from aiorts_zenoh.names import Claim, Standing, seen
 from aiorts_zenoh.presence import AnyName, Presence
