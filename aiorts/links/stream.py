@@ -140,7 +140,8 @@ class Stream:
             vectors, size = [head, memoryview(body), *_aligned(flat, pad)], _HEAD.size + length
         else:
             data = _HEAD.pack(len(body), kind, 0, 0, number) + body
-            vectors, size = [data], len(data)
+            vectors = [data]
+            size = len(data)
         sent = 0
         if not self._waits:
             sent = self._put(vectors)

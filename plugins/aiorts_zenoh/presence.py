@@ -38,12 +38,15 @@ class Trust(Protocol):
     @property
     def is_bound(self) -> bool:
         """Whether a kernel's name is that of its certificate."""
+        ...
 
     def admits(self, name: str) -> bool:
         """Whether a kernel of this name may be there."""
+        ...
 
     def heeds(self, name: str) -> bool:
         """Whether a kernel of this name may tell of tokens which this one does not see itself."""
+        ...
 
 
 class AnyName:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aiorts import Component, Kernel
-from aiorts.errors import AiortsError, PluginError, SystemFileError
+from aiorts.errors import AbsentError, AiortsError, PluginError, SystemFileError
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.extensions.type_names import extension_of, split_type
 from aiorts.system import load, prepare
@@ -102,7 +102,7 @@ async def test_a_kernel_creates_and_reloads_by_text(folder: Path) -> None:
         assert (first.name, second.name, type(first)) == ("part0", "named", type(second))
         with pytest.raises(PluginError, match="did you mean 'Part'"):
             await kernel.create("tnm_alone.py:Patr")
-        with pytest.raises(PluginError, match="did you mean 'Part'"):
+        with pytest.raises(AbsentError, match="did you mean 'Part'"):
             await kernel.reload("Patr", cycles=0)
         with pytest.raises(PluginError, match="expected FILE"):
             await kernel.reload("tnm alone:Part", cycles=0)

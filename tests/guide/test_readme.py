@@ -149,7 +149,7 @@ PROMISES = {
     "A fault of aiorts itself is logged as one": (
         "kernel/test_internal_faults.py::test_a_context_goes_on_after_a_fault_of_its_own_and_the_run_has_failed"
     ),
-    "ends in reverse order, within 5 s, from any state": (
+    "A kernel ends within 5 s, from any state": (
         "execution/test_hook_timeout.py"
         "::test_kernel_with_many_stuck_components_in_several_contexts_closes_within_five_seconds"
     ),

@@ -20,7 +20,7 @@ from aiorts.cli.commands.live.measure.spans import within_text
 from aiorts.clock import SystemClock
 from aiorts.types import TimedLong
 from aiorts_zenoh.clocks import DRIFT, LAST, ClockOffset, Offset
-from network.network_parts import free_port
+from network.network_parts import by_network_alone, free_port
 
 SECOND = 1_000_000_000
 TRIP = st.tuples(st.integers(0, 2 * SECOND), st.integers(0, SECOND // 2), st.integers(0, SECOND // 2))
@@ -109,6 +109,8 @@ def test_the_age_of_samples_of_another_machine_is_right_though_its_clock_is_wron
         near = {"zenoh": {"connect": address, "host": "near", "insecure": True}}
         wrong = SystemClock(lambda: time.time_ns() + ahead)
         async with Kernel("reader", services=far) as reader, Kernel("writer", clock=wrong, services=near) as writer:
+            by_network_alone(reader)
+            by_network_alone(writer)
             sink, source = await reader.add(Sink("sink")), await writer.add(Source("source"))
             connector = await reader.connect("near/writer/source.out", sink.inp, measure=50)
             stamps = []

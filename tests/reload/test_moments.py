@@ -11,6 +11,7 @@ import pytest
 
 from aiorts import Component, Kernel, LifecycleState, PeriodicContext, RealtimeContext, Supervision
 from aiorts.errors import (
+    AbsentError,
     AiortsError,
     ClosedError,
     ComponentError,
@@ -448,10 +449,10 @@ async def test_what_is_meant_is_said_clearly(source: Make) -> None:
     file = source(SLOW)
     async with Kernel() as kernel:
         for kind in ("Nobody", "no.py:Slow", file.get("Slow")):
-            with pytest.raises(PluginError, match="no component of that type; there are no components"):
+            with pytest.raises(AbsentError, match="no component of that type; there are no components"):
                 await kernel.reload(kind)
         await kernel.create(file.get("Slow"), "slow")
-        with pytest.raises(PluginError, match="there are Slow"):
+        with pytest.raises(AbsentError, match="there are Slow"):
             await kernel.reload("Fast")
         await kernel.create(Local, "local")
         with pytest.raises(PluginError, match="is made by a function"):
