@@ -59,7 +59,7 @@ def test_the_line_tells_how_it_goes_and_is_gone_in_the_end(folder: Path) -> None
 
 
 def test_lines_of_the_log_and_of_components_stand_alone(folder: Path) -> None:
-    arguments = ("system.toml", "--set", "sink.limit=60", "--for", "3")
+    arguments = ("system.toml", "--set", "sink.limit=20", "--for", "3")
     with Terminal(folder, *arguments, env=QUIET) as terminal:
         assert terminal.end() == 3
     assert "1 in error" in terminal.text
