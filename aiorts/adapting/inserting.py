@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from aiorts.adapting.proposing import FILTER, Between, between, filter_name, plain_between
 from aiorts.errors import ConfigurationError, StateError, WiringError
@@ -78,7 +78,7 @@ def inserted(kernel: Microkernel, connector: Any, ports: Sequence[str]) -> tuple
     return first, f"{name}: {found.said if found is not None else FILTER}"
 
 
-def _found(out: OutPort[Any], in_: InPort[Any], adapt: bool | str) -> Between | None:
+def _found(out: OutPort[Any], in_: InPort[Any], adapt: bool | Literal["text"]) -> Between | None:
     """What is to be put between two ports; None where they fit."""
     fault = next(pair_faults(out, in_), "")
     if fault and (found := plain_between(out, in_, adapt)) is not None:

@@ -10,7 +10,7 @@ import shlex
 from collections.abc import Container, Mapping
 from fractions import Fraction
 from types import MappingProxyType
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 from aiorts.errors import AiortsError, WiringError
 from aiorts.kernel.extensions.catalogue import Catalogue
@@ -117,7 +117,7 @@ def between(out: OutPort[Any], in_: InPort[Any]) -> Between | None:
     )
 
 
-def plain_between(out: OutPort[Any], in_: InPort[Any], adapt: bool | str = True) -> Between | None:
+def plain_between(out: OutPort[Any], in_: InPort[Any], adapt: bool | Literal["text"]) -> Between | None:
     """What joins these two, without any doubt; None where nothing does.
 
     Args:

@@ -429,17 +429,24 @@ class _Move:
         if not isinstance(old, RemoteComponent):
             return
         unread: dict[tuple[str, str], list[Any]] = {}
+        taking: set[asyncio.Future[None]] = set()
+
+        async def take_out() -> None:
+            for port, writer, samples in await old.ask("unread"):
+                unread.setdefault((port, writer), []).extend(samples)
 
         async def has_all_come() -> bool:
             # Taken out again and again: it makes room there for what waits, where the buffer of its port is full.
             is_all_sent = await self._is_all_sent()
-            for port, writer, samples in await old.ask("unread"):
-                unread.setdefault((port, writer), []).extend(samples)
+            taking.add(taken := asyncio.ensure_future(take_out()))
+            await asyncio.shield(taken)  # an answer that nobody waits for would be lost, and its samples with it
+            taking.discard(taken)
             return is_all_sent
 
         try:
             await self._wait_for("what was written to it to arrive", has_all_come)
         finally:  # what was taken out is in no buffer: it goes on here, or is passed on when the move is taken back
+            await asyncio.gather(*taking, return_exceptions=True)
             for connector, made in self._fed:
                 key = made.in_.name, str(self._links.path_of(connector.out))
                 put_in_front(made, [unpacked(one) for one in unread.get(key, ())])

@@ -30,8 +30,8 @@ from aiorts.model.options import (
     with_openrtm,
     without_effect,
 )
+from aiorts.model.ordering import arrange
 from aiorts.model.profile import ConnectorProfile
-from aiorts.model.wanted.ordering import arrange
 
 if TYPE_CHECKING:
     from aiorts.kernel.connection import Connection

@@ -35,7 +35,7 @@ from aiorts.kernel.ports.receiver import EndingError
 from aiorts.kernel.service import notify
 from aiorts.model.lifecycle import HOOKS
 from aiorts.model.names import Path
-from aiorts.model.wanted.ordering import arrange
+from aiorts.model.ordering import arrange
 
 if TYPE_CHECKING:
     from aiorts.kernel.execution.cell import Cell

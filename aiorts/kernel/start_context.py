@@ -19,8 +19,8 @@ from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of, see_through
 from aiorts.kernel.ports.port import give_turn
 from aiorts.kernel.registry import known
+from aiorts.model.ordering import arrange
 from aiorts.model.values import shown
-from aiorts.model.wanted.ordering import arrange
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel

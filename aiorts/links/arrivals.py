@@ -40,7 +40,7 @@ class Arrivals:
         self._awaited: dict[str, set[Peer]] = {}
         """Components that are not there, and the kernels that want to connect to them."""
         self._waits: dict[Peer, set[str]] = {}
-        """The same by kernel."""
+        """The kernels that wait, and the components that each waits for."""
         self._making = False
         self._starting: set[str] = set()
         """Components that were made and do not run yet."""

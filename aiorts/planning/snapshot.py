@@ -11,11 +11,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import AiortsError, format_error
+from aiorts.kernel.between_cycles import PATIENCE
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.service import owned_by
 from aiorts.kernel.start_context import arrange_contexts
 from aiorts.model.lifecycle import LifecycleState
-from aiorts.model.wanted.ordering import ordered
+from aiorts.model.ordering import ordered
 from aiorts.supervision import Supervising
 
 if TYPE_CHECKING:
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 _ACTIVE: Final = LifecycleState.ACTIVE
 _ERROR: Final = LifecycleState.ERROR
 _INACTIVE: Final = LifecycleState.INACTIVE
-_PATIENCE: Final = 5.0
-"""Seconds of the kernel's clock that a context may take for it."""
 _NOWHERE: Final = None, None, False
 
 
@@ -96,7 +95,7 @@ class Snapshot:
         for (context, name), before in self._states.items():
             there = kernel.contexts.get(context), kernel.components.get(name)
             if there[0] is not None and there[1] is not None:
-                notes += await _state(there[0], there[1], *before)
+                notes += await _restore_state(there[0], there[1], *before)
         for name, line in self._members.items():
             if name in kernel.contexts:
                 await _arrange(kernel.contexts[name], line)
@@ -123,7 +122,7 @@ class Snapshot:
             yield f"{name}: " + ("is gone" if name not in kernel.connectors else "was made anew, and counts from 0")
 
 
-async def _state(
+async def _restore_state(
     context: Context, component: Component, before: Member, state: LifecycleState, finished: bool
 ) -> tuple[str, ...]:
     """Put a component back into its state in a context; why it is not, if not.
@@ -164,7 +163,7 @@ async def _arrange(context: Context, names: list[str]) -> None:
         yield from ()
 
     if line != list(context.members):
-        await context.runner.ask([(f"lay out the order of {context.name}", steps)], _PATIENCE)
+        await context.runner.ask([(f"lay out the order of {context.name}", steps)], PATIENCE)
 
 
 def _member(context: Context, component: Any) -> Member | None:

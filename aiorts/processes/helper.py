@@ -271,7 +271,7 @@ class Helper:
                 self._kill_child(child)
 
     def _kill_child(self, child: _Child) -> None:
-        """What lost its parent meanwhile has come to this process, and was killed."""
+        """Kill a child and all that descend from it; what has lost its parent comes here: `_reap` kills it."""
         if child.group is not None:
             child.group.kill()
         with first_in_line():

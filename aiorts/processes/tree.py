@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-from contextlib import contextmanager
 
 from aiorts.late import TYPE_CHECKING
 
@@ -90,11 +89,11 @@ def kill_trees(roots: Iterable[int]) -> None:
         kill(pid)
 
 
-@contextmanager
+@contextlib.contextmanager
 def first_in_line() -> Iterator[None]:
-    """The priority of this process is above all others meanwhile, where the system allows it, as it does to root.
+    """A block in which this process has priority over all others, where the system allows it, as it does to root.
 
-    Beside 200 processes that start others all the time, one that is to stop them has a hundredth of it else.
+    The process competes with up to 200 that start others all the time: without priority its share is a hundredth.
     """
     try:
         before = os.sched_getscheduler(0), os.sched_getparam(0)

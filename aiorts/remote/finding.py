@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from anyio import to_thread
 
 from aiorts.errors import AbsentError, ClosedError, DeniedError, LinkError, NoAnswerError, StateError
+from aiorts.kernel.execution.file_access import acting
 from aiorts.kernel.parameters import Param
 from aiorts.kernel.registry import known
 from aiorts.links import Links
@@ -48,7 +49,8 @@ async def stand_in(kernel: Microkernel, path: str, holder: str = "") -> Componen
         configuration = await session.call("configuration", component=where.component)
         made = _class_of(where.component, configuration)(where.component)
         made.bind(where, holder, session)
-        await kernel.add(made)
+        with acting(None):  # the values of the far component are no files that the client has named
+            await kernel.add(made)
     except (AbsentError, StateError) as error:
         session.close()
         raise StateError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
@@ -138,7 +140,7 @@ def _class_of(name: str, configuration: Mapping[str, Any]) -> type[FarComponent]
 
 
 def _param(one: Mapping[str, Any]) -> Any:
-    told = {"unit": one["unit"], "doc": one["doc"], "widget": one["widget"]}
+    told = {"unit": one["unit"], "doc": one["doc"], "widget": one["widget"], "file": one.get("file", "")}
     try:
         kind = parse_type(one["type"])
     except ValueError:  # an Enum of there: its names

@@ -231,8 +231,7 @@ class GoalKeeper(KernelService):
                 if error:
                     goal._end_from_outside("error", text, cell(link.component).last_error)
                 elif not link.provided.always:
-                    closed = ("closed", f"{name}: its kernel closes")
-                    goal._end_from_outside(*(closed if self.kernel.closed else ("deactivated", text)))
+                    goal._end_from_outside(*self._reason("deactivated", text, name))
             elif acceptance.client == name and not _is_active(link.required):
                 goal._request(text)
 
@@ -253,12 +252,16 @@ class GoalKeeper(KernelService):
 
     def leaves(self, end: Any) -> None:
         """The component of this interface is about to go."""
-        reason, text = ("closed", "its kernel closes") if self.kernel.closed else ("removed", "it is being removed")
         for goal, acceptance in tuple(self.running.items()):
+            provider, client = acceptance.provider, acceptance.client
             if acceptance.link.provided is end:
-                goal._end_from_outside(reason, f"{acceptance.provider}: {text}")
+                goal._end_from_outside(*self._reason("removed", f"{provider}: it is being removed", provider))
             elif acceptance.link.required is end:
-                goal._request(f"{acceptance.client}: {text}")
+                goal._request(self._reason("removed", f"{client}: it is being removed", client)[1])
+
+    def _reason(self, reason: str, text: str, component: str) -> tuple[str, str]:
+        """The reason and text for the end of a goal; where the kernel closes, that is why its component went."""
+        return ("closed", f"{component}: its kernel closes") if self.kernel.closed else (reason, text)
 
     def disconnected(self, link: Link) -> None:
         """A connection has ended: there is no client any more."""

@@ -129,7 +129,7 @@ class Provided(ServiceEnd[I], Generic[I]):
             return ""
         members = here.members
         for member in members:
-            if member.active or member.retired:
+            if member.active or member.answers:
                 return ""
         if not members:
             kernel = here.kernel

@@ -270,7 +270,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         return remove
 
     def _have_looked(self) -> None:
-        """Have all look again that wait for the kernel that asked them."""
+        """Wake the answers that wait until the kernel that asks is known, and let them look again."""
         self._news.set()
         self._news = asyncio.Event()
 
@@ -471,7 +471,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         try:
             async with asyncio.timeout(_MARGIN):
                 while (peer := self._who(name, who)) is None or not self.is_watched:
-                    await self._news.wait()  # its token is on the way, or nobody here has heard of it yet
+                    await self._news.wait()  # the kernel's token is on its way, or no callback for peers is there yet
         except TimeoutError:
             return False, b"who asks is not known here"
         return await self.answer_to(what, body, Caller(peer, f"kernel {peer.host}/{peer.kernel}", self.allowed))

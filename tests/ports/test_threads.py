@@ -398,6 +398,31 @@ async def test_a_foreign_thread_cannot_wake_an_event_context_and_is_told(anyio_b
         await reached(lambda: sink.seen == 1)
 
 
+@pytest.mark.fault("A16")
+@pytest.mark.parametrize(
+    ("options", "activate", "dropped"),
+    [({"subscription": "periodic", "push_rate": 100.0}, True, {}), ({}, False, {"inactive": 1})],
+    ids=["at the end of a period", "not active"],
+)
+async def test_a_foreign_thread_writes_where_the_sample_wakes_no_reader_at_once(
+    options: dict[str, Any], activate: bool, dropped: dict[str, int], anyio_backend: Any
+) -> None:
+    class Counter(Sink):
+        seen = 0
+
+        async def on_execute(self) -> None:
+            self.seen += len(self.inp.drain())
+
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source()), await kernel.add(Counter("sink"))
+        connector = await kernel.connect(source.out, sink.inp, **options)
+        await kernel.start(EventContext(), sink, activate=activate)
+        await asyncio.to_thread(source.out.write_nowait, long(1))
+        await reached(lambda: sink.seen == 1 - sum(dropped.values()))
+        found = connector.statistics
+        assert (found.written, {why: n for why, n in found.dropped.items() if n}) == (1, dropped)
+
+
 WRITES: dict[str, Callable[[OutPort[TimedLong]], object]] = {
     "write_nowait": lambda out: out.write_nowait(long(1)),
     "write in another loop": lambda out: asyncio.run(asyncio.wait_for(out.write(long(1)), 1.0)),

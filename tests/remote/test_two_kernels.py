@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Protocol
 
 import pytest
 
-from aiorts import Component, Composite, Kernel, LifecycleState, PeriodicContext, Provided, Required
-from aiorts.errors import WiringError
+from aiorts import Component, Composite, Kernel, LifecycleState, Param, PeriodicContext, Provided, Required
+from aiorts.errors import DeniedError, WiringError
+from aiorts.kernel.execution.file_access import FileAccess, acting
 from remote_gripper import Gripper
 from remote_parts import Local, until
 
@@ -38,6 +40,26 @@ async def test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the
         await left.remove(gripper)
         await until(lambda: [member.state for member in arm.members] == [INACTIVE, ERROR])
         assert "left/gripper: is there no more" in str(arm.last_error)
+
+
+class Keeps(Component):
+    """Names files."""
+
+    note = Param("", file="write")
+    map = Param(Path("/etc/map"), file="read")
+
+
+async def test_a_parameter_that_names_a_file_says_so_in_the_kernel_where_its_stand_in_is(tmp_path: Path) -> None:
+    """The check of what a client may name is made there, before the value goes on with the right of that kernel."""
+    services = {"control": {"name": "left"}, "links": {}}
+    async with Kernel(services=services) as left, Kernel("right", services={"links": {}}) as right:
+        kept = await left.create(Keeps, "keeps")
+        with acting(FileAccess(tmp_path)):
+            here = await right.stand_in("left/keeps")
+            with pytest.raises(DeniedError, match="names a file outside of"):
+                await here.configure(note="/etc/passwd")
+            await here.configure(note=str(tmp_path / "note"))
+        assert kept.configuration.values["note"] == str(tmp_path / "note")
 
 
 class Hold(Protocol):

@@ -105,7 +105,7 @@ class Written:
     dropped: Mapping[str, int]
     """By reason, what was dropped after it was written, of all samples of this session to the port."""
     unread: int
-    """Of these, the samples that the reader has not taken: they are lost when the session ends."""
+    """Samples of this session that the reader has not taken yet: they are lost when the session ends."""
 
 
 class _Sample(Made):
@@ -235,7 +235,7 @@ async def _taken(connectors: Sequence[Connector], within: float) -> None:
     """Wait until these connectors have delivered or dropped all their samples, or so many seconds have passed."""
     loop = asyncio.get_running_loop()
     until = loop.time() + within
-    # It is looked again and again: a read notifies nobody, which would cost each one.
+    # The counts are polled: a notification of each read would cost every reader, and only an inject wants it.
     while any(map(_unread, connectors)) and loop.time() < until:  # noqa: ASYNC110
         await asyncio.sleep(_LOOK)
 

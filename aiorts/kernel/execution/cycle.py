@@ -461,7 +461,7 @@ class Life:
                 break
             yield Batch(iter((member,)), first_pass)
             context._end_cycle((member,))
-        member.retired = member.active
+        member.answers = member.active
         yield from self.leave(member)
 
     def _end(self) -> Steps:

@@ -68,7 +68,7 @@ def acting(access: FileAccess | None) -> Iterator[None]:
 
 
 def carried(change: Callable[[], T]) -> Callable[[], T]:
-    """The change, to be made elsewhere for whom the caller acts."""
+    """The change, made for the client that the caller acts for, wherever it is carried out."""
     access = _access.get()
     if access is None:
         return change

@@ -55,6 +55,7 @@ class Member:
         "_failure",
         "_left",
         "_state",
+        "answers",
         "awaits",
         "cell",
         "component",
@@ -67,7 +68,6 @@ class Member:
         "hooks",
         "in_ports",
         "order",
-        "retired",
         "started",
         "stopped_for",
         "times",
@@ -98,8 +98,8 @@ class Member:
         """The hook that runs now, while one runs."""
         self.finishing = False
         self.started = False
-        self.retired = False
-        """Whether it was active until its kernel closed: it answers calls until ports are closed."""
+        self.answers = False
+        """Whether it answers calls though it is not active: it was, until its kernel closed; ports are still open."""
         self.stopped_for: frozenset[str] = frozenset()
         """The components for whose error its composite deactivated it."""
         self.in_ports: list[InPort[Any]] = []

@@ -573,10 +573,10 @@ class TaskDriver:
         """What became of a hook that raised or was cancelled: the component's error, unless the host wanted it."""
         if error is not None and issubclass(type(error), GeneratorExit) and asyncio._get_running_loop() is None:
             raise error  # the loop is gone and this task with it
-        if issubclass(type(error), EndingError):  # not isinstance: a component's error may have any `__class__`
-            return None
         wanted = self.cancelled_by_others and self._stopped_by_host
         self._uncancel()
+        if issubclass(type(error), EndingError):  # not isinstance: a component's error may have any `__class__`
+            return None
         if timer is not None and timer.cancels:
             return timer.cancelled(f"{member.component.name}.{hook}", error)
         return None if wanted and is_cancellation(error) else error

@@ -59,7 +59,7 @@ class LineStream:
         if (first := next(lines, None)) is None:
             return
         lines = chain((first,), lines)
-        stream = self._stream or standard_output()
+        stream = standard_output() if self._stream is None else self._stream
         for part in _parts(lines, getattr(stream, "encoding", None) or "utf-8"):
             descriptor = slow(stream)
             if descriptor is None:

@@ -108,8 +108,8 @@ class OutPort(Port[T]):
         """The direct transports with full = block."""
         self._shapes: tuple[tuple[Port[Any], tuple[int, ...]], ...] = ()
         """Shapes that a sample must have, and which port says so: this one or a reader."""
-        self._unlocked: tuple[Receiver, ...] = ()
-        """The receivers without a lock, whose readers are woken on the loop alone."""
+        self._unlocked: tuple[Transport, ...] = ()
+        """The transports to receivers without a lock, whose readers are woken on the loop alone."""
         self._thread = 0
         """The thread of that loop, where there is such a receiver."""
         self._thread_writes: ThreadWrites | None = None
@@ -305,9 +305,9 @@ class OutPort(Port[T]):
 
     def _check_can_wake(self) -> None:
         """Raise ThreadError where this thread, which is not the loop's, would have to wake a reader of the loop."""
-        for receiver in self._unlocked:
-            if receiver.notify_enabled:
-                raise receiver.cannot_wake()
+        for transport in self._unlocked:
+            if transport.wakes:
+                raise transport.receiver.cannot_wake()
 
     def _without_room(self) -> Connector | None:
         """A connector that a write would have to wait for."""
@@ -526,8 +526,8 @@ class OutPort(Port[T]):
         self._fan = tuple(way[:4] for way in ways if way[3].tokens is None)
         self._merged = tuple(way for way in ways if way[3].tokens is not None)
         self._others = tuple(transport for transport in transports if transport not in direct)
-        self._unlocked = tuple(transport.receiver for transport in transports if transport.receiver.lock is None)
-        self._thread = self._unlocked[0].thread if self._unlocked else 0
+        self._unlocked = tuple(transport for transport in transports if transport.receiver.lock is None)
+        self._thread = self._unlocked[0].receiver.thread if self._unlocked else 0
         first: Any
         last: Any
         if not connectors:

@@ -100,6 +100,10 @@ class PeriodicTransport(Transport):
         self.start_ns = self.now_ns()
 
     @property
+    def wakes(self) -> bool:
+        return False  # the period does, on the loop
+
+    @property
     def direct(self) -> bool:
         return False
 

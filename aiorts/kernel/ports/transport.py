@@ -301,6 +301,12 @@ class Transport:
         return self.connector.profile.dataflow is _PULL
 
     @property
+    def wakes(self) -> bool:
+        """Whether a sample that is written now wakes the reader in the writer's thread."""
+        receiver = self.receiver
+        return receiver.notify_enabled and receiver.open and (receiver.waiter is not None or not self.pulls)
+
+    @property
     def direct(self) -> bool:
         """Whether a write may go straight into the queue: nothing to choose, stamp or lock."""
         profile, receiver = self.connector.profile, self.receiver

@@ -18,11 +18,11 @@ from aiorts.kernel.ports.features import PLAIN, features_of, fit_receiver, settl
 from aiorts.kernel.ports.in_port import in_ports_at
 from aiorts.kernel.ports.last_sample import offer_last
 from aiorts.model.options import SERVICE_KEYS, connector_profile
+from aiorts.model.ordering import ordered
 from aiorts.model.policy import Stamp
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.timing import ConnectorTimes
 from aiorts.model.values import shown
-from aiorts.model.wanted.ordering import ordered
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.host import KernelSide

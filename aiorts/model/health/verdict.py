@@ -145,7 +145,7 @@ def _expected(before: Window, after: Window, ended: Collection[str]) -> dict[str
 
 
 def _rates(window: Window) -> tuple[dict[str, float], Counter[str]]:
-    """The rates of the contexts of each component together, and in how many it is that have none."""
+    """By component: the sum of the rates of its contexts, and the number of its contexts that have no rate."""
     rates: dict[str, float] = {}
     without: Counter[str] = Counter()
     for one in window.contexts.values():

@@ -300,8 +300,11 @@ class Negotiation:
         return self.state is not NegotiationState.ASKING and self.pause != EXPECT
 
     def is_stale(self, epoch: int, number: int) -> bool:
-        """Whether an offer of the kernel of this epoch was made before another that has come: 0 is of a kernel that
-        does not number them. Else it is the latest one."""
+        """Whether a later offer of the same kernel has come; if not, this one is the latest from now on.
+
+        Args:
+            number: of the offer; 0 is given by a kernel that does not number its offers.
+        """
         if epoch == self._heard[0] and 0 < number < self._heard[1]:
             return True
         self._heard = epoch, number

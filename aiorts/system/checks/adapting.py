@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 from aiorts.adapting import FILTER, Between, filter_name, first_half, is_accepted, numbered, plain_between
 from aiorts.errors import AiortsError, PluginError, StateError, WiringError
@@ -122,7 +122,7 @@ class _Work:
             return None if known is None else known.ports.get(port)
         raise WiringError(f"the ports of {name} are known only when it runs; put a {FILTER} of your own between them")
 
-    def _filter(self, out: OutPort[Any], in_: InPort[Any], adapt: bool | str) -> Between | None:
+    def _filter(self, out: OutPort[Any], in_: InPort[Any], adapt: bool | Literal["text"]) -> Between | None:
         """What is to be put between two ports; None where they fit, or nothing is known that does it."""
         if next(pair_faults(out, in_), None) is None:
             return None

@@ -5,7 +5,7 @@ for themselves. Pure: it looks at a survey and at drafts.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from aiorts.contexts import EventContext
@@ -31,6 +31,8 @@ from aiorts.wire import excess
 NOTHING_RUNS = "no context runs anything; add [contexts.NAME] with kind and members"
 _MOST_NAMED = 12
 """Ports of a cycle that a message names."""
+_MOST_LISTED = 6
+"""Ports that a message lists."""
 
 
 def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -> Iterator[Said]:
@@ -98,17 +100,21 @@ def _connected_later(found: Survey) -> Callable[[str, Port[Any]], bool]:
     return lambda name, port: isinstance(port, InPort | OutPort) and fits(name, port.name, isinstance(port, OutPort))
 
 
+def _listed(parts: Sequence[str]) -> str:
+    """The first of these, and how many more there are."""
+    more = len(parts) - _MOST_LISTED
+    return ", ".join(parts[:_MOST_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
 def _open_ports(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
-    most = 6
     used = {path for connection in found.system.connections for path in connection.ports}
     comes = _connected_later(found)
     for name, draft in drafts.items():
         free = [port for port in draft.ports.values() if f"{name}.{port.name}" not in used and not comes(name, port)]
         if free:
-            listed = ", ".join(f"{port.name} ({_way(port)} {_kind(port)})" for port in free[:most])
-            more = f" and {len(free) - most} more" if len(free) > most else ""
+            listed = _listed([f"{port.name} ({_way(port)} {_kind(port)})" for port in free])
             word = "ports have" if len(free) > 1 else "port has"
-            text = f"{len(free)} {word} no connection: {listed}{more}"
+            text = f"{len(free)} {word} no connection: {listed}"
             yield Said("note", "N-OPEN", ("components", name), text, of_key=True)
 
 
@@ -185,7 +191,6 @@ def _too_large(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
     )
     if service is None:
         return
-    most = 6
     outs = {
         f"{name}.{port.name}": port
         for name, draft in drafts.items()
@@ -193,9 +198,8 @@ def _too_large(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
         if isinstance(port, OutPort)
     }
     if too_large := {path: said for path, port in outs.items() if (said := excess(port.type))}:
-        listed = ", ".join(f"{path} ({said})" for path, said in list(too_large.items())[:most])
-        more = f" and {len(too_large) - most} more" if len(too_large) > most else ""
-        text = f"samples that are too large for it would be left out and counted: {listed}{more}"
+        listed = _listed([f"{path} ({said})" for path, said in too_large.items()])
+        text = f"samples that are too large for it would be left out and counted: {listed}"
         yield Said("note", "N-LIMITS", (service,), text, of_key=True)
 
 

@@ -295,7 +295,7 @@ class Taking:
 
 
 def _items(stream: Stream) -> Iterator[Any]:
-    """What has come of a stream; END when it has ended. Nothing more comes of a session that has ended."""
+    """The items of a stream that have come, then END where it has ended; a session that has ended gives no more."""
     while True:
         try:
             item = stream.next(0.0)
