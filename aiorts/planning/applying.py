@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.composites import parts_of
 from aiorts.errors import StateError, WiringError, format_error
 from aiorts.isolation import Isolation
-from aiorts.kernel.between_cycles import between_cycles
-from aiorts.kernel.commit import commit
 from aiorts.kernel.component import Component
+from aiorts.kernel.configuring import put
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.context import Context
@@ -255,7 +254,7 @@ class Application:
         component = self._component(step.after.name)
         before = self._before.configuration(component.name) if self.goes_back else None
         edit = partial(_as_wanted, _setting(step.after), component) if before is None else lambda _: before
-        await between_cycles(self._kernel, component, partial(commit, component, edit))
+        await put(self._kernel, component, edit)
 
     async def _reload(self, step: Reload) -> None:
         kernel, entry = self._kernel, step.after

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from aiorts import Kernel
+from aiorts import Kernel, LifecycleState
 from aiorts.errors import WiringError
-from aiorts.system import build, load
+from aiorts.system import build, load, prepare, wanted
 from aiorts.types import TimedLong
 from control_parts import commanded
 from isolation.isolated_parts import Scale, Sink, Source
@@ -85,6 +85,23 @@ async def test_it_is_shown_saved_and_planned_as_any_other(tmp_path: Path, capsys
         await until(lambda: one.busy)
         status, text = await commanded(capsys, "cat", "one")
         assert f"process  {one.pid}, busy for" in text
+
+
+async def test_a_plan_changes_a_value_in_the_process_too(tmp_path: Path) -> None:
+    """It was changed in the kernel's stand-in alone: the process went on with the old value."""
+    (tmp_path / "isolated_parts.py").write_text(Path(__file__).with_name("isolated_parts.py").read_text())
+    path = tmp_path / "system.toml"
+    path.write_text(SYSTEM)
+    async with Kernel() as kernel:
+        await build(kernel, load(path))
+        one: Any = kernel.components["one"]
+        await until(lambda: one.state is LifecycleState.ACTIVE)
+        path.write_text(path.read_text().replace("params.factor = 3", "params.factor = 7"))
+        await kernel.apply(wanted(prepare(load(path))))
+        source: Any = kernel.components["source"]
+        sink: Any = kernel.components["sink"]
+        source.out.write_nowait(TimedLong(0, 2))
+        assert (await sink.inp.read(timeout=20.0)).data == 14
 
 
 async def test_what_a_file_asks_of_a_connector_between_processes_and_cannot_be_is_an_error(tmp_path: Path) -> None:
