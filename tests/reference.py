@@ -6,6 +6,7 @@ themselves: what is unclear on a page is corrected there. A test fails when a pa
 
 from __future__ import annotations
 
+import ast
 import inspect
 import os
 import re
@@ -485,11 +486,25 @@ _ROLES: Final = {
 _PART: Final = re.compile(r"(?<=correct the table there\. -->\n).*(?=<!-- End of)", re.DOTALL)
 
 
-def links_page(text: str) -> str:
-    """The page of links as it ought to be now, with the diagrams of the table."""
-    from aiorts.model.links.negotiation import LinkRole, mermaid
+def _begun_small(text: object) -> str:
+    """A docstring as it stands in a cell of a table."""
+    return f"{str(text)[0].lower()}{str(text)[1:].removesuffix('.')}"
 
-    parts = [f"\n## {_ROLES[role]}\n\n```mermaid\n{mermaid(role)}```\n" for role in LinkRole]
+
+def links_page(text: str) -> str:
+    """The page of links as it ought to be now, with the events and the diagrams of the table."""
+    from aiorts.model.links import negotiation
+    from aiorts.model.links.negotiation import LinkEvent, LinkRole, mermaid
+
+    (events,) = (
+        one.body
+        for one in ast.parse(inspect.getsource(negotiation)).body
+        if isinstance(one, ast.ClassDef) and one.name == LinkEvent.__name__
+    )
+    texts = [one.value.value for one in events if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant)]
+    rows = [f"| {event.value} | {_begun_small(text)} |\n" for event, text in zip(LinkEvent, texts[1:], strict=True)]
+    parts = ["\n## The events\n\n| event | meaning |\n|---|---|\n", *rows]
+    parts += [f"\n## {_ROLES[role]}\n\n```mermaid\n{mermaid(role)}```\n" for role in LinkRole]
     return _PART.sub("".join(parts) + "\n", text)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import io
 import os
 import signal
 import sys
@@ -56,11 +57,11 @@ def _print_for_programs() -> None:
     A terminal gets its own encoding, with a number in the place of each character that it lacks.
     """
     out = sys.stdout
-    if out is not None and out.encoding.lower() != "utf-8":
+    if isinstance(out, io.TextIOWrapper) and out.encoding.lower() != "utf-8":
         if out.isatty():
-            out.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+            out.reconfigure(errors="backslashreplace")
         else:
-            out.reconfigure(encoding="utf-8")  # type: ignore[union-attr]
+            out.reconfigure(encoding="utf-8")
 
 
 def _has_room() -> bool:

@@ -92,7 +92,8 @@ class KernelSession:
             await self._answer(call, operation)
         except BaseException:
             del self._items[call]
-            self._session.leave(call)
+            if not self._closed:
+                self._writer.write(self._session.cancel(call))  # one that is left runs on there
             raise
 
     def close(self) -> None:

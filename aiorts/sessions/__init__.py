@@ -1,4 +1,4 @@
-"""Sessions with running kernels: what is said, in frames, where kernels are found, and the client's end.
+"""Sessions with running kernels: the protocol, where kernels are found, and the client's end.
 
 It stands below links and is imported by short-lived commands: it knows neither asyncio nor the kernel. The kernel's
 end is `aiorts.control`.

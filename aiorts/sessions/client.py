@@ -50,7 +50,7 @@ class Client:
         self._news = Condition()
         """Held while something is done with the session; notified when something has come."""
         self._thread: Thread | None = None
-        """Reads ahead."""
+        """The thread that reads ahead; None: none does."""
         self._deaf = False
         """Whether the kernel takes nothing any more; what it said last may still be read."""
         self._who = who or _command()
@@ -217,7 +217,7 @@ class Client:
         try:
             began = self._next(call, wait).result()
         except BaseException:
-            self._leave(call)
+            self._cancel(call)  # one that is left runs on in the kernel
             raise
         return Stream(self, call, began)
 

@@ -120,7 +120,10 @@ class Call:
         return len(self._kept)
 
     def keep(self, answer: Answer, credit: int | None) -> bool:
-        """Whether there is room for an answer: an item without credit is missing, and the next answer says so."""
+        """Keep an answer; returns whether there was room.
+
+        An item without credit is missing, and the next answer says so.
+        """
         answer.missed += self._missed
         kept = len(self._kept)
         full = credit is not None and (kept >= credit or (kept > 0 and self._came - self._taken + answer.size > BYTES))
@@ -226,7 +229,7 @@ class ClientSession:
         return do
 
     def check(self) -> None:
-        """Raises what has ended the session, if it has ended."""
+        """Raise what has ended the session, if it has ended."""
         if self.error is not None:
             raise self.error.with_traceback(None)
 
@@ -236,7 +239,7 @@ class ClientSession:
         return BYE
 
     def end(self, error: AiortsError) -> None:
-        """Nothing comes any more: say why. What was said first holds."""
+        """End the session with a reason; the first reason stays."""
         self.state = "ended"
         self.error = self.error or error
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from aiorts import PeriodicContext
 from control_parts import commanded, controlled
 
 pytestmark = pytest.mark.anyio
@@ -61,6 +62,19 @@ async def test_the_first_that_fails_ends_it_with_file_and_line(
         found, said = await commanded(capsys, "batch", str(file))
         assert (found, text in said) == (status, True), said
         assert kernel.components["counter0"].configuration.values["step"] == step
+
+
+async def test_an_inject_reports_what_its_own_line_lost(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The lines share a session, whose counts are sums: a line reported the losses of those before it again."""
+    file = tmp_path / "robot.txt"
+    line = "inject reader0.in --full overwrite --length 2 1.0"
+    file.write_text(f"{line} --count 20\n{line}\n")
+    async with controlled() as kernel:
+        await kernel.stop(kernel.contexts["loop"])
+        await kernel.start(PeriodicContext(rate=2.0, name="slow"), kernel.components["reader0"], activate=True)
+        status, said = await commanded(capsys, "batch", str(file), "--keep-going")
+    assert (status, "of 20 samples were dropped (overwritten)" in said) == (1, True), said
+    assert "of 1 samples" not in said
 
 
 async def test_with_keep_going_all_are_carried_out_and_the_first_failure_gives_the_status(

@@ -107,6 +107,28 @@ async def test_a_process_that_takes_all_it_can_is_told_so_and_others_are_served(
         assert await with_client("hogged", lambda client: client.call("names"))
 
 
+async def test_a_client_that_has_all_its_connections_ends_none_of_another() -> None:
+    """Each one more that it tried took the connection of somebody who had not said hello yet."""
+    async with controlled("crowded", mode="view") as kernel:
+        with kernel.service(Control).admit(Right.VIEW, "anna") as other:
+            hog = subprocess.Popen(
+                [sys.executable, str(HOG), "crowded", "100"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            )
+            try:
+                assert hog.stdout is not None
+                await asyncio.wait_for(asyncio.to_thread(lambda: list(iter(hog.stdout.readline, "\n"))), 2 * WAIT)  # type: ignore[union-attr]
+
+                def greeted() -> bytes:
+                    other.settimeout(WAIT)
+                    other.sendall(framed({"hello": {"oldest": OLDEST, "newest": NEWEST, "who": "it"}}))
+                    return other.recv(65_536)
+
+                assert b"crowded" in await asyncio.to_thread(greeted)
+            finally:
+                hog.kill()
+                hog.communicate(timeout=WAIT)
+
+
 async def test_calls_of_one_client_are_counted_together() -> None:
     async with controlled("called", mode="view"):
 

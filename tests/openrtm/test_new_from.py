@@ -274,7 +274,8 @@ def test_a_default_outside_its_constraint_costs_the_constraint_alone(
         text = text.replace("<rtc:Literal>0<", "<rtc:Literal>1<")
     name = f"arm_{default}"
     assert arm(tmp_path, text, name) == 0
-    assert "its constraint is left out" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "its constraint is left out" in said
     gain = made_of(tmp_path, name)("arm0").params["gain"].spec
     assert gain.default == (20.0 if default == "20" else 0.0)
 

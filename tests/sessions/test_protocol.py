@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts.errors import AiortsError, ControlError, LimitError, WireError
+from aiorts.errors import AiortsError, ControlError, LimitError, NoAnswerError, WireError
 from aiorts.sessions import Client, Entry
 from aiorts.sessions.protocol import REQUESTS, WAITING, answer_in, frames, request_in
 from campaign import cases
@@ -328,6 +328,21 @@ async def test_so_many_calls_and_streams_run_at_a_time_and_as_many_again_once_th
         before = kernel.bus.sequence
         assert await with_client("many", use) == WAITING
         assert kernel.bus.sequence >= before
+
+
+@pytest.mark.anyio
+async def test_a_stream_that_did_not_begin_in_time_has_ended_in_the_kernel_too() -> None:
+    """Each one went on there unseen, and 256 of them were all that a client may have."""
+
+    def use(client: Client) -> bool:
+        for _ in range(WAITING + 20):
+            with pytest.raises(NoAnswerError):
+                client.stream("tap", 0.0, port="counter0.out")
+        until(lambda: _works(client))
+        return True
+
+    async with controlled("unanswered"):
+        assert await with_client("unanswered", use)
 
 
 def _works(client: Client) -> bool:

@@ -106,8 +106,8 @@ CODES: Final[dict[str, Code]] = {
     ),
     "E-DENIED": Code(
         "The kernel does not allow this operation over this connection.",
-        "--control=view; over a network no --allow-control, or a client that only looks; a file outside of --files.",
-        "Start it without --control=view; for other hosts with --allow-control and --files DIR; certify the operator.",
+        "--control=view; over a network no --allow-control; a client that may only look; a file outside of --files.",
+        "Start it without --control=view, with --allow-control for other hosts, with --files DIR; make it an operator.",
     ),
     "E-EXTRA": Code(
         "A package that is needed for this is not installed.",
@@ -337,7 +337,7 @@ CODES: Final[dict[str, Code]] = {
     "N-LIMITS": Code(
         "Samples of a port may be larger than a recording or a link takes: a note of aiorts check.",
         "Its type has a text, a list or a map of any length.",
-        "Ignore the note where they are short; a sample that is too large is left out, counted, and said.",
+        "Where they are short, ignore the note. A sample that is too large is left out, counted and reported.",
     ),
     "N-OPEN": Code(
         "A port has no connection: a note of aiorts check.",
@@ -396,7 +396,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "W-FILE": Code(
         "A parameter is a path, and its class does not say what the component does with the file.",
-        "It counts as written: who operates the kernel without the right code may name files below --files alone.",
+        "It counts as a file that is written: clients without the right code may name only files below --files.",
         'Declare it with Param(..., file="read"), or file="write".',
     ),
     "W-LATE": Code(

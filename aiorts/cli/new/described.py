@@ -118,20 +118,22 @@ def _parameter(one: ParameterDescription, notes: list[str]) -> Parameter:
         name = attribute("parameter", one.name)
         if name in IMPORTED:
             raise ConfigurationError(f"parameter {name}: is the name of a class that is used; choose another")
-        made = Parameter(name, one.default, _line(one.unit), _line(one.doc), one.constraint, one.widget)
-        for left_out in ("widget", "constraint"):
+        made = Parameter(name, one.default, _line(one.unit), _line(one.doc), one.constraint)
+        try:
+            made.declared()
+        except DeclarationError as error:
+            if not one.constraint:
+                raise
+            notes.append(f"{one.where}: {_cause(error)}; its constraint is left out")
+            made = replace(made, constraint="")
+            made.declared()
+        if one.widget:
+            shown = replace(made, widget=one.widget)
             try:
-                made.declared()
-                break
+                shown.declared()
+                made = shown
             except DeclarationError as error:
-                if not (one.widget or one.constraint):
-                    raise
-                if not getattr(made, left_out):
-                    continue
-                what = "it" if left_out == "widget" else "its constraint"
-                notes.append(f"{one.where}: {_cause(error)}; {what} is left out")
-                made = replace(made, **{left_out: ""})
-        made.declared()
+                notes.append(f"{one.where}: {_cause(error)}; it is left out")
     except AiortsError as error:
         raise ConfigurationError(f"{one.where}: {_cause(error)}") from None
     return made

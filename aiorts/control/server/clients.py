@@ -1,7 +1,7 @@
 """The clients of a kernel: how many connections and calls each has, and how much time its calls took of late.
 
-A client is a process of this host, or a name of another one, with its right. Some connections are kept for clients that
-may do more than look: those that only look never have all of them.
+A client is a process of this host, or a name that a client of another host has, with its right. Some connections are
+kept for clients that may do more than look: those that only look never have all of them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Client:
         self.right = right
         self.connections = 0
         self.calls = 0
-        """Without their last answer."""
+        """Calls without their last answer."""
         self._used = 0.0
         self._used_at = time.monotonic()
 
@@ -42,7 +42,7 @@ class Client:
         return float(self._used * 0.5 ** (now - self._used_at))
 
     def use(self, seconds: float) -> None:
-        """Its calls took so many seconds."""
+        """Add the seconds that its calls took."""
         now = time.monotonic()
         self._used, self._used_at = self.used(now) + seconds, now
 
@@ -84,15 +84,21 @@ class Clients:
             self._keep(client)
             return client
 
+    def is_full(self, name: str, right: Right) -> bool:
+        """Whether one client has all the connections that it may have."""
+        with self._lock:
+            client = self._known.get((name, right))
+            return client is not None and client.connections >= OF_ONE[right]
+
     def disconnect(self, client: Client) -> None:
-        """A connection of it has ended."""
+        """Count a connection that has ended."""
         with self._lock:
             client.connections -= 1
             self._connections -= 1
             self._looking -= client.right is Right.VIEW
 
     def _keep(self, client: Client) -> None:
-        """Know it, and what its calls took, also when it has gone: for as long as there is room."""
+        """Keep a client, and what its calls took, also when it has gone, as long as there is room."""
         key = client.name, client.right
         if key not in self._known and len(self._known) >= _KNOWN:
             self._known = {key: one for key, one in self._known.items() if one.connections}

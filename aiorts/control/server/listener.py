@@ -63,7 +63,7 @@ class Listener:
         claim: the socket that listens, and the kernel's entry.
         right: what clients may do.
         hello: what the kernel says of itself.
-        files: those that clients may name who may not bring code.
+        files: the folder whose files clients without the right `code` may name.
     """
 
     def __init__(
@@ -405,13 +405,13 @@ class Listener:
             client = self._clients.connect(where, self.right)
         except BusyError as error:
             turn_away(connected, error)
-            self._forget_stranger()
+            self._forget_stranger(where if self._clients.is_full(where, self.right) else None)
             return
         self._connections.add(Connection(self, connected, client))
 
-    def _forget_stranger(self) -> None:
-        """The client that has been without a hello for longest makes room for another."""
-        strangers = [one for one in self._connections if one.session is None]
+    def _forget_stranger(self, name: str | None) -> None:
+        """End the connection that has been without a hello for longest, of the client of this name if one is given."""
+        strangers = [one for one in self._connections if one.session is None and name in (None, one.client.name)]
         if strangers:
             min(strangers, key=lambda one: one.since).closed = True
 

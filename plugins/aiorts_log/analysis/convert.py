@@ -18,7 +18,7 @@ from aiorts.progress import Step, progress
 from aiorts_log.errors import DamagedError, RecordingError
 from aiorts_log.mcap.encodings import Encoding
 from aiorts_log.mcap.format import Attachment
-from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording
+from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording, not_closed
 from aiorts_log.mcap.source import Limits
 from aiorts_log.text.csv_format import TableOptions
 from aiorts_log.text.csv_in import TableReader
@@ -236,13 +236,6 @@ def refuse_damaged(reader: Recording) -> None:
     if reader.damage:
         text = f"{reader.path}: damaged: {reader.fault}; aiorts log salvage copies what is whole"
         raise DamagedError(text, reader.damage[0].offset)
-
-
-def not_closed(readers: Iterable[Recording]) -> Iterator[tuple[str, int]]:
-    """The recordings that were not closed, and the number of unusable bytes at the end of each."""
-    for reader in readers:
-        if not reader.clean:
-            yield str(reader.path), reader.torn_bytes
 
 
 def _named(reader: Recording, front: str, unique: bool, **chosen: Any) -> Iterator[tuple[str, RecordedSample]]:

@@ -17,10 +17,9 @@ from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.progress import Step, progress
 from aiorts.types import to_plain
 from aiorts.wire import MsgpackCodec
-from aiorts_log.analysis.convert import not_closed
 from aiorts_log.analysis.values import values_of
 from aiorts_log.errors import DamagedError, RecordingError
-from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording
+from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording, not_closed
 
 By: TypeAlias = Literal["time", "tm", "order"]
 LOG_TIME: Final = "log_time"

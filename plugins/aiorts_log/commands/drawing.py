@@ -9,12 +9,12 @@ import click
 from aiorts import exits
 from aiorts.errors import ConfigurationError
 from aiorts.progress import progress
-from aiorts_log.analysis.convert import not_closed
 from aiorts_log.analysis.plot import Picture, check_picture, draw_path, draw_times
 from aiorts_log.analysis.series import Series, read_series
 from aiorts_log.commands.output import FILE, UNLIMITED, Finite, moment, number, safe, say_unclosed
 from aiorts_log.commands.working import WritingCommand
 from aiorts_log.errors import RecordingError
+from aiorts_log.mcap.reader import not_closed
 from aiorts_log.mcap.source import Limits
 from aiorts_log.text.opening import open_recording
 from aiorts_log.whole import whole_file

@@ -13,7 +13,6 @@ from aiorts import exits
 from aiorts.errors import RecordError, WireError
 from aiorts.system import standard_output
 from aiorts.wire import json_text, line_of
-from aiorts_log.analysis.convert import not_closed
 from aiorts_log.analysis.info import RecordingInfo, info_of
 from aiorts_log.commands.output import (
     FILE,
@@ -29,7 +28,7 @@ from aiorts_log.commands.output import (
     span,
     strict,
 )
-from aiorts_log.mcap.reader import RecordedSample, RecordingReader
+from aiorts_log.mcap.reader import RecordedSample, RecordingReader, not_closed
 from aiorts_log.mcap.source import Limits
 from aiorts_log.mcap.survey import Gap
 from aiorts_log.text.opening import open_recording

@@ -13,9 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from aiorts_log.analysis.convert import not_closed
 from aiorts_log.errors import DamagedError, RecordingError
-from aiorts_log.mcap.reader import RecordingReader
+from aiorts_log.mcap.reader import RecordingReader, not_closed
 from aiorts_log.mcap.source import Limits
 
 _SQLITE: Final = b"SQLite format 3\0"

@@ -11,10 +11,10 @@ from typing import Any, Final, Literal, TypeAlias
 
 from aiorts.errors import AiortsError
 from aiorts.progress import Step, progress
-from aiorts_log.analysis.convert import filled, not_closed, refuse_damaged
+from aiorts_log.analysis.convert import filled, refuse_damaged
 from aiorts_log.errors import DamagedError, RecordingError, UnwrittenError
 from aiorts_log.foreign.ros_records import MESSAGES, library, record_of, ros_name, standard_types, unmaker
-from aiorts_log.mcap.reader import RecordedPort, Recording
+from aiorts_log.mcap.reader import RecordedPort, Recording, not_closed
 from aiorts_log.mcap.source import Limits
 from aiorts_log.text.opening import open_recording
 from aiorts_log.whole import whole_folder

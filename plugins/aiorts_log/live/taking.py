@@ -289,7 +289,7 @@ class Taking:
         return made
 
     def _look(self) -> None:
-        """There may be more ports."""
+        """Tap the ports that have come since."""
         paths = self._choice.of(self._client.call("outline"))
         self._tap_all([path for path in paths if path not in self._taps and path not in self._passed])
 

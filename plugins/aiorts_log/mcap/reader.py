@@ -11,7 +11,7 @@ import contextlib
 import json
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -109,8 +109,15 @@ class RecordedSample(NamedTuple):
         return self.port.decode(self.data)
 
 
+def not_closed(readers: Iterable[Recording]) -> Iterator[tuple[str, int]]:
+    """The recordings that were not closed, and the number of unusable bytes at the end of each."""
+    for reader in readers:
+        if not reader.clean:
+            yield str(reader.path), reader.torn_bytes
+
+
 def unclosed_text(torn_bytes: int) -> str:
-    """The part that a recording lacks that was not closed, in words."""
+    """In words, what a recording lacks that was not closed."""
     torn = f"; {torn_bytes} bytes at its end are unusable" if torn_bytes else ""
     return f"was not closed: what was not yet written when it ended is missing{torn}"
 

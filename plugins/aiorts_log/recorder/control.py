@@ -285,8 +285,9 @@ class BackgroundRecording:
         writer.remarks.update(self._remarks)
         writer.close()
         self.part = writer.part
-        self._report_drops(writer)
-        self._report_refusals(writer)
+        found = writer.statistics
+        self._report_drops(writer, found)
+        self._report_refusals(found)
         self.failure = writer.failure
 
     def _hand_on(self, writer: RecordingWriter) -> None:
@@ -330,25 +331,26 @@ class BackgroundRecording:
             return self._batches[0]
 
     def _look(self, writer: RecordingWriter) -> None:
-        self._report_drops(writer)
-        self._report_refusals(writer)
+        found = writer.statistics  # counts all ports, at each call
+        self._report_drops(writer, found)
+        self._report_refusals(found)
         path, what = writer.displaced
         if what and path != self._reported_displaced:
             self._reported_displaced = path
             text = f"{path}: was {what} while it is recorded; what comes goes where it was moved to, or is lost"
             self._notify(Notice("gone", text))
 
-    def _report_refusals(self, writer: RecordingWriter) -> None:
-        for name, reasons in writer.statistics.reasons.items():
+    def _report_refusals(self, found: RecordingStatistics) -> None:
+        for name, reasons in found.reasons.items():
             if name not in self._reported_refusals:
                 self._reported_refusals.add(name)
                 text = f"{self.path}: a sample of {name} is not recorded: {next(iter(reasons))}"
                 self._notify(Notice("refused", text))
 
-    def _report_drops(self, writer: RecordingWriter) -> None:
+    def _report_drops(self, writer: RecordingWriter, found: RecordingStatistics) -> None:
         if writer.failure is not None or self._reported_drops:
             return  # what is dropped from its end on, that end explains
-        if (found := writer.statistics).dropped:
+        if found.dropped:
             self._reported_drops = True
             ports = ", ".join(f"{count} of {name}" for name, count in list(found.dropped.items())[:_MOST_NAMED])
             more = len(found.dropped) - _MOST_NAMED

@@ -190,6 +190,8 @@ def inject(
         if field:
             raise AbsentError(f"{port}: samples are written whole; name the in-port, {path}")
         how: dict[str, Any] = {"port": path, "full": full, "length": length, "timeout": timeout}
+        # Sums of the whole session, which a batch shares among its lines.
+        before = {} if no_wait else client.call("inject", lines=[], **how)["dropped"]
         try:
             if value is None and _is_file(sys.stdin):
                 begun = sys.stdin.tell()
@@ -205,7 +207,9 @@ def inject(
             raise RecordError(f"{error}; {written or 'no'} samples were written before") from None
         if written and not no_wait:
             last = client.call("inject", timeout + 5.0, lines=[], wait=timeout, **how)
-            dropped = {**last["dropped"], **({"lost": last["unread"]} if last["unread"] else {})}
+            dropped = {why: n - before.get(why, 0) for why, n in last["dropped"].items() if n > before.get(why, 0)}
+            if last["unread"]:
+                dropped["lost"] = min(last["unread"], written)
     if as_json:
         say_line({"written": written, "refused": refused, "dropped": dropped})
     elif refused:

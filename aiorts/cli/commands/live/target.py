@@ -1,4 +1,4 @@
-"""Completes what runs on the command line; what a word means there, `aiorts.control` knows."""
+"""Completes what runs on the command line; what a word means there, `aiorts.sessions` knows."""
 
 from __future__ import annotations
 
