@@ -238,3 +238,16 @@ def test_a_full_disk_is_one_line(command: str) -> None:
     assert done.returncode == 1
     assert done.stderr.startswith("aiorts: E-OUTPUT: ")
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_standard_output_that_is_no_file_is_printed_to() -> None:
+    program = (
+        "import contextlib, io, sys\n"
+        "from aiorts.cli import main\n"
+        "sys.argv, out = ['aiorts', '--version'], io.StringIO()\n"
+        "with contextlib.redirect_stdout(out):\n"
+        "    status = main()\n"
+        "print(status, out.getvalue())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout.startswith("0 aiorts "), done.stderr

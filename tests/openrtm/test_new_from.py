@@ -265,6 +265,15 @@ def test_what_is_given_twice_is_said_with_both_lines(
     assert f"E-OPENRTM: {tmp_path}/{said}" in err
 
 
+def test_a_widget_that_needs_no_bounds_stays_where_the_constraint_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = WHOLE.replace('rtc:defaultValue="2.5"', 'rtc:defaultValue="20"').replace('"slider.0.5"', '"text"')
+    assert arm(tmp_path, text, "arm_text") == 0
+    assert "its constraint is left out" in capsys.readouterr().err
+    assert made_of(tmp_path, "arm_text")("arm0").params["gain"].spec.widget == "text"
+
+
 @pytest.mark.parametrize("default", ["20", "much"])
 def test_a_default_outside_its_constraint_costs_the_constraint_alone(
     default: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -274,8 +283,7 @@ def test_a_default_outside_its_constraint_costs_the_constraint_alone(
         text = text.replace("<rtc:Literal>0<", "<rtc:Literal>1<")
     name = f"arm_{default}"
     assert arm(tmp_path, text, name) == 0
-    said = capsys.readouterr().err
-    assert "its constraint is left out" in said
+    assert "its constraint is left out" in capsys.readouterr().err
     gain = made_of(tmp_path, name)("arm0").params["gain"].spec
     assert gain.default == (20.0 if default == "20" else 0.0)
 
