@@ -17,7 +17,7 @@ from aiorts.health import Health
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of
 from aiorts.kernel.service import KernelService
 from aiorts.model.health.verdict import verdict
-from aiorts.model.stepwise import finished
+from aiorts.model.wanted.stepwise import finished
 from aiorts.model.wanted.applied import Applied
 from aiorts.model.wanted.plan import Plan, planning
 from aiorts.model.wanted.system_text import Saved, system_text

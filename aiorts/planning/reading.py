@@ -16,7 +16,7 @@ from aiorts.isolation import RemoteComponent, given_of
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.service import owned_by
 from aiorts.model.lifecycle import LifecycleState
-from aiorts.model.stepwise import finished
+from aiorts.model.wanted.stepwise import finished
 from aiorts.model.wanted.entries import (
     ClockEntry,
     ComponentEntry,

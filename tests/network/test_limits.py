@@ -58,8 +58,9 @@ def test_the_guide_names_these_limits() -> None:
     (said,) = re.findall(
         r"is not heard for (\d+) seconds.* are (\d+) questions a second, over ten seconds, and ([\d,]+) more once; "
         r"(\d+) messages a minute that are none; and (\d+) messages a minute that take the processor longer than "
-        r"(\d+) ms, and (\d+) ms more for each megabyte\. Of a host ([\d,]+) tokens are seen, of which "
-        r"a kernel has two, and of one kernel's name ([\d,]+) on all hosts together\.",
+        r"(\d+) ms, and (\d+) ms more for each megabyte\. A kernel declares two tokens, "
+        r"its presence in the network: of one host ([\d,]+) are seen, of one kernel's name ([\d,]+) on all hosts "
+        r"together\.",
         text,
     )
     question, bad, slow = (LIMITS[what] for what in ("question", "bad", "slow"))
