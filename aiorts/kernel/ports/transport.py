@@ -46,7 +46,16 @@ _REPLACE_OLDEST = Verdict.REPLACE_OLDEST
 _WAIT = Verdict.WAIT
 _DISPLACED: Final = {FullPolicy.OVERWRITE: "overwritten", FullPolicy.REJECT: "rejected"}
 _CARRIED_ON: Final = (
-    "arrived_at", "dead", "dropped", "last", "listeners", "losses", "missed", "offered", "queue", "written"
+    "arrived_at",
+    "dead",
+    "dropped",
+    "last",
+    "listeners",
+    "losses",
+    "missed",
+    "offered",
+    "queue",
+    "written",
 )
 """What a connector keeps when it gets other options."""
 _NO_DROPS: Final[Mapping[str, int]] = MappingProxyType({})
