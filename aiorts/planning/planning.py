@@ -17,9 +17,9 @@ from aiorts.health import Health
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of
 from aiorts.kernel.service import KernelService
 from aiorts.model.health.verdict import verdict
-from aiorts.model.wanted.stepwise import finished
 from aiorts.model.wanted.applied import Applied
 from aiorts.model.wanted.plan import Plan, planning
+from aiorts.model.wanted.stepwise import finished
 from aiorts.model.wanted.system_text import Saved, system_text
 from aiorts.planning.canon import without_provenance
 from aiorts.planning.turns import in_turns

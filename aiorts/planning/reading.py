@@ -16,7 +16,6 @@ from aiorts.isolation import RemoteComponent, given_of
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.service import owned_by
 from aiorts.model.lifecycle import LifecycleState
-from aiorts.model.wanted.stepwise import finished
 from aiorts.model.wanted.entries import (
     ClockEntry,
     ComponentEntry,
@@ -25,6 +24,7 @@ from aiorts.model.wanted.entries import (
     ContextEntry,
     Wanted,
 )
+from aiorts.model.wanted.stepwise import finished
 from aiorts.planning.canon import Canon, service_connection, table, whole
 from aiorts.planning.planning import Planning
 from aiorts.planning.shown import shown_name, shown_path

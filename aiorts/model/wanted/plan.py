@@ -15,7 +15,6 @@ from typing import Any, Final, TypeVar
 from aiorts.late import dataclass
 from aiorts.model.numbering import Numbering
 from aiorts.model.options import CHANGEABLE
-from aiorts.model.wanted.stepwise import finished
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
 from aiorts.model.wanted.steps import (
     Activate,
@@ -36,6 +35,7 @@ from aiorts.model.wanted.steps import (
     StopContext,
     Supervise,
 )
+from aiorts.model.wanted.stepwise import finished
 
 _ABSENT: Final = object()
 _RULES: Final = ("supervision", "start", "exclusive", "on_link_lost")
