@@ -77,6 +77,8 @@ class Round:
     """What the operator was told instead of an answer."""
     memory: int
     """Bytes of the victim that are in memory at its end."""
+    blocks: int
+    """Blocks of memory that the victim's Python holds at its end: what the engine holds is not among them."""
     standing: str
     """How the victim stands with its name at its end."""
     said: str
@@ -124,6 +126,12 @@ class Outcome:
         first, *_, last = self._of(True)
         return last.memory - first.memory
 
+    @property
+    def kept(self) -> int:
+        """Blocks by which the last attacked round has made the victim's Python larger than the first one."""
+        first, *_, last = self._of(True)
+        return last.blocks - first.blocks
+
     def __str__(self) -> str:
         lines = [
             f"{'attacked' if one.attacked else 'alone':8} {one.rate:6.2f} cycles/s, "
@@ -133,7 +141,7 @@ class Outcome:
             for one in self.rounds
         ]
         whole = f"ratio {self.ratio:.4f}, lost {self.lost}, worst answer {self.worst_answer:.3f} s"
-        return "\n".join([*lines, f"{whole}, grown {self.grown >> 10} KiB"])
+        return "\n".join([*lines, f"{whole}, grown {self.grown >> 10} KiB, kept {self.kept} blocks"])
 
 
 @contextmanager
@@ -246,6 +254,7 @@ def one_round(
         tuple(one[1] for one in answers),
         tuple(one[2] for one in answers if one[2]),
         after["memory"],
+        after["blocks"],
         after["standing"],
         f"{' '.join(said)} {log.read_text()[-500:]}".strip(),
     )

@@ -84,6 +84,7 @@ class Victim:
             "cycles": self.drive.number,
             "gap": gap,
             "memory": resident(),
+            "blocks": sys.getallocatedblocks(),
             "states": states,
             "peers": peers,
             "standing": standing,

@@ -34,6 +34,8 @@ from network.network_parts import free_port
 from network.test_duplicates import Face
 
 WAIT = 20.0
+KEPT = 4_000
+"""Blocks of memory: those of the 2,000 claims of one name that are seen would be more than twice as many."""
 ROLES = {"victim": "component", "reader": "component", "other": "component"}
 CLAIMING = Path(__file__).with_name("claims_program.py")
 
@@ -381,5 +383,8 @@ def test_thousands_of_claims_beside_a_system_take_nothing_from_it(tmp_path: Path
     assert [one.standing for one in found.rounds] == ["owns"] * 4
     assert found.lost == 0
     assert found.worst_answer < 2.0
-    assert found.grown < 5 << 20
+    # The engine keeps what it took for so many tokens: bare, with nothing of ours, it is 14 MB larger after a second
+    # round of 12,000, and 22 MB after four. Ours is what Python holds.
+    assert found.kept < KEPT
+    assert found.grown < (24 << 20 if CAMPAIGN else 5 << 20)
     assert found.ratio >= (0.98 if CAMPAIGN else 0.7), "one round is short, and so is what one late cycle is a part of"
