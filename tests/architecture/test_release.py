@@ -19,11 +19,11 @@ from test_layers import PUBLIC, ROOT
 from test_wheel import run
 
 import aiorts
-import changelog
 from aiorts.guide.contents import FOLDER
 from aiorts.system.file.parse import SCHEMA
 from aiorts_log.mcap.source import MAJOR, MINOR
 
+CHANGELOG = ROOT / "CHANGELOG.md"
 FILES = (
     *("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "noxfile.py", "pyproject.toml"),
     *(".ci/run", ".gitignore", ".pre-commit-config.yaml"),
@@ -184,18 +184,15 @@ def test_it_installs_without_a_network_from_a_folder_of_wheels(
     assert "releases" in run(tmp_path / "new/bin/aiorts", "help", "--list", cwd=tmp_path)
 
 
-def test_every_entry_of_the_changelog_has_its_kind() -> None:
-    entries = changelog.split(changelog.CHANGELOG.read_text(encoding="utf-8"))[1]
-    assert entries
-    assert [entry[:60] for entry in entries if changelog.kind(entry) not in changelog.KINDS] == []
-
-
-def test_the_changelog_is_sorted_with_what_is_breaking_first_and_loses_nothing() -> None:
-    older = "\n## 0.1.0\n\n- fixed: old.\n- added: old.\n"
-    head = "# Changes\n\n## 0.2.0\n\n"
-    entries = "- fixed: a,\n  more.\n- added: b.\n- changed: c. **Breaking.**\n- added: d.\n- added: b.\n"
-    in_order = "- changed: c. **Breaking.**\n- added: b.\n- added: d.\n- fixed: a,\n  more.\n"
-    assert changelog.in_order(head + entries + older) == head + in_order + older
+def test_the_changelog_says_what_each_version_is_on_a_few_pages() -> None:
+    text = CHANGELOG.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    assert len(lines) <= 110
+    assert [line for line in lines if len(line) > 120] == []
+    entries = re.findall(r"^- ((?:.|\n  )+)", text, re.MULTILINE)
+    assert len(entries) > 20
+    # Nothing was released yet that could break.
+    assert "0.1.0 (unreleased)" not in text or "breaking" not in text.lower()
 
 
 def test_the_page_on_releases_names_every_public_module_and_the_formats() -> None:
@@ -208,4 +205,4 @@ def test_the_page_on_releases_names_every_public_module_and_the_formats() -> Non
 def test_the_version_is_the_same_everywhere() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert aiorts.__version__ == project["version"]
-    assert f"\n## {aiorts.__version__}" in changelog.CHANGELOG.read_text(encoding="utf-8")
+    assert f"\n## {aiorts.__version__}" in CHANGELOG.read_text(encoding="utf-8")
