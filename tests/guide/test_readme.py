@@ -9,13 +9,14 @@ from pathlib import Path
 import rows
 import tiers
 from aiorts.guide import blocks, pages
+from aiorts.system import graph, load
 from guide_blocks import anchors, links, run_page
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 LONGEST = 160
-FIRST = 20
-"""Lines of the first screen."""
+FIRST, LATER = 20, 45
+"""Lines of the first screen, and of the first two."""
 
 PROMISES = {
     # Run it, a program
@@ -182,13 +183,18 @@ def text() -> str:
     return README.read_text(encoding="utf-8")
 
 
-def test_it_is_short_and_its_first_screen_says_what_for_whom_and_when_not() -> None:
+def test_it_is_short_and_its_first_screen_says_what_for_whom_and_shows_it() -> None:
     lines = text().splitlines()
     assert len(lines) <= LONGEST
-    first = " ".join(lines[:FIRST])
-    assert "runs software as components" in first
-    assert "It is for" in first
-    assert "Use something else" in first
+    first = "\n".join(lines[:FIRST])
+    told = ["runs software as components", "It is for", "](examples/roomba/system.svg)", "<!-- command: run -->"]
+    assert [first.find(words) for words in told] == sorted(first.index(words) for words in told)
+    assert "Use something else" in "\n".join(lines[:LATER])
+
+
+def test_its_picture_is_that_of_the_system_that_its_command_runs() -> None:
+    system = load(ROOT / "examples" / "roomba" / "system.toml")
+    assert (ROOT / "examples" / "roomba" / "system.svg").read_text(encoding="utf-8") == graph(system, language="svg")
 
 
 def test_every_link_leads_to_a_file_and_a_heading_of_the_repository() -> None:
