@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import deque
 from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from aiorts.kernel.ports import InPort
 from aiorts.late import dataclass
 from aiorts.links.messages import Answer, packed
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.links.negotiation import PAUSES
 from aiorts.model.names import Path
 
 if TYPE_CHECKING:
@@ -26,6 +28,25 @@ _AWAITED: Final = 1_000
 _UNTOLD: Final = 1_000
 """Links that ended while the other kernel was away, of which it is told, at the most."""
 _SECONDS: Final = 2.0
+
+
+async def told(kernels: Kernels, peer: Peer, what: str, body: bytes) -> bool:
+    """Tell another kernel something, however long it stands still; it may hear it twice. False: it has gone."""
+    pauses = iter(PAUSES)
+    while True:
+        try:
+            await kernels.ask(peer, what, body, _SECONDS)
+        except LinkTimeout:
+            continue
+        except LinkError:
+            if not kernels.is_there(peer):
+                return False
+            # It has too many questions now, or does not know this one.
+            if (pause := next(pauses, None)) is None:
+                return True
+            await asyncio.sleep(pause)
+            continue
+        return True
 
 
 class Arrivals:
@@ -120,17 +141,7 @@ class Arrivals:
             waits.remove(component)
             if not waits:
                 del self._waits[peer]
-            self._links.run(self._tell(peer, component), "aiorts link")
-
-    async def _tell(self, peer: Peer, component: str) -> None:
-        while True:
-            try:
-                await self._links.ask(peer, "come", component.encode(), _SECONDS)
-            except LinkTimeout:
-                continue
-            except LinkError:
-                return  # it has gone, and asks anew when it comes back
-            return
+            self._links.run(told(self._links, peer, "come", component.encode()), "aiorts link")
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,15 +185,5 @@ class Departures:
                     self._kernels.run(self._tell(peer, departure), "aiorts link")
 
     async def _tell(self, peer: Peer, departure: Departure) -> None:
-        if not await self.tell(peer, departure.epoch):
-            self._untold.append(departure)
-
-    async def tell(self, peer: Peer, epoch: int) -> bool:
-        """Tell another kernel that its end of a link has no other one any more; False: it has not answered."""
-        try:
-            await self._kernels.ask(peer, "left", packed([epoch]), _SECONDS)
-        except LinkTimeout:
-            return False
-        except LinkError:
-            return True  # it has gone, or knows no such question
-        return True
+        if not await told(self._kernels, peer, "left", packed([departure.epoch])):
+            self.add(departure)

@@ -244,6 +244,10 @@ class Links(KernelService):
 
     # -- other kernels ---------------------------------------------------------------------------------------------
 
+    def is_there(self, peer: Peer) -> bool:
+        """See `Kernels.is_there`."""
+        return peer in self.reach.peers
+
     async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:
         """See `Kernels.ask`."""
         return await self.reach.carrier(peer).ask(peer, what, body, within=within)

@@ -101,8 +101,8 @@ class LinkEnd(Generic[Side]):
         self._channel: Channel | None = None
         """One that was made and is not in use yet."""
         self._opening: asyncio.Task[Any] | None = None
-        self._late: tuple[Peer, int] | None = None
-        """The kernel that was late, and the epoch of its end."""
+        self._late = 0
+        """The epoch of the other end, whose kernel was late."""
         self._timer: Cancellable | None = None
         self._watchers: list[asyncio.Future[None]] = []
         self.requested = False
@@ -260,7 +260,7 @@ class LinkEnd(Generic[Side]):
         offer = replace(offer, number=next(self._links.numbers))
         answer = await self._question(peer, "offer", offer.to_bytes())
         if step != self.negotiation.step:
-            return self._came_late(peer, answer.epoch) if answer.number else None
+            return self._came_late(answer.epoch) if answer.number else None
         if not answer.number:
             return self._not_now(step, answer)
         version = versions.agreed(peer.kernel, answer.protocol)
@@ -299,8 +299,8 @@ class LinkEnd(Generic[Side]):
         else:
             self.refused(answer.refused)
 
-    def _came_late(self, peer: Peer, epoch: int) -> None:
-        self._late = peer, epoch
+    def _came_late(self, epoch: int) -> None:
+        self._late = epoch
         self.on(LinkEvent.LATE)
 
     def _open(self) -> None:
@@ -319,7 +319,7 @@ class LinkEnd(Generic[Side]):
         if step != self.negotiation.step:
             channel.close()
             if peer is not None:
-                self._came_late(peer, offer.reader_epoch)
+                self._came_late(offer.reader_epoch)
             return None
         self._channel = channel
         return self.on(LinkEvent.MADE)
@@ -406,8 +406,7 @@ class LinkEnd(Generic[Side]):
             self._departures.add(Departure(self.far, self.connector.name, epoch))
 
     def _tell_late(self) -> None:
-        if self._late is not None:
-            self._links.run(self._departures.tell(*self._late), "aiorts link")
+        self._departures.add(Departure(self.far, self.connector.name, self._late))
 
     # -- its names -------------------------------------------------------------------------------------------------
 
