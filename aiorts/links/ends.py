@@ -25,7 +25,7 @@ from aiorts.links.reaching import new_epoch
 from aiorts.links.reader_link import ReaderLink, of_shape
 from aiorts.links.writer_link import WriterLink
 from aiorts.model.links import READ, versions
-from aiorts.model.links.negotiation import LinkAction, LinkEvent, LinkRole, Negotiation, NegotiationState
+from aiorts.model.links.negotiation import LINGER, LinkAction, LinkEvent, LinkRole, Negotiation, NegotiationState
 from aiorts.model.names import MAX_NAME_LENGTH, Path
 from aiorts.model.options import chosen_options
 from aiorts.model.policy import Dataflow, OnLinkLost
@@ -138,7 +138,16 @@ class LinkEnd(Generic[Side]):
 
     def present(self, peer: Peer) -> None:
         """A kernel of the name of the one at the other end has come."""
-        if self._links.peer_of(self.far) == peer:
+        if self._links.peer_of(self.far) != peer:
+            return
+        if not self.own and self._peer not in (None, peer) and self.negotiation.state is NegotiationState.ABSENT:
+            # One that was started anew, and may be about to connect it again: it would be told that it is connected.
+            self._links.kernel.call_later(LINGER, partial(self._present_still, peer))
+        else:
+            self.on(LinkEvent.PRESENT)
+
+    def _present_still(self, peer: Peer) -> None:
+        if self.negotiation.state is NegotiationState.ABSENT and self._links.peer_of(self.far) == peer:
             self.on(LinkEvent.PRESENT)
 
     def gone(self, peer: Peer) -> None:
@@ -159,8 +168,8 @@ class LinkEnd(Generic[Side]):
 
     def _gone(self, why: str) -> None:
         self.on(LinkEvent.GONE, why)
-        if self._links.peer_of(self.far) is not None:
-            self.on(LinkEvent.PRESENT)  # a kernel may be back before its former process has gone
+        if (peer := self._links.peer_of(self.far)) is not None:
+            self.present(peer)  # it may be back before its former process has gone
 
     def refused(self, why: str, by: str = "") -> None:
         """The link is refused: `connect` fails with this reason.

@@ -13,7 +13,7 @@ from aiorts import Component, Goal, Kernel, Provided, Required, idempotent
 from aiorts.errors import GoalFailed, LinkError, LinkTimeout, ServiceUnavailable
 from aiorts.links import Links
 from aiorts.testing import MemoryNetwork, simulated
-from links.memory_kernels import Sink, Source, until
+from links.memory_kernels import Sink, Source, kernel_of, long, until
 
 Carry = Callable[[], Awaitable[bytes]]
 
@@ -311,3 +311,43 @@ async def test_a_departure_is_told_to_a_kernel_that_is_back_and_went_while_it_wa
         assert pair.station.connectors
         pair.network.restore("plant", "station")
         await until(lambda: not pair.station.connectors, 5.0)
+
+
+@simulated
+async def test_a_kernel_that_was_started_anew_connects_what_it_had_connected() -> None:
+    network = MemoryNetwork()
+    async with kernel_of(network, "one") as one:
+        source = await one.add(Source("source"))
+        async with kernel_of(network, "two") as former:
+            sink = await former.add(Sink("sink"))
+            await former.connect(sink.inp, "one/source.out")
+            await source.out.write(long(1))
+            assert (await sink.inp.read()).data == 1
+            network.cut("one", "two")  # it is killed
+        network.restore("one", "two")
+        async with kernel_of(network, "two") as two:
+            sink = await two.add(Sink("sink"))
+            await asyncio.sleep(0.5)
+            await two.connect(sink.inp, "one/source.out")
+            await source.out.write(long(2))
+            assert (await sink.inp.read()).data == 2
+            assert len(one.connectors) == len(two.connectors) == 1
+
+
+@simulated
+async def test_a_connector_of_a_kernel_that_was_started_anew_and_does_not_make_it_goes_on_later() -> None:
+    network = MemoryNetwork()
+    async with kernel_of(network, "one") as one:
+        source = await one.add(Source("source"))
+        async with kernel_of(network, "two") as former:
+            sink = await former.add(Sink("sink"))
+            await former.connect(sink.inp, "one/source.out")
+            await source.out.write(long(1))
+            assert (await sink.inp.read()).data == 1
+            network.cut("one", "two")
+        network.restore("one", "two")
+        async with kernel_of(network, "two") as two:
+            sink = await two.add(Sink("sink"))
+            await until(lambda: one.service(Links).report() == {"source.out-two/sink.inp": "up"}, 15.0)
+            await source.out.write(long(2))
+            assert (await sink.inp.read()).data == 2
