@@ -204,9 +204,8 @@ class Answering:
     async def _come(self, body: bytes, caller: Caller) -> bytes:
         """A component has come that links of this kernel waited for."""
         component = body.decode(errors="replace")
-        for end in self._ends.at(component):
-            if caller.peer is not None and end.far.kernel == caller.peer.kernel:  # by whatever way
-                end.on(LinkEvent.COME)
+        for end in () if caller.peer is None else self._ends.at(caller.peer.kernel, component):  # by whatever way
+            end.on(LinkEvent.COME)
         self._links.come(component, caller.peer)
         return b""
 

@@ -177,12 +177,14 @@ class Departures:
 
     def back(self, peer: Peer) -> None:
         """Another kernel has come back."""
+        found = [one for one in self._untold if self._kernels.peer_of(one.far) == peer]
+        if not found:
+            return
         connectors = self._connectors()
-        for departure in tuple(self._untold):
-            if self._kernels.peer_of(departure.far) == peer:
-                self._untold.remove(departure)
-                if departure.connector not in connectors:
-                    self._kernels.run(self._tell(peer, departure), "aiorts link")
+        for departure in found:
+            self._untold.remove(departure)
+            if departure.connector not in connectors:
+                self._kernels.run(self._tell(peer, departure), "aiorts link")
 
     async def _tell(self, peer: Peer, departure: Departure) -> None:
         if not await told(self._kernels, peer, "left", packed([departure.epoch])):

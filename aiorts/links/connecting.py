@@ -264,8 +264,8 @@ class Links(KernelService):
             self._serving.gone(peer)
             self._arrivals.gone(peer)
             self._turns.pop(peer, None)
-        for end in self.ends.all():
-            if end.is_at(peer):
+        for end in self.ends.at(peer.kernel):
+            if end.is_at(peer.host):
                 (end.present if up else end.gone)(peer)
 
     def peer_of(self, path: Path) -> Peer | None:

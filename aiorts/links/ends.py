@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -206,9 +206,9 @@ class LinkEnd(Generic[Side]):
             due = partial(self._on_step, self.negotiation.step, LinkEvent.DUE)
             self._timer = self._links.kernel.call_later(pause, due)
 
-    def is_at(self, peer: Peer) -> bool:
-        """Whether a kernel has the name of the one at the other end."""
-        return self.far.kernel == peer.kernel and self.far.host.lower() in ("", "localhost", peer.host.lower())
+    def is_at(self, host: str) -> bool:
+        """Whether the kernel at the other end may be of this host."""
+        return self.far.host.lower() in ("", "localhost", host.lower())
 
     def answer_first(self, error: AiortsError | None) -> None:
         """The first answer is there: `connect` goes on, or fails with the error."""
@@ -516,7 +516,8 @@ class Ends:
         """Reader's ends whose writer is asked to offer, by writer and reader."""
         self.offered = NamedEnds()
         """Reader's ends by the writer's host and kernel, and its name of the link."""
-        self._by_component: dict[str, dict[LinkEnd[Any], None]] = {}
+        self._there: dict[str, dict[str, dict[LinkEnd[Any], None]]] = {}
+        """By the kernel at the other end, and the component."""
         self.by_epoch: dict[int, LinkEnd[Any]] = {}
         self._by_ports: dict[tuple[str, str], dict[LinkEnd[WriterLink], None]] = {}
         """Writer's ends by their out-port and the port at the other end; several with `allow_duplicate`."""
@@ -530,7 +531,7 @@ class Ends:
     def add(self, end: LinkEnd[Any]) -> None:
         """There is an end."""
         (self.writers if isinstance(end.link, WriterLink) else self.readers)[end.connector] = end
-        self._by_component.setdefault(end.far.component, {})[end] = None
+        self._there.setdefault(end.far.kernel, {}).setdefault(end.far.component, {})[end] = None
         self.by_epoch[end.link.end.epoch] = end
         if isinstance(end.link, WriterLink):
             self._by_ports.setdefault((_port_of(end.connector.out), str(end.far)), {})[end] = None
@@ -541,10 +542,13 @@ class Ends:
     def remove(self, end: LinkEnd[Any]) -> None:
         """It has ended."""
         del (self.writers if isinstance(end.link, WriterLink) else self.readers)[end.connector]
-        there = self._by_component[end.far.component]
-        del there[end], self.by_epoch[end.link.end.epoch]
-        if not there:
-            del self._by_component[end.far.component]
+        kernel = self._there[end.far.kernel]
+        component = kernel[end.far.component]
+        del component[end], self.by_epoch[end.link.end.epoch]
+        if not component:
+            del kernel[end.far.component]
+        if not kernel:
+            del self._there[end.far.kernel]
         ports = _port_of(end.connector.out), str(end.far)
         if (between := self._by_ports.get(ports)) is not None and end in between:
             del between[end]
@@ -570,9 +574,10 @@ class Ends:
         found = self.writers.get(connector), self.readers.get(connector)
         return [end for end in found if end is not None]
 
-    def at(self, component: str) -> Collection[LinkEnd[Any]]:
-        """The ends of links to a component of this name in any kernel, in the order in which they were added."""
-        return tuple(self._by_component.get(component, ()))
+    def at(self, kernel: str, component: str | None = None) -> list[LinkEnd[Any]]:
+        """The ends of links to kernels of this name, or to a component there."""
+        there = self._there.get(kernel, {})
+        return [end for name in (there if component is None else (component,)) for end in there.get(name, ())]
 
     def between(self, out: Port[Any], far: Path) -> LinkEnd[WriterLink] | None:
         """The writer's end from an out-port to a port of another kernel."""

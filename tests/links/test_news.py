@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from cProfile import Profile
 from typing import Any, Protocol
 
 import pytest
 
 from aiorts import Component, Goal, Kernel, Provided, Required, idempotent
 from aiorts.errors import GoalFailed, LinkError, LinkTimeout, ServiceUnavailable
-from aiorts.links import Links
+from aiorts.links import Links, Peer
 from aiorts.testing import MemoryNetwork, simulated
 from links.memory_kernels import Sink, Source, kernel_of, long, until
 
@@ -351,3 +352,22 @@ async def test_a_connector_of_a_kernel_that_was_started_anew_and_does_not_make_i
             await until(lambda: one.service(Links).report() == {"source.out-two/sink.inp": "up"}, 15.0)
             await source.out.write(long(2))
             assert (await sink.inp.read()).data == 2
+
+
+@simulated
+async def test_a_kernel_that_comes_and_goes_costs_nothing_more_with_many_links_to_others() -> None:
+    async with kernel_of(MemoryNetwork(), "one") as one:
+        source = await one.add(Source("source"))
+
+        def calls() -> int:
+            profile, peer = Profile(), Peer("memory", "stranger", 9)
+            profile.enable()
+            one.service(Links)._present(peer, True)
+            one.service(Links)._present(peer, False)
+            profile.disable()
+            return sum(entry.callcount for entry in profile.getstats())
+
+        few = calls()
+        for number in range(100):
+            one.connections.make((source.out, f"k{number}/sink.inp"), {})
+        assert calls() == few

@@ -19,7 +19,7 @@ MOST = 25
 LOOKUPS = {
     "Ends.writers": "by connector",
     "Ends.readers": "by connector",
-    "Ends._by_component": "by the component at the other end",
+    "Ends._there": "by the kernel and the component at the other end",
     "Ends._by_ports": "by the ports at both ends",
     "Ends.by_epoch": "by its epoch",
     "NamedEnds._ends": "by names of two parts",
