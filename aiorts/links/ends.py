@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from aiorts.wire import MsgpackCodec
 
 _LOG: Final = KernelLog()
-_report: Final = partial(_LOG.warning, "W-LINK: %s")
 _ASK_SECONDS: Final = 2.0
 _OPEN_SECONDS: Final = 2.0
 """How long a transport may take to make a channel."""
@@ -82,15 +81,7 @@ class LinkEnd(Generic[Side]):
     ) -> None:
         self.connector, self.far, self.own = connector, far, own
         self.negotiation = Negotiation(role)
-        self.link: Side = link(
-            links.kernel,
-            connector,
-            new_epoch(),
-            lost=self._lost,
-            unanswered=self._silent,
-            ended=self.left,
-            report=_report,
-        )
+        self.link: Side = link(links.kernel, connector, new_epoch(), self)
         self.first: asyncio.Future[None] = links.kernel.loop.create_future()
         """Done with the first answer, or with what refused it."""
         self._links, self._departures = links, departures
@@ -186,16 +177,18 @@ class LinkEnd(Generic[Side]):
         self._offer, self._peer, self.requested = offer, peer, False
         self.on(LinkEvent.OFFER)
 
-    def left(self, _link: object = None) -> None:
+    def left(self) -> None:
         """A disconnection of the other end has come."""
         tell = _LOG.warning if self.own else _LOG.info  # the kernel that connected it may well disconnect it
         tell("W-LINK: %s: was disconnected by %s", self.connector.name, self.far)
         self.on(LinkEvent.LEFT)
 
-    def _lost(self, _link: object, why: str) -> None:
+    def lost(self, why: str) -> None:
+        """The channel went down."""
         self.on(LinkEvent.LOST, why)
 
-    def _silent(self, _link: object) -> None:
+    def silent(self) -> None:
+        """The channel was given up, since nobody has answered on it."""
         self.on(LinkEvent.SILENT)
 
     def _set_timer(self) -> None:
@@ -470,10 +463,7 @@ def reader_end(
         decode = of_shape(decode, port_type(kind).check_shape, shape)
     side: Any = PullingReaderLink if connector.profile.dataflow is Dataflow.PULL else ReaderLink
 
-    def link(*args: Any, unanswered: object, **given: Any) -> ReaderLink:
-        made: ReaderLink = side(*args, decode=decode, **given)
-        return made
-
+    link = partial(side, decode=decode)
     role = LinkRole.REQUESTS if own else LinkRole.ANSWERS
     return LinkEnd(links, connector, port.far, role, own=own, link=link, departures=departures)
 
