@@ -212,7 +212,13 @@ class Answering:
     async def _left(self, body: bytes, caller: Caller) -> bytes:
         """In the kernel that asks the other end of a link was disconnected."""
         (epoch,) = fields(body, (int,), longer=True)
-        end = self._ends.by_epoch.get(epoch)
+        end = self._ends.by_epoch.get(epoch) if epoch else self._departed(body, caller)
         if end is not None and not end.own and self._is_of(end, caller):  # its own are connected again
             end.left()
         return b""
+
+    def _departed(self, body: bytes, caller: Caller) -> LinkEnd[Any] | None:
+        """The reader's end whose writer was disconnected before it had heard that its offer was taken."""
+        _, link, epoch = fields(body, (int, str, int), longer=True)
+        end = self._ends.offered.get((caller.address, link))
+        return end if end is not None and end.writer_epoch == epoch else None

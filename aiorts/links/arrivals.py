@@ -153,7 +153,9 @@ class Departure:
     connector: str
     """The name that the connector had."""
     epoch: int
-    """The epoch of the other end."""
+    """The epoch of the other end; 0: it has not answered, and may be there or not."""
+    own: int
+    """The epoch of the end that is no more."""
 
 
 class Departures:
@@ -187,5 +189,6 @@ class Departures:
                 self._kernels.run(self._tell(peer, departure), "aiorts link")
 
     async def _tell(self, peer: Peer, departure: Departure) -> None:
-        if not await told(self._kernels, peer, "left", packed([departure.epoch])):
+        body = packed([departure.epoch, departure.connector, departure.own])
+        if not await told(self._kernels, peer, "left", body):
             self.add(departure)

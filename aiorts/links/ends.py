@@ -94,6 +94,8 @@ class LinkEnd(Generic[Side]):
         self._opening: asyncio.Task[Any] | None = None
         self._late = 0
         """The epoch of the other end, whose kernel was late."""
+        self._unheard = False
+        """Whether an offer was made last that nobody has answered: the other kernel may have taken it."""
         self._timer: Cancellable | None = None
         self._watchers: list[asyncio.Future[None]] = []
         self.requested = False
@@ -176,6 +178,11 @@ class LinkEnd(Generic[Side]):
         """An offer has come and was taken, as is said in the answer."""
         self._offer, self._peer, self.requested = offer, peer, False
         self.on(LinkEvent.OFFER)
+
+    @property
+    def writer_epoch(self) -> int:
+        """The epoch of the writer's end in the offer that was taken last; 0: none was."""
+        return 0 if self._offer is None else self._offer.writer_epoch
 
     def left(self) -> None:
         """A disconnection of the other end has come."""
@@ -260,7 +267,9 @@ class LinkEnd(Generic[Side]):
             return self.refused(refusal, self._links.reached_as)
         offer = self.link.offer(self._links.path_of(self.connector.out, peer), self.far)
         offer = replace(offer, number=next(self._links.numbers))
+        self._unheard = True
         answer = await self._question(peer, "offer", offer.to_bytes())
+        self._unheard = False
         if step != self.negotiation.step:
             return self._came_late(answer.epoch) if answer.number else None
         if not answer.number:
@@ -404,11 +413,14 @@ class LinkEnd(Generic[Side]):
         epoch = end.peer_epoch
         if not epoch and self._offer is not None and isinstance(self.link, ReaderLink):
             epoch = self._offer.writer_epoch  # it has the answer to its offer, or will have it
-        if self.own and epoch and not end.peer_ended and not self._links.kernel.closed:
-            self._departures.add(Departure(self.far, self.connector.name, epoch))
+        if self.own and (epoch or self._unheard) and not end.peer_ended and not self._links.kernel.closed:
+            self._departed(epoch)
 
     def _tell_late(self) -> None:
-        self._departures.add(Departure(self.far, self.connector.name, self._late))
+        self._departed(self._late)
+
+    def _departed(self, epoch: int) -> None:
+        self._departures.add(Departure(self.far, self.connector.name, epoch, self.link.end.epoch))
 
     # -- its names -------------------------------------------------------------------------------------------------
 

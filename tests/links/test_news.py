@@ -371,3 +371,41 @@ async def test_a_kernel_that_comes_and_goes_costs_nothing_more_with_many_links_t
         for number in range(100):
             one.connections.make((source.out, f"k{number}/sink.inp"), {})
         assert calls() == few
+
+
+@simulated
+@pytest.mark.parametrize("seconds", [0.1, 1.1])
+async def test_what_was_disconnected_before_its_offer_was_heard_is_not_up_at_the_other_end(seconds: float) -> None:
+    network = MemoryNetwork()
+    async with kernel_of(network, "one") as one, kernel_of(network, "two") as two:
+        source = await one.add(Source("source"))
+        await two.add(Sink("sink"))
+        network.stop("two")
+        connector = await one.connect(source.out, "two/sink.inp")  # it has waited in vain for the first answer
+        await asyncio.sleep(seconds)
+        await one.disconnect(connector)
+        await asyncio.sleep(3.0)
+        network.go("two")
+        await asyncio.sleep(0.1)
+        await until(lambda: not two.connectors, 5.0)
+
+
+@simulated
+async def test_a_late_departure_does_not_end_the_connector_that_was_made_since() -> None:
+    async with a_pair() as pair:
+        sink = await pair.station.add(Sink("sink"))
+        source = await pair.plant.add(Source("source"))
+        free = asyncio.Event()
+
+        async def held(carry: Carry) -> bytes:
+            await free.wait()
+            return await carry()
+
+        pair.from_plant.meddle |= {"offer": unanswered(1), "left": held}
+        await pair.plant.disconnect(await pair.plant.connect(source.out, "station/sink.inp"))
+        connector = await pair.plant.connect(source.out, "station/sink.inp")
+        free.set()
+        await asyncio.sleep(1.0)
+        await source.out.write(long(1))
+        assert (await sink.inp.read()).data == 1
+        assert not connector.closed
