@@ -212,6 +212,8 @@ class FarProvider:
         self._late = 0
         self._binding = self._again = False
         """Whether the other kernel is asked to bind it, and whether it is to be asked once more after that."""
+        self._unheard: tuple[Peer, list[Any]] | None = None
+        """The kernel that was asked to bind it and has not answered, and by what it knows it then."""
         self._timer: Cancellable | None = None
         self._changed: list[asyncio.Future[None]] = []
         self._goals: dict[int, tuple[Goal[Any, Any], GoalTypes]] = {}
@@ -269,7 +271,8 @@ class FarProvider:
         self._binding, self._again = True, False
         self._stop_timer()
         required = str(self._links.path_of(self._asking.port, peer))
-        body = frame_of([required, self._asking.instance, str(self.path), interface_text(self._asking.spec)])
+        names = [required, self._asking.instance, str(self.path)]
+        body, self._unheard = frame_of([*names, interface_text(self._asking.spec)]), (peer, names)
         try:
             answer = Answer.from_bytes(await self._links.ask(peer, "bind", body, _WITHIN))
         except asyncio.CancelledError:
@@ -278,15 +281,18 @@ class FarProvider:
         except Exception as error:  # noqa: BLE001 - whatever a transport raises, it is tried again
             if not isinstance(error, LinkError):
                 _LOG.error("links: %s failed: %s", self.name, format_error(error), exc_info=error)
+            if self._over:
+                self._unbind()
             return self._wait(_AGAIN, str(error))
         finally:
             self._binding = False
+        self._unheard = None
         if answer.refused:
             return self._refused(answer.refused)
         if answer.absent:
             return self._wait(0.0 if self._again else LINGER, answer.absent)
         if self._over or self._links.peer_of(self.path) != peer:
-            self._tell(peer, "unbind", answer.number)
+            self._tell(peer, "unbind", [answer.number])
             return self._wait(0.0, f"{peer.kernel} is gone")
         if self.peer is not None:
             self.lost(f"{peer.kernel} was started anew")
@@ -347,8 +353,18 @@ class FarProvider:
         self._why = "was disconnected"
         self._stop_timer()
         self._wake()
-        if peer is not None and not self._links.kernel.closed:
-            self._tell(peer, "unbind", self._number)
+        if self._links.kernel.closed:
+            return
+        if peer is not None:
+            self._tell(peer, "unbind", [self._number])
+        elif not self._binding:
+            self._unbind()
+
+    def _unbind(self) -> None:
+        """Have it unbound where it may have been bound without this end having heard so."""
+        if self._unheard is not None:
+            peer, names = self._unheard
+            self._tell(peer, "unbind", [0, *names])
 
     def _wake(self) -> None:
         changed, self._changed = self._changed, []
@@ -356,8 +372,8 @@ class FarProvider:
             if not one.done():
                 one.set_result(None)
 
-    def _tell(self, peer: Peer, what: str, number: int) -> None:
-        self._links.run(told(self._links, peer, what, frame_of([number])), f"aiorts {what}")
+    def _tell(self, peer: Peer, what: str, values: list[Any]) -> None:
+        self._links.run(told(self._links, peer, what, frame_of(values)), f"aiorts {what}")
 
     # -- calls -----------------------------------------------------------------------------------------------------
 
@@ -431,7 +447,7 @@ class FarProvider:
         goal: Goal[Any, Any] | None = None
         if types is not None:
             goal = Goal()
-            goal.on_cancel = partial(self._tell, peer, "cancel goal", number)
+            goal.on_cancel = partial(self._tell, peer, "cancel goal", [number])
             self._goals[number] = goal, types
         accepted = False
         try:
@@ -445,7 +461,7 @@ class FarProvider:
         except asyncio.CancelledError:
             if not asked.done():
                 asked.add_done_callback(self._answered_late)
-                self._tell(peer, "cancel", number)
+                self._tell(peer, "cancel", [number])
             raise
         finally:
             if not accepted:

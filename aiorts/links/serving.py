@@ -10,7 +10,7 @@ import asyncio
 from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.errors import (
     AiortsError,
@@ -58,6 +58,10 @@ _BY_ALL: Final = 10_000
 """Interfaces that others may have bound at the same time, all together."""
 
 
+_Names: TypeAlias = "tuple[Peer | None, str, str, str]"
+"""The kernel that has bound an interface, its required port and the name of the instance, and the provided port."""
+
+
 class Serving:
     """The provided interfaces of one kernel that required ones of others are bound to."""
 
@@ -65,6 +69,8 @@ class Serving:
         self._links = links
         self._bound: dict[Peer, dict[int, _Bound]] = {}
         """By the kernel that has bound it, and its number."""
+        self._numbers: dict[_Names, int] = {}
+        """The number of each, by what is bound to what: bound again it replaces the former, whose answer was lost."""
         self._at: Counter[ServicePort] = Counter()
         """How many there are at each port."""
         self._number = 0
@@ -104,13 +110,15 @@ class Serving:
             if isinstance(found, Answer):
                 return sent(found)
             end = self._fitting(found, text, instance, provided)
+            names = (caller.peer, required, instance, provided)
+            self._end(caller.peer, self._numbers.get(names, 0))
             if caller.peer is None or caller.peer.kernel not in self._links.reach.carried:
                 self._check_limit(end.port)  # else a connector of this kernel stands for it, which is counted
             peer = self._checked(caller)
-            bound = _Bound(end, Path.parse(required))
+            bound = _Bound(end, Path.parse(required), names)
         except WiringError as error:
             return refusal("to bind a service port", caller, error)
-        self._number = self._number % 0xFFFFFFFF + 1
+        self._number = self._numbers[names] = self._number % 0xFFFFFFFF + 1
         self._bound.setdefault(peer, {})[self._number] = bound
         self._at[end.port] += 1
         return sent(Answer(number=self._number))
@@ -151,16 +159,20 @@ class Serving:
         raise WiringError(f"{', '.join(end.path for end in fitting)} all provide that; give one the name {instance!r}")
 
     async def _unbind(self, body: bytes, caller: Caller) -> bytes:
-        (number,) = values_of(body, (int,))
-        if caller.peer is not None:
-            self._end(caller.peer, number)
+        try:
+            (number,) = values_of(body, (int,))
+        except LinkError:  # its number was not heard
+            _, required, instance, provided = values_of(body, (int, str, str, str))
+            number = self._numbers.get((caller.peer, required, instance, provided), 0)
+        self._end(caller.peer, number)
         return b""
 
-    def _end(self, peer: Peer, number: int) -> None:
+    def _end(self, peer: Peer | None, number: int) -> None:
         """It is bound no more, if it was."""
-        those = self._bound.get(peer, {})
-        if (bound := those.pop(number, None)) is None:
+        those = {} if peer is None else self._bound.get(peer, {})
+        if peer is None or (bound := those.pop(number, None)) is None:
             return
+        del self._numbers[bound.names]
         if not those:
             del self._bound[peer]
         self._at[bound.end.port] -= 1
@@ -254,8 +266,8 @@ class Serving:
 class _Bound:
     """An interface of this kernel that one of another kernel is bound to."""
 
-    def __init__(self, end: Provided[Any], required: Path) -> None:
-        self.end = end
+    def __init__(self, end: Provided[Any], required: Path, names: _Names) -> None:
+        self.end, self.names = end, names
         component = f"{required.kernel}/{required.component}" if required.kernel else required.component
         self._caller = OutsideCaller(end, component, required.port or "call")
 

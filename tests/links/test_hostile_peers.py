@@ -165,7 +165,7 @@ def test_a_kernel_that_binds_too_many_interfaces_leaves_room_for_others(monkeypa
     monkeypatch.setattr(serving, "_BY_ONE", 3)
     monkeypatch.setattr(serving, "_BY_ALL", 5)
     wanted = interface_text(read_interface(Meter))
-    body = frame_of(["one/client.meter", "meter", "two/device0.meter", wanted])
+    bodies = [frame_of([f"one/client{number}.meter", "meter", "two/device0.meter", wanted]) for number in range(5)]
 
     async def run() -> None:
         network = MemoryNetwork()
@@ -177,14 +177,14 @@ def test_a_kernel_that_binds_too_many_interfaces_leaves_room_for_others(monkeypa
             found: list[Peer] = []
             greedy.presence(lambda peer, up: found.append(peer))
             (to,) = [peer for peer in found if peer.kernel == "two"]
-            answers = [Answer.from_bytes(await greedy.ask(to, "bind", body, within=2.0)) for _ in range(5)]
+            answers = [Answer.from_bytes(await greedy.ask(to, "bind", body, within=2.0)) for body in bodies]
             assert [bool(answer.refused) for answer in answers] == [False, False, False, True, True]
             assert "other kernels have bound 3 interfaces; no more are bound" in answers[4].refused
             client = await three.add(Client())
             await three.connect(client.meter, "two/device0.meter")
             assert await client.meter.proxy.read() == 1.0
             await greedy.ask(to, "unbind", frame_of([answers[0].number]), within=2.0)
-            assert not Answer.from_bytes(await greedy.ask(to, "bind", body, within=2.0)).refused
+            assert not Answer.from_bytes(await greedy.ask(to, "bind", bodies[4], within=2.0)).refused
             await greedy.close()
 
     simulate(run())

@@ -409,3 +409,37 @@ async def test_a_late_departure_does_not_end_the_connector_that_was_made_since()
         await source.out.write(long(1))
         assert (await sink.inp.read()).data == 1
         assert not connector.closed
+
+
+@simulated
+async def test_a_provider_that_stood_still_is_bound_once() -> None:
+    async with a_pair() as pair:
+        await pair.station.add(pair.robot)
+        await pair.plant.add(pair.client)
+        pair.network.stop("station")
+        await pair.plant.connect(pair.client.arm, "station/robot.arm")  # it takes one connector alone
+        await asyncio.sleep(4.0)
+        pair.network.go("station")
+        await until(lambda: pair.is_up, 2.0)
+        assert pair.client.arm.connectors
+        assert await pair.client.arm.proxy.add(1.0) == 2.0
+
+
+@simulated
+@pytest.mark.parametrize("seconds", [0.1, 2.5])
+async def test_what_was_disconnected_before_it_was_heard_to_be_bound_takes_no_place(seconds: float) -> None:
+    async with a_pair() as pair:
+        await pair.station.add(pair.robot)
+        await pair.plant.add(pair.client)
+        other = await pair.plant.add(Client("other"))
+        pair.network.stop("station")
+        connecting = asyncio.ensure_future(pair.plant.connect(pair.client.arm, "station/robot.arm"))
+        await asyncio.sleep(seconds)
+        (connector,) = pair.client.arm.connectors
+        await pair.plant.disconnect(connector)
+        await connecting
+        await asyncio.sleep(3.0)
+        pair.network.go("station")
+        await asyncio.sleep(1.0)
+        await pair.plant.connect(other.arm, "station/robot.arm")
+        assert await other.arm.proxy.add(1.0) == 2.0
