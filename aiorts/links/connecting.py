@@ -126,6 +126,8 @@ class Links(KernelService):
         waits = [end.up() for one in connectors if (end := self.ends.readers.get(one)) is not None]
         if waits:
             await asyncio.wait(waits, timeout=within)
+        for wait in waits:
+            wait.cancel()
 
     # -- opening ---------------------------------------------------------------------------------------------------
 

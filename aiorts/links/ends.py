@@ -225,6 +225,7 @@ class LinkEnd(Generic[Side]):
         if self.negotiation.state in (NegotiationState.UP, NegotiationState.ENDED):
             found.set_result(None)
         else:
+            self._watchers = [one for one in self._watchers if not one.done()]
             self._watchers.append(found)
         return found
 

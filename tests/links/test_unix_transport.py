@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import resource
 import socket
 import struct
@@ -338,5 +339,37 @@ def test_of_two_connections_with_one_kernel_the_other_one_carries_on() -> None:
             assert (await sink.inp.read(timeout=10.0)).data == 2
             assert links.report()
             assert connector.statistics.dropped == {}
+
+    asyncio.run(main())
+
+
+def test_a_transport_that_could_not_be_opened_for_want_of_descriptors_has_given_up_its_socket() -> None:
+    class Face:
+        name, epoch, host = "one", 7, "here"
+
+        def report(self, text: str) -> None:
+            raise AssertionError(text)
+
+        def run_in_background(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
+            return asyncio.get_running_loop().create_task(coroutine, name=name)
+
+    async def main() -> None:
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        transport, fillers = UnixTransport(), list[int]()
+        resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
+        try:
+            with suppress(OSError):
+                while True:
+                    fillers.append(os.dup(0))
+            os.close(fillers.pop())  # enough to listen, and not to look who is there
+            with pytest.raises(LinkError, match="cannot be reached"):
+                await transport.open(Face())
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+            for one in fillers:
+                os.close(one)
+        assert not list(Path(os.environ["XDG_RUNTIME_DIR"], "aiorts").glob("*"))
+        await transport.open(Face())
+        await transport.close()
 
     asyncio.run(main())
