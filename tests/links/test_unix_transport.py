@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import resource
 import socket
@@ -371,5 +372,43 @@ def test_a_transport_that_could_not_be_opened_for_want_of_descriptors_has_given_
         assert not list(Path(os.environ["XDG_RUNTIME_DIR"], "aiorts").glob("*"))
         await transport.open(Face())
         await transport.close()
+
+    asyncio.run(main())
+
+
+class _Short:
+    """A socket whose system has no memory to send anything."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self._socket = sock
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._socket, name)
+
+    def send(self, _data: object) -> int:
+        raise OSError(errno.ENOBUFS, "No buffer space available")
+
+
+def test_a_connection_that_can_send_no_more_ends_at_this_end() -> None:
+    async def main() -> None:
+        loop, (near, far) = asyncio.get_running_loop(), socket.socketpair()
+        ended: asyncio.Future[str] = loop.create_future()
+        short: Any = _Short(near)
+        stream = Stream(loop, short, lambda _messages: None, lambda: None, ended.set_result)
+        assert not stream.send(1, 2, b"head")
+        assert await asyncio.wait_for(ended, 5.0) == "No buffer space available"
+        assert stream.closed
+        far.close()
+
+    asyncio.run(main())
+
+
+def test_a_descriptor_that_cannot_be_kept_is_not_sent() -> None:
+    async def main() -> None:
+        near, far = socket.socketpair()
+        stream = Stream(asyncio.get_running_loop(), near, lambda _messages: None, lambda: None, lambda _why: None)
+        assert not stream.send_descriptor(1, 2, b"ring", 100_000)  # there is none of this number
+        stream.close()
+        far.close()
 
     asyncio.run(main())
