@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from aiorts.links.transport import Caller
 
 _LOG: Final = KernelLog()
+_LONGEST: Final = 16_384
+"""Bytes of what another kernel says of a connector (its name, ports and options), which is kept as long as it lasts."""
 
 
 def name_of(caller: Caller) -> str:
@@ -49,6 +51,12 @@ def _check_theirs(path: Path, caller: Caller) -> None:
     """WiringError: the port is not one of the kernel that asks."""
     if caller.peer is None or path.kernel != caller.peer.kernel:
         raise WiringError(f"{path}: is no port of {name_of(caller)}, which asks")
+
+
+def _check_length(what: str, length: int) -> None:
+    """WiringError: it is longer than what is kept of a connector may be."""
+    if length > _LONGEST:
+        raise WiringError(f"{what} of {length:,} bytes; at most {_LONGEST:,} are allowed")
 
 
 def _is_end(port: Port[Any], found: Port[Any]) -> bool:
@@ -91,6 +99,7 @@ class Answering:
         try:
             version = versions.agreed(name_of(caller), versions_of(body))
             offer = replace(LinkOffer.from_bytes(body), protocol=(version, version))
+            _check_length("an offer without its type", len(body) - len(offer.type_text.encode()))
             answer, end = self._accept(offer, caller)
         except WiringError as error:
             expected = None if offer is None else self._expected(offer, caller)
@@ -100,7 +109,7 @@ class Answering:
             return refusal("an offer", caller, error)
         if end is not None:
             writer = replace(offer.writer, host="" if caller.peer is None else caller.peer.host)
-            agreed = replace(offer, writer=writer, reader_epoch=answer.epoch, number=answer.number)
+            agreed = replace(offer, writer=writer, reader_epoch=answer.epoch, number=answer.number, type_text="")
             end.offered(agreed, caller.peer)
         elif (expected := self._expected(offer, caller)) is not None:
             expected.answer_first(None)  # it has to come again, since the reader does not run yet
@@ -168,6 +177,7 @@ class Answering:
         """The answer to another kernel that wants one of its in-ports to be connected with an out-port of this one."""
         try:
             versions.agreed(name_of(caller), versions_of(body))
+            _check_length("a request", len(body))
             return sent(self._connect(LinkRequest.from_bytes(body), caller))
         except WiringError as error:
             return refusal("a request", caller, error)

@@ -145,6 +145,25 @@ def test_another_kernel_makes_a_bounded_number_of_connectors_and_of_its_own_port
     simulate(run())
 
 
+@pytest.mark.fault("E13")
+def test_little_is_kept_of_what_another_kernel_says_of_a_connector() -> None:
+    async def run() -> None:
+        network = MemoryNetwork()
+        async with kernel_of(network, "two") as two:
+            await two.add(Source())
+            await two.add(Sink())
+            for options in ({"name": "x" * 100_000}, {"dataport.x": "x" * 100_000}):
+                body = LinkRequest("two/source0.out", "one/sink.inp", options, versions.SPOKEN).to_bytes()
+                (answer,) = await _asked(two, network, "one", "request", [body])
+                assert "a request of 100," in answer.refused
+                assert "at most 16,384 are allowed" in answer.refused
+            (answer,) = await _asked(two, network, "one", "offer", [_offer("x" * 100_000, "one/source.out")])
+            assert "an offer without its type of 200," in answer.refused
+            assert not two.connectors
+
+    simulate(run())
+
+
 class Meter(Protocol):
     async def read(self) -> float: ...
 
