@@ -211,7 +211,7 @@ class FarProvider:
         self._number = 0
         self._late = 0
         self._binding = self._again = False
-        """Whether the other kernel is asked to bind it, and whether it is to be asked once more after that."""
+        """Whether a question to bind it is under way, and whether another one has to follow it."""
         self._unheard: tuple[Peer, list[Any]] | None = None
         """The kernel that was asked to bind it and has not answered, and by what it knows it then."""
         self._timer: Cancellable | None = None
@@ -361,7 +361,7 @@ class FarProvider:
             self._unbind()
 
     def _unbind(self) -> None:
-        """Have it unbound where it may have been bound without this end having heard so."""
+        """Have the other kernel unbind it, if that has bound it and its answer was lost."""
         if self._unheard is not None:
             peer, names = self._unheard
             self._tell(peer, "unbind", [0, *names])
@@ -416,7 +416,7 @@ class FarProvider:
             except LinkTimeout as error:
                 raise Relayed(ServiceTimeout(f"{named}: {error}")) from None
             except LinkError as error:
-                # Who is still there has no room for questions now, or would refuse this one for ever.
+                # A kernel that is still there has no room for questions now, or refuses this one each time.
                 pause = next(pauses, None) if asked is not None and self.peer == asked else 0.0
                 if not method.idempotent or pause is None:
                     raise Relayed(ServiceUnavailable(f"{named}: {error}")) from None

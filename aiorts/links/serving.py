@@ -40,7 +40,7 @@ from aiorts.links.call_values import (
 )
 from aiorts.links.messages import Answer
 from aiorts.model.links import CALL
-from aiorts.model.names import Path
+from aiorts.model.names import MAX_NAME_LENGTH, Path
 from aiorts.services import Goal, OutsideCaller, Provided, ServicePort, goal_types
 
 if TYPE_CHECKING:
@@ -106,6 +106,8 @@ class Serving:
         """Another kernel wants an interface of this one."""
         required, instance, provided, text = values_of(body, (str, str, str, list))
         try:
+            if len(instance) > MAX_NAME_LENGTH:
+                raise WiringError(f"the name of an instance has {len(instance):,} letters")  # it is kept
             found = self._links.there(Path.parse(provided), caller, CALL)
             if isinstance(found, Answer):
                 return sent(found)
