@@ -28,6 +28,8 @@ _REST: Final = 50e-6
 """Where several machines claim a host name: seconds, for each claim, until all of them are looked at again."""
 _TICK: Final = 0.1
 """Seconds between two looks whether a name is owned by now, or free again."""
+_AGAIN: Final = 1.0
+"""Seconds until tokens are declared again that the engine did not take."""
 _SAID: Final = 100
 """The most lines in the log about others that claim the same, until this kernel stands otherwise."""
 
@@ -353,21 +355,28 @@ class Presence:
         self._claims.put(own, owned=True, up=self.standing is Standing.OWNS)
         for scope in {*self._claims.scopes, *self._shown}:
             self._look_at_scope(scope)
-        if not self._telling:
-            self._telling = True
-            self._kernel.run_in_background(self._tell(), "aiorts zenoh name")
+        self._tell_soon()
         if self._timer is None and self.standing in (Standing.CLAIMS, Standing.WITHDRAWN):
             self._timer = self._loop.call_later(_TICK, self._tick)
 
+    def _tell_soon(self) -> None:
+        if not (self._telling or self._closed):
+            self._telling = True
+            self._kernel.run_in_background(self._tell(), "aiorts zenoh name")
+
     async def _tell(self) -> None:
-        """Declare the tokens that belong to how it stands, one change after the other."""
+        """Declare the tokens that belong to how it stands, one change after the other; what fails is tried again."""
         try:
-            while self._told != (self.standing, self._keys) and not self._closed:
-                standing, keys = self._told = self.standing, self._keys
+            while self._told != (now := (self.standing, self._keys)) and not self._closed:
+                standing, keys = now
                 if keys is not self._declared:
                     await in_thread(partial(self._declare_as, keys))
                 tokens = {Standing.CLAIMS: [keys.token], Standing.OWNS: [keys.token, keys.owned]}
                 await in_thread(partial(self._engine.announce, *tokens.get(standing, ())))
+                self._told = now
+        except Exception:
+            self._loop.call_later(_AGAIN, self._tell_soon)
+            raise
         finally:
             self._telling = False
 

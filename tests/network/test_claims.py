@@ -106,13 +106,18 @@ class Counting:
     is_heard = True
 
     def __init__(self) -> None:
-        self.puts = 0
+        self.puts = self.refuses = 0
+        """Messages; and how often it takes no tokens."""
+        self.announced: tuple[str, ...] = ()
 
     def put(self, key: str, data: bytes) -> None:
         self.puts += 1
 
     def announce(self, *tokens: str) -> None:
-        pass
+        self.refuses -= 1
+        if self.refuses >= 0:
+            raise OSError("no thread can be started")
+        self.announced = tokens
 
 
 @contextmanager
@@ -130,6 +135,21 @@ def presence() -> Iterator[tuple[Presence, Counting, list[Peer]]]:
         yield made, engine, shown
     finally:
         made.close()
+
+
+def test_an_engine_that_did_not_take_the_tokens_is_given_them_again() -> None:
+    async def main() -> None:
+        failed: list[object] = []
+        asyncio.get_running_loop().set_exception_handler(lambda _loop, context: failed.append(context["exception"]))
+        with presence() as (made, engine, _):
+            engine.refuses = 2
+            async with asyncio.timeout(10.0):
+                while not engine.announced:
+                    await asyncio.sleep(0.05)
+            assert made.standing is Standing.OWNS
+            assert [token.endswith("/own") for token in engine.announced] == [False, True]
+
+    asyncio.run(main())
 
 
 def token_of(number: int, how: str) -> str:
