@@ -152,6 +152,29 @@ def test_an_engine_that_did_not_take_the_tokens_is_given_them_again() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.parametrize("machines", [1, 2])
+def test_many_kernels_that_are_to_be_seen_no_more_are_hidden_a_few_at_a_time(machines: int) -> None:
+    count = 2_000
+
+    async def main() -> None:
+        with presence() as (made, _, shown):
+            for number in range(count):
+                made._came(f"{BASE}/live/there/arm{number}/1-{number:016x}-{1:016x}/own", True)
+            if machines > 1:
+                made._came(f"{BASE}/live/there/other/2-{count:016x}-{2:016x}", True)
+            async with asyncio.timeout(20.0):
+                while len(shown) < count:
+                    await asyncio.sleep(0.01)
+                before = count
+                made._came(f"{BASE}/live/here/hub/0-{9:016x}-{1:016x}/own", True)  # it has the name of this kernel
+                while shown:
+                    await asyncio.sleep(0)
+                    assert before - len(shown) < count / 2, "most of them in one turn of the loop"
+                    before = len(shown)
+
+    asyncio.run(main())
+
+
 def token_of(number: int, how: str) -> str:
     kernel, machine = {
         "one name": ("arm", 1),
