@@ -15,7 +15,7 @@ from aiorts.kernel.ports import InPort
 from aiorts.late import dataclass
 from aiorts.links.messages import Answer, packed
 from aiorts.model.lifecycle import LifecycleState
-from aiorts.model.links.negotiation import PAUSES
+from aiorts.model.links.negotiation import LINGER, PAUSES
 from aiorts.model.names import Path
 
 if TYPE_CHECKING:
@@ -32,19 +32,22 @@ _SECONDS: Final = 2.0
 
 async def told(kernels: Kernels, peer: Peer, what: str, body: bytes) -> bool:
     """Tell another kernel something, however long it stands still; it may hear it twice. False: it has gone."""
-    pauses = iter(PAUSES)
+    refusals, pause = iter(PAUSES), PAUSES[0]
     while True:
         try:
             await kernels.ask(peer, what, body, _SECONDS)
         except LinkTimeout:
+            # What it was told may lie before it until it goes on: less and less is added to that.
+            await asyncio.sleep(pause)
+            pause = min(2 * pause, LINGER)
             continue
         except LinkError:
             if not kernels.is_there(peer):
                 return False
             # It has too many questions now, or does not know this one.
-            if (pause := next(pauses, None)) is None:
+            if (rest := next(refusals, None)) is None:
                 return True
-            await asyncio.sleep(pause)
+            await asyncio.sleep(rest)
             continue
         return True
 

@@ -443,7 +443,7 @@ class FarProvider:
             body = frame_of([self._number, number, method.name, args, kwargs, float(max(seconds, 0.001))])
         except LinkError as error:
             raise Relayed(InterfaceMismatch(f"{named}: {error}")) from None
-        asked = self._links.run(self._answer_of(peer, body, seconds + _LATER), f"aiorts ask {method.name}")
+        asked = self._links.run(self._answer_of(peer, "call", body, seconds + _LATER), f"aiorts ask {method.name}")
         goal: Goal[Any, Any] | None = None
         if types is not None:
             goal = Goal()
@@ -461,7 +461,8 @@ class FarProvider:
         except asyncio.CancelledError:
             if not asked.done():
                 asked.add_done_callback(self._answered_late)
-                self._tell(peer, "cancel", [number])
+                # Once: a call that is not cancelled ends by its deadline.
+                self._links.run(self._answer_of(peer, "cancel", frame_of([number]), _WITHIN), "aiorts cancel")
             raise
         finally:
             if not accepted:
@@ -478,9 +479,9 @@ class FarProvider:
             raise LinkError(self._why)
         raise Relayed(ERRORS.get(kind, ServiceFailed)(str(value)))
 
-    async def _answer_of(self, peer: Peer, body: bytes, within: float) -> bytes | LinkError:
+    async def _answer_of(self, peer: Peer, what: str, body: bytes, within: float) -> bytes | LinkError:
         try:
-            return await self._links.ask(peer, "call", body, within)
+            return await self._links.ask(peer, what, body, within)
         except LinkError as error:
             return error
 

@@ -80,11 +80,6 @@ class LinkSide(Generic[E]):
         self._wakening = Wakening(kernel, self._wake)
         self._ended = False
 
-    @property
-    def is_connected(self) -> bool:
-        """Whether it has a channel."""
-        return self._channel is not None
-
     def on_state(self, up: bool, why: str) -> None:
         if not up and self._channel is not None:
             self._down(why)

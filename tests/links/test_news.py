@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import pytest
 
 from aiorts import Component, Goal, Kernel, Provided, Required, idempotent
-from aiorts.errors import GoalFailed, LinkError, LinkTimeout, ServiceUnavailable
+from aiorts.errors import GoalFailed, LinkError, LinkTimeout, ServiceTimeout, ServiceUnavailable
 from aiorts.links import Links, Peer
 from aiorts.testing import MemoryNetwork, simulated
 from links.memory_kernels import Sink, Source, kernel_of, long, until
@@ -443,3 +443,21 @@ async def test_what_was_disconnected_before_it_was_heard_to_be_bound_takes_no_pl
         await asyncio.sleep(1.0)
         await pair.plant.connect(other.arm, "station/robot.arm")
         assert await other.arm.proxy.add(1.0) == 2.0
+
+
+@simulated
+async def test_a_kernel_that_stands_still_is_told_rarely_and_of_a_call_that_was_given_up_once() -> None:
+    async with a_pair() as pair:
+        await pair.connected()
+        goal = await pair.client.arm.proxy.reach()
+        pair.network.stop("station")
+        pair.from_plant.asked.clear()
+        for _ in range(3):
+            with pytest.raises(ServiceTimeout):
+                await pair.client.arm.within(0.1).add(1.0)
+        goal.cancel()
+        await asyncio.sleep(100.0)
+        assert pair.from_plant.asked.count("cancel") == 3
+        assert 1 < pair.from_plant.asked.count("cancel goal") < 15
+        pair.network.go("station")
+        await until(lambda: pair.robot.goals[0].cancel_requested, 2.0)

@@ -30,7 +30,7 @@ LOOKS = {"ends.py": 2, "calls.py": 1}
 was read empty; a kernel that was started anew may connect again by itself before it is offered to; a kernel that did
 not bind an interface is asked again."""
 PAUSES = ["arrivals.py", "calls.py", "reaching.py"]
-"""Files with a pause between tries: of what a kernel refused that is there, and to open a transport."""
+"""Files with pauses between tries: of what a kernel did not take that is there, and to open a transport."""
 
 
 def attributes(path: Path) -> Iterator[tuple[str, str]]:
@@ -91,5 +91,5 @@ def test_nothing_looks_again_and_again_whether_something_has_happened() -> None:
         sleeps += [path.name for call in calls if re.search(r"(?:^|\.)sleep$", call)]
         if many := sum(call.endswith("kernel.call_later") for call in calls):
             later[path.name] = many
-    assert sorted(sleeps) == PAUSES
+    assert sorted({*sleeps}) == PAUSES
     assert later == {**LOOKS, "ends.py": LOOKS["ends.py"] + 1}  # and the pause of a negotiation
