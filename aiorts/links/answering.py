@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from aiorts.links.transport import Caller
 
 _LOG: Final = KernelLog()
+_LONGEST: Final = 16_384
+"""Bytes of what another kernel says of a connector (its name, ports and options), which is kept as long as it lasts."""
 
 
 def name_of(caller: Caller) -> str:
@@ -49,6 +51,12 @@ def _check_theirs(path: Path, caller: Caller) -> None:
     """WiringError: the port is not one of the kernel that asks."""
     if caller.peer is None or path.kernel != caller.peer.kernel:
         raise WiringError(f"{path}: is no port of {name_of(caller)}, which asks")
+
+
+def _check_length(what: str, length: int) -> None:
+    """WiringError: it is longer than what is kept of a connector may be."""
+    if length > _LONGEST:
+        raise WiringError(f"{what} of {length:,} bytes; at most {_LONGEST:,} are allowed")
 
 
 def _is_end(port: Port[Any], found: Port[Any]) -> bool:
@@ -91,6 +99,7 @@ class Answering:
         try:
             version = versions.agreed(name_of(caller), versions_of(body))
             offer = replace(LinkOffer.from_bytes(body), protocol=(version, version))
+            _check_length("an offer without its type", len(body) - len(offer.type_text.encode()))
             answer, end = self._accept(offer, caller)
         except WiringError as error:
             expected = None if offer is None else self._expected(offer, caller)
@@ -100,7 +109,7 @@ class Answering:
             return refusal("an offer", caller, error)
         if end is not None:
             writer = replace(offer.writer, host="" if caller.peer is None else caller.peer.host)
-            agreed = replace(offer, writer=writer, reader_epoch=answer.epoch, number=answer.number)
+            agreed = replace(offer, writer=writer, reader_epoch=answer.epoch, number=answer.number, type_text="")
             end.offered(agreed, caller.peer)
         elif (expected := self._expected(offer, caller)) is not None:
             expected.answer_first(None)  # it has to come again, since the reader does not run yet
@@ -168,6 +177,7 @@ class Answering:
         """The answer to another kernel that wants one of its in-ports to be connected with an out-port of this one."""
         try:
             versions.agreed(name_of(caller), versions_of(body))
+            _check_length("a request", len(body))
             return sent(self._connect(LinkRequest.from_bytes(body), caller))
         except WiringError as error:
             return refusal("a request", caller, error)
@@ -204,16 +214,21 @@ class Answering:
     async def _come(self, body: bytes, caller: Caller) -> bytes:
         """A component has come that links of this kernel waited for."""
         component = body.decode(errors="replace")
-        for end in self._ends.at(component):
-            if caller.peer is not None and end.far.kernel == caller.peer.kernel:  # by whatever way
-                end.on(LinkEvent.COME)
+        for end in () if caller.peer is None else self._ends.at(caller.peer.kernel, component):  # by whatever way
+            end.on(LinkEvent.COME)
         self._links.come(component, caller.peer)
         return b""
 
     async def _left(self, body: bytes, caller: Caller) -> bytes:
         """In the kernel that asks the other end of a link was disconnected."""
         (epoch,) = fields(body, (int,), longer=True)
-        end = self._ends.by_epoch.get(epoch)
+        end = self._ends.by_epoch.get(epoch) if epoch else self._departed(body, caller)
         if end is not None and not end.own and self._is_of(end, caller):  # its own are connected again
             end.left()
         return b""
+
+    def _departed(self, body: bytes, caller: Caller) -> LinkEnd[Any] | None:
+        """The reader's end whose writer was disconnected before it had heard that its offer was taken."""
+        _, link, epoch = fields(body, (int, str, int), longer=True)
+        end = self._ends.offered.get((caller.address, link))
+        return end if end is not None and end.writer_epoch == epoch else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import deque
 from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from aiorts.kernel.ports import InPort
 from aiorts.late import dataclass
 from aiorts.links.messages import Answer, packed
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.links.negotiation import LINGER, PAUSES
 from aiorts.model.names import Path
 
 if TYPE_CHECKING:
@@ -26,6 +28,28 @@ _AWAITED: Final = 1_000
 _UNTOLD: Final = 1_000
 """Links that ended while the other kernel was away, of which it is told, at the most."""
 _SECONDS: Final = 2.0
+
+
+async def told(kernels: Kernels, peer: Peer, what: str, body: bytes) -> bool:
+    """Tell another kernel something, however long it stands still; it may hear it twice. False: it has gone."""
+    refusals, pause = iter(PAUSES), PAUSES[0]
+    while True:
+        try:
+            await kernels.ask(peer, what, body, _SECONDS)
+        except LinkTimeout:
+            # What it was told may lie before it until it goes on: less and less is added to that.
+            await asyncio.sleep(pause)
+            pause = min(2 * pause, LINGER)
+            continue
+        except LinkError:
+            if not kernels.is_there(peer):
+                return False
+            # It has too many questions now, or does not know this one.
+            if (rest := next(refusals, None)) is None:
+                return True
+            await asyncio.sleep(rest)
+            continue
+        return True
 
 
 class Arrivals:
@@ -120,17 +144,7 @@ class Arrivals:
             waits.remove(component)
             if not waits:
                 del self._waits[peer]
-            self._links.run(self._tell(peer, component), "aiorts link")
-
-    async def _tell(self, peer: Peer, component: str) -> None:
-        while True:
-            try:
-                await self._links.ask(peer, "come", component.encode(), _SECONDS)
-            except LinkTimeout:
-                continue
-            except LinkError:
-                return  # it has gone, and asks anew when it comes back
-            return
+            self._links.run(told(self._links, peer, "come", component.encode()), "aiorts link")
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +156,9 @@ class Departure:
     connector: str
     """The name that the connector had."""
     epoch: int
-    """The epoch of the other end."""
+    """The epoch of the other end; 0: it has not answered, and may be there or not."""
+    own: int
+    """The epoch of the end that is no more."""
 
 
 class Departures:
@@ -166,23 +182,16 @@ class Departures:
 
     def back(self, peer: Peer) -> None:
         """Another kernel has come back."""
+        found = [one for one in self._untold if self._kernels.peer_of(one.far) == peer]
+        if not found:
+            return
         connectors = self._connectors()
-        for departure in tuple(self._untold):
-            if self._kernels.peer_of(departure.far) == peer:
-                self._untold.remove(departure)
-                if departure.connector not in connectors:
-                    self._kernels.run(self._tell(peer, departure), "aiorts link")
+        for departure in found:
+            self._untold.remove(departure)
+            if departure.connector not in connectors:
+                self._kernels.run(self._tell(peer, departure), "aiorts link")
 
     async def _tell(self, peer: Peer, departure: Departure) -> None:
-        if not await self.tell(peer, departure.epoch):
-            self._untold.append(departure)
-
-    async def tell(self, peer: Peer, epoch: int) -> bool:
-        """Tell another kernel that its end of a link has no other one any more; False: it has not answered."""
-        try:
-            await self._kernels.ask(peer, "left", packed([epoch]), _SECONDS)
-        except LinkTimeout:
-            return False
-        except LinkError:
-            return True  # it has gone, or knows no such question
-        return True
+        body = packed([departure.epoch, departure.connector, departure.own])
+        if not await told(self._kernels, peer, "left", body):
+            self.add(departure)

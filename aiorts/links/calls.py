@@ -25,11 +25,13 @@ from aiorts.errors import (
     ServiceUnavailable,
     StateError,
     WiringError,
+    format_error,
 )
 from aiorts.kernel.component import Component
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import current_task
+from aiorts.links.arrivals import told
 from aiorts.links.call_values import (
     DONE,
     ERRORS,
@@ -43,12 +45,14 @@ from aiorts.links.call_values import (
     values_of,
 )
 from aiorts.links.messages import Answer
+from aiorts.model.links.negotiation import LINGER, PAUSES
 from aiorts.model.names import Path
 from aiorts.model.profile import ConnectorProfile
 from aiorts.services import Goal, Provided, Relayed, Required, ServiceEnd, ServicePort, goal_types, seconds_left
 
 if TYPE_CHECKING:
     from aiorts.kernel.loop.bus import Disconnected
+    from aiorts.kernel.loop.timers import Cancellable
     from aiorts.links.kernels import Kernels
     from aiorts.links.transport import Caller, Peer
     from aiorts.model.interface import Method
@@ -206,7 +210,11 @@ class FarProvider:
         self._over = False
         self._number = 0
         self._late = 0
-        self._binding = False
+        self._binding = self._again = False
+        """Whether a question to bind it is under way, and whether another one has to follow it."""
+        self._unheard: tuple[Peer, list[Any]] | None = None
+        """The kernel that was asked to bind it and has not answered, and by what it knows it then."""
+        self._timer: Cancellable | None = None
         self._changed: list[asyncio.Future[None]] = []
         self._goals: dict[int, tuple[Goal[Any, Any], GoalTypes]] = {}
         self.methods = SimpleNamespace(**{one.name: self._method(one) for one in asking.spec.methods.values()})
@@ -255,25 +263,37 @@ class FarProvider:
     async def bind(self) -> None:
         """Have the other kernel bind it; a refusal ends the connector."""
         peer = self._links.peer_of(self.path)
-        if peer is None or self.peer == peer or self._binding:
+        if peer is None or self.peer == peer:
             return
-        self._binding = True
+        if self._binding:
+            self._again = True  # the answer that is on its way may be older than what was said since
+            return
+        self._binding, self._again = True, False
+        self._stop_timer()
         required = str(self._links.path_of(self._asking.port, peer))
-        body = frame_of([required, self._asking.instance, str(self.path), interface_text(self._asking.spec)])
+        names = [required, self._asking.instance, str(self.path)]
+        body, self._unheard = frame_of([*names, interface_text(self._asking.spec)]), (peer, names)
         try:
             answer = Answer.from_bytes(await self._links.ask(peer, "bind", body, _WITHIN))
-        except LinkError as error:
-            self._links.kernel.call_later(_AGAIN, self._look_again)
-            return self.waits(str(error))
         except asyncio.CancelledError:
             self._answer(None)
             raise
+        except Exception as error:  # noqa: BLE001 - whatever a transport raises, it is tried again
+            if not isinstance(error, LinkError):
+                _LOG.error("links: %s failed: %s", self.name, format_error(error), exc_info=error)
+            if self._over:
+                self._unbind()
+            return self._wait(_AGAIN, str(error))
         finally:
             self._binding = False
-        if answer.absent:
-            return self.waits(answer.absent)
+        self._unheard = None
         if answer.refused:
             return self._refused(answer.refused)
+        if answer.absent:
+            return self._wait(0.0 if self._again else LINGER, answer.absent)
+        if self._over or self._links.peer_of(self.path) != peer:
+            self._tell(peer, "unbind", [answer.number])
+            return self._wait(0.0, f"{peer.kernel} is gone")
         if self.peer is not None:
             self.lost(f"{peer.kernel} was started anew")
         self.peer, self._number = peer, answer.number
@@ -281,7 +301,20 @@ class FarProvider:
         self._wake()
         return None
 
+    def _wait(self, seconds: float, why: str) -> None:
+        """It cannot be bound yet, and is tried again after so many seconds, or when it is heard that it can be."""
+        if not self._over:
+            self._stop_timer()
+            self._timer = self._links.kernel.call_later(seconds, self._look_again)
+            self.waits(why)
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
     def _look_again(self) -> None:
+        self._timer = None
         if self.in_use and not self._links.kernel.closed:
             self._links.run(self.bind(), f"aiorts bind {self.name}")
 
@@ -318,9 +351,20 @@ class FarProvider:
         """It is called no more."""
         peer, self.peer, self._over = self.peer, None, True
         self._why = "was disconnected"
+        self._stop_timer()
         self._wake()
-        if peer is not None and not self._links.kernel.closed:
-            self._tell(peer, "unbind", self._number)
+        if self._links.kernel.closed:
+            return
+        if peer is not None:
+            self._tell(peer, "unbind", [self._number])
+        elif not self._binding:
+            self._unbind()
+
+    def _unbind(self) -> None:
+        """Have the other kernel unbind it, if that has bound it and its answer was lost."""
+        if self._unheard is not None:
+            peer, names = self._unheard
+            self._tell(peer, "unbind", [0, *names])
 
     def _wake(self) -> None:
         changed, self._changed = self._changed, []
@@ -328,14 +372,8 @@ class FarProvider:
             if not one.done():
                 one.set_result(None)
 
-    def _tell(self, peer: Peer, what: str, number: int) -> None:
-        async def tell() -> None:
-            try:
-                await self._links.ask(peer, what, frame_of([number]), _WITHIN)
-            except LinkError:
-                return  # it has gone
-
-        self._links.run(tell(), f"aiorts {what}")
+    def _tell(self, peer: Peer, what: str, values: list[Any]) -> None:
+        self._links.run(told(self._links, peer, what, frame_of(values)), f"aiorts {what}")
 
     # -- calls -----------------------------------------------------------------------------------------------------
 
@@ -370,14 +408,19 @@ class FarProvider:
             by_name = {name: plain(hints[name], value) for name, value in given.kwargs.items()}
         except InterfaceMismatch as error:
             raise Relayed(InterfaceMismatch(f"{named}: {error}")) from None
+        pauses = iter(PAUSES)
         while True:
+            asked = self.peer
             try:
                 return await self._ask(method, types, named, in_order, by_name)
             except LinkTimeout as error:
                 raise Relayed(ServiceTimeout(f"{named}: {error}")) from None
             except LinkError as error:
-                if not method.idempotent:
+                # A kernel that is still there has no room for questions now, or refuses this one each time.
+                pause = next(pauses, None) if asked is not None and self.peer == asked else 0.0
+                if not method.idempotent or pause is None:
                     raise Relayed(ServiceUnavailable(f"{named}: {error}")) from None
+                await asyncio.sleep(pause)
                 await self._bound_again()
 
     async def _bound_again(self) -> None:
@@ -400,11 +443,11 @@ class FarProvider:
             body = frame_of([self._number, number, method.name, args, kwargs, float(max(seconds, 0.001))])
         except LinkError as error:
             raise Relayed(InterfaceMismatch(f"{named}: {error}")) from None
-        asked = self._links.run(self._answer_of(peer, body, seconds + _LATER), f"aiorts ask {method.name}")
+        asked = self._links.run(self._answer_of(peer, "call", body, seconds + _LATER), f"aiorts ask {method.name}")
         goal: Goal[Any, Any] | None = None
         if types is not None:
             goal = Goal()
-            goal.on_cancel = partial(self._tell, peer, "cancel goal", number)
+            goal.on_cancel = partial(self._tell, peer, "cancel goal", [number])
             self._goals[number] = goal, types
         accepted = False
         try:
@@ -418,7 +461,8 @@ class FarProvider:
         except asyncio.CancelledError:
             if not asked.done():
                 asked.add_done_callback(self._answered_late)
-                self._tell(peer, "cancel", number)
+                # Once: a call that is not cancelled ends by its deadline.
+                self._links.run(self._answer_of(peer, "cancel", frame_of([number]), _WITHIN), "aiorts cancel")
             raise
         finally:
             if not accepted:
@@ -435,9 +479,9 @@ class FarProvider:
             raise LinkError(self._why)
         raise Relayed(ERRORS.get(kind, ServiceFailed)(str(value)))
 
-    async def _answer_of(self, peer: Peer, body: bytes, within: float) -> bytes | LinkError:
+    async def _answer_of(self, peer: Peer, what: str, body: bytes, within: float) -> bytes | LinkError:
         try:
-            return await self._links.ask(peer, "call", body, within)
+            return await self._links.ask(peer, what, body, within)
         except LinkError as error:
             return error
 

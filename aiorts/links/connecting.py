@@ -126,6 +126,8 @@ class Links(KernelService):
         waits = [end.up() for one in connectors if (end := self.ends.readers.get(one)) is not None]
         if waits:
             await asyncio.wait(waits, timeout=within)
+        for wait in waits:
+            wait.cancel()
 
     # -- opening ---------------------------------------------------------------------------------------------------
 
@@ -244,6 +246,10 @@ class Links(KernelService):
 
     # -- other kernels ---------------------------------------------------------------------------------------------
 
+    def is_there(self, peer: Peer) -> bool:
+        """See `Kernels.is_there`."""
+        return peer in self.reach.peers
+
     async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:
         """See `Kernels.ask`."""
         return await self.reach.carrier(peer).ask(peer, what, body, within=within)
@@ -260,8 +266,8 @@ class Links(KernelService):
             self._serving.gone(peer)
             self._arrivals.gone(peer)
             self._turns.pop(peer, None)
-        for end in self.ends.all():
-            if end.is_at(peer):
+        for end in self.ends.at(peer.kernel):
+            if end.is_at(peer.host):
                 (end.present if up else end.gone)(peer)
 
     def peer_of(self, path: Path) -> Peer | None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -25,7 +25,7 @@ from aiorts.links.reaching import new_epoch
 from aiorts.links.reader_link import ReaderLink, of_shape
 from aiorts.links.writer_link import WriterLink
 from aiorts.model.links import READ, versions
-from aiorts.model.links.negotiation import LinkAction, LinkEvent, LinkRole, Negotiation, NegotiationState
+from aiorts.model.links.negotiation import LINGER, LinkAction, LinkEvent, LinkRole, Negotiation, NegotiationState
 from aiorts.model.names import MAX_NAME_LENGTH, Path
 from aiorts.model.options import chosen_options
 from aiorts.model.policy import Dataflow, OnLinkLost
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from aiorts.wire import MsgpackCodec
 
 _LOG: Final = KernelLog()
-_report: Final = partial(_LOG.warning, "W-LINK: %s")
 _ASK_SECONDS: Final = 2.0
 _OPEN_SECONDS: Final = 2.0
 """How long a transport may take to make a channel."""
@@ -82,15 +81,7 @@ class LinkEnd(Generic[Side]):
     ) -> None:
         self.connector, self.far, self.own = connector, far, own
         self.negotiation = Negotiation(role)
-        self.link: Side = link(
-            links.kernel,
-            connector,
-            new_epoch(),
-            lost=self._lost,
-            unanswered=self._silent,
-            ended=self.left,
-            report=_report,
-        )
+        self.link: Side = link(links.kernel, connector, new_epoch(), self)
         self.first: asyncio.Future[None] = links.kernel.loop.create_future()
         """Done with the first answer, or with what refused it."""
         self._links, self._departures = links, departures
@@ -101,8 +92,10 @@ class LinkEnd(Generic[Side]):
         self._channel: Channel | None = None
         """One that was made and is not in use yet."""
         self._opening: asyncio.Task[Any] | None = None
-        self._late: tuple[Peer, int] | None = None
-        """The kernel that was late, and the epoch of its end."""
+        self._late = 0
+        """The epoch of the other end, whose kernel was late."""
+        self._unheard = False
+        """Whether an offer was made last that nobody has answered: the other kernel may have taken it."""
         self._timer: Cancellable | None = None
         self._watchers: list[asyncio.Future[None]] = []
         self.requested = False
@@ -138,7 +131,16 @@ class LinkEnd(Generic[Side]):
 
     def present(self, peer: Peer) -> None:
         """A kernel of the name of the one at the other end has come."""
-        if self._links.peer_of(self.far) == peer:
+        if self._links.peer_of(self.far) != peer:
+            return
+        if not self.own and self._peer not in (None, peer) and self.negotiation.state is NegotiationState.ABSENT:
+            # One that was started anew, and may be about to connect it again: it would be told that it is connected.
+            self._links.kernel.call_later(LINGER, partial(self._present_still, peer))
+        else:
+            self.on(LinkEvent.PRESENT)
+
+    def _present_still(self, peer: Peer) -> None:
+        if self.negotiation.state is NegotiationState.ABSENT and self._links.peer_of(self.far) == peer:
             self.on(LinkEvent.PRESENT)
 
     def gone(self, peer: Peer) -> None:
@@ -159,8 +161,8 @@ class LinkEnd(Generic[Side]):
 
     def _gone(self, why: str) -> None:
         self.on(LinkEvent.GONE, why)
-        if self._links.peer_of(self.far) is not None:
-            self.on(LinkEvent.PRESENT)  # a kernel may be back before its former process has gone
+        if (peer := self._links.peer_of(self.far)) is not None:
+            self.present(peer)  # it may be back before its former process has gone
 
     def refused(self, why: str, by: str = "") -> None:
         """The link is refused: `connect` fails with this reason.
@@ -177,16 +179,23 @@ class LinkEnd(Generic[Side]):
         self._offer, self._peer, self.requested = offer, peer, False
         self.on(LinkEvent.OFFER)
 
-    def left(self, _link: object = None) -> None:
+    @property
+    def writer_epoch(self) -> int:
+        """The epoch of the writer's end in the offer that was taken last; 0: none was."""
+        return 0 if self._offer is None else self._offer.writer_epoch
+
+    def left(self) -> None:
         """A disconnection of the other end has come."""
         tell = _LOG.warning if self.own else _LOG.info  # the kernel that connected it may well disconnect it
         tell("W-LINK: %s: was disconnected by %s", self.connector.name, self.far)
         self.on(LinkEvent.LEFT)
 
-    def _lost(self, _link: object, why: str) -> None:
+    def lost(self, why: str) -> None:
+        """The channel went down."""
         self.on(LinkEvent.LOST, why)
 
-    def _silent(self, _link: object) -> None:
+    def silent(self) -> None:
+        """The channel was given up, since nobody has answered on it."""
         self.on(LinkEvent.SILENT)
 
     def _set_timer(self) -> None:
@@ -197,9 +206,9 @@ class LinkEnd(Generic[Side]):
             due = partial(self._on_step, self.negotiation.step, LinkEvent.DUE)
             self._timer = self._links.kernel.call_later(pause, due)
 
-    def is_at(self, peer: Peer) -> bool:
-        """Whether a kernel has the name of the one at the other end."""
-        return self.far.kernel == peer.kernel and self.far.host.lower() in ("", "localhost", peer.host.lower())
+    def is_at(self, host: str) -> bool:
+        """Whether the kernel at the other end may be of this host."""
+        return self.far.host.lower() in ("", "localhost", host.lower())
 
     def answer_first(self, error: AiortsError | None) -> None:
         """The first answer is there: `connect` goes on, or fails with the error."""
@@ -216,6 +225,7 @@ class LinkEnd(Generic[Side]):
         if self.negotiation.state in (NegotiationState.UP, NegotiationState.ENDED):
             found.set_result(None)
         else:
+            self._watchers = [one for one in self._watchers if not one.done()]
             self._watchers.append(found)
         return found
 
@@ -258,9 +268,11 @@ class LinkEnd(Generic[Side]):
             return self.refused(refusal, self._links.reached_as)
         offer = self.link.offer(self._links.path_of(self.connector.out, peer), self.far)
         offer = replace(offer, number=next(self._links.numbers))
+        self._unheard = True
         answer = await self._question(peer, "offer", offer.to_bytes())
+        self._unheard = False
         if step != self.negotiation.step:
-            return self._came_late(peer, answer.epoch) if answer.number else None
+            return self._came_late(answer.epoch) if answer.number else None
         if not answer.number:
             return self._not_now(step, answer)
         version = versions.agreed(peer.kernel, answer.protocol)
@@ -299,8 +311,8 @@ class LinkEnd(Generic[Side]):
         else:
             self.refused(answer.refused)
 
-    def _came_late(self, peer: Peer, epoch: int) -> None:
-        self._late = peer, epoch
+    def _came_late(self, epoch: int) -> None:
+        self._late = epoch
         self.on(LinkEvent.LATE)
 
     def _open(self) -> None:
@@ -319,7 +331,7 @@ class LinkEnd(Generic[Side]):
         if step != self.negotiation.step:
             channel.close()
             if peer is not None:
-                self._came_late(peer, offer.reader_epoch)
+                self._came_late(offer.reader_epoch)
             return None
         self._channel = channel
         return self.on(LinkEvent.MADE)
@@ -402,12 +414,14 @@ class LinkEnd(Generic[Side]):
         epoch = end.peer_epoch
         if not epoch and self._offer is not None and isinstance(self.link, ReaderLink):
             epoch = self._offer.writer_epoch  # it has the answer to its offer, or will have it
-        if self.own and epoch and not end.peer_ended and not self._links.kernel.closed:
-            self._departures.add(Departure(self.far, self.connector.name, epoch))
+        if self.own and (epoch or self._unheard) and not end.peer_ended and not self._links.kernel.closed:
+            self._departed(epoch)
 
     def _tell_late(self) -> None:
-        if self._late is not None:
-            self._links.run(self._departures.tell(*self._late), "aiorts link")
+        self._departed(self._late)
+
+    def _departed(self, epoch: int) -> None:
+        self._departures.add(Departure(self.far, self.connector.name, epoch, self.link.end.epoch))
 
     # -- its names -------------------------------------------------------------------------------------------------
 
@@ -462,10 +476,7 @@ def reader_end(
         decode = of_shape(decode, port_type(kind).check_shape, shape)
     side: Any = PullingReaderLink if connector.profile.dataflow is Dataflow.PULL else ReaderLink
 
-    def link(*args: Any, unanswered: object, **given: Any) -> ReaderLink:
-        made: ReaderLink = side(*args, decode=decode, **given)
-        return made
-
+    link = partial(side, decode=decode)
     role = LinkRole.REQUESTS if own else LinkRole.ANSWERS
     return LinkEnd(links, connector, port.far, role, own=own, link=link, departures=departures)
 
@@ -508,7 +519,8 @@ class Ends:
         """Reader's ends whose writer is asked to offer, by writer and reader."""
         self.offered = NamedEnds()
         """Reader's ends by the writer's host and kernel, and its name of the link."""
-        self._by_component: dict[str, dict[LinkEnd[Any], None]] = {}
+        self._there: dict[str, dict[str, dict[LinkEnd[Any], None]]] = {}
+        """By the kernel at the other end, and the component."""
         self.by_epoch: dict[int, LinkEnd[Any]] = {}
         self._by_ports: dict[tuple[str, str], dict[LinkEnd[WriterLink], None]] = {}
         """Writer's ends by their out-port and the port at the other end; several with `allow_duplicate`."""
@@ -522,7 +534,7 @@ class Ends:
     def add(self, end: LinkEnd[Any]) -> None:
         """There is an end."""
         (self.writers if isinstance(end.link, WriterLink) else self.readers)[end.connector] = end
-        self._by_component.setdefault(end.far.component, {})[end] = None
+        self._there.setdefault(end.far.kernel, {}).setdefault(end.far.component, {})[end] = None
         self.by_epoch[end.link.end.epoch] = end
         if isinstance(end.link, WriterLink):
             self._by_ports.setdefault((_port_of(end.connector.out), str(end.far)), {})[end] = None
@@ -533,10 +545,13 @@ class Ends:
     def remove(self, end: LinkEnd[Any]) -> None:
         """It has ended."""
         del (self.writers if isinstance(end.link, WriterLink) else self.readers)[end.connector]
-        there = self._by_component[end.far.component]
-        del there[end], self.by_epoch[end.link.end.epoch]
-        if not there:
-            del self._by_component[end.far.component]
+        kernel = self._there[end.far.kernel]
+        component = kernel[end.far.component]
+        del component[end], self.by_epoch[end.link.end.epoch]
+        if not component:
+            del kernel[end.far.component]
+        if not kernel:
+            del self._there[end.far.kernel]
         ports = _port_of(end.connector.out), str(end.far)
         if (between := self._by_ports.get(ports)) is not None and end in between:
             del between[end]
@@ -562,9 +577,10 @@ class Ends:
         found = self.writers.get(connector), self.readers.get(connector)
         return [end for end in found if end is not None]
 
-    def at(self, component: str) -> Collection[LinkEnd[Any]]:
-        """The ends of links to a component of this name in any kernel, in the order in which they were added."""
-        return tuple(self._by_component.get(component, ()))
+    def at(self, kernel: str, component: str | None = None) -> list[LinkEnd[Any]]:
+        """The ends of links to kernels of this name, or to a component there."""
+        there = self._there.get(kernel, {})
+        return [end for name in (there if component is None else (component,)) for end in there.get(name, ())]
 
     def between(self, out: Port[Any], far: Path) -> LinkEnd[WriterLink] | None:
         """The writer's end from an out-port to a port of another kernel."""

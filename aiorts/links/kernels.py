@@ -83,6 +83,10 @@ class Kernels(Protocol):
         """The kernel of a path, if it is there."""
         ...
 
+    def is_there(self, peer: Peer) -> bool:
+        """Whether another kernel is there."""
+        ...
+
     async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:
         """The answer of another kernel; LinkError, LinkTimeout: there is none."""
         ...

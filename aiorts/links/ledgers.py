@@ -142,8 +142,9 @@ class Ledgers:
 
     async def _joined(self, body: bytes, caller: Caller) -> bytes:
         (name,) = fields(body, (str,), longer=True)
-        for connector, end in self._ends.writers.items():
-            if connector.name == name and self._links.peer_of(end.far) == caller.peer:
+        for end in () if caller.peer is None else self._ends.at(caller.peer.kernel):
+            is_meant = isinstance(end.link, WriterLink) and end.connector.name == name
+            if is_meant and self._links.peer_of(end.far) == caller.peer:
                 ledger = await self.of(end, _WITHIN)
                 counts = [ledger.written, ledger.delivered, ledger.buffered, ledger.in_flight]
                 return packed([*counts, ledger.acknowledged_before, dict(ledger.dropped)])

@@ -14,7 +14,7 @@ from aiorts.errors import format_error
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.far import FarOutPort
 from aiorts.kernel.quality.dated import Dated
-from aiorts.links.timing import Wakening
+from aiorts.links.sides import LinkSide, report
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.links import ReaderEnd
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
@@ -23,19 +23,17 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.transport import Waiting
+    from aiorts.links.sides import Driver
     from aiorts.links.transport import Channel
     from aiorts.model.links import Buffer
     from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 
 
-class ReaderLink:
+class ReaderLink(LinkSide[ReaderEnd]):
     """Writes what another kernel sends to one connector of this one.
 
     Args:
         decode: makes the sample of bytes and what travelled beside them.
-        lost: called when the channel went down, with the reason.
-        ended: called when the writer's end has disconnected.
-        report: warns of what cannot be decoded.
     """
 
     def __init__(
@@ -43,20 +41,11 @@ class ReaderLink:
         kernel: Microkernel,
         connector: Connector,
         epoch: int,
+        driver: Driver,
         decode: Callable[[Buffer, Sequence[Buffer]], Any],
-        *,
-        lost: Callable[[ReaderLink, str], None],
-        ended: Callable[[ReaderLink], None],
-        report: Callable[[str], None],
     ) -> None:
-        self.connector = connector
-        self.end = ReaderEnd(0, epoch)
-        self.why = "not connected yet"
-        """Why it is not up; "" while it is."""
-        self._kernel, self._decode, self._lost, self._report, self._gone = kernel, decode, lost, report, ended
-        self._now: Callable[[], int] = kernel.clock.monotonic_ns
-        self._channel: Channel | None = None
-        self._wakening = Wakening(kernel, self._wake)
+        super().__init__(kernel, connector, ReaderEnd(0, epoch), driver)
+        self._decode = decode
         self._waits = 0
         """The number of the sample that waits for room in the reader's buffer; 0: none does."""
         self.undecodable = 0
@@ -66,18 +55,12 @@ class ReaderLink:
         self.settled: Callable[[], None] | None = None
         """Called when a sample that waited for room is in the reader's buffer, or was refused."""
         self._waiting: Waiting | None = None
-        self._ended = False
         self._ages = connector.profile.lifespan is not None
         # Its reader is in a third kernel: each sample waits for the answer from there, and so does its writer.
         self._confirms = connector.in_.is_far and connector.profile.subscription is Subscription.FLUSH
         if isinstance(connector.out, FarOutPort):
             connector.out.held = lambda: self.end.held
             connector.out.clock = None
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether it has a channel."""
-        return self._channel is not None
 
     @property
     def busy(self) -> bool:
@@ -104,29 +87,16 @@ class ReaderLink:
         self._deliver(now)
         self._poll(now)
         if end.peer_ended and not self._ended:
-            self._gone(self)
+            self._driver.left()
 
     def on_room(self) -> None:
         now = self._now()
         self.end.on_room(now)
         self._poll(now)
 
-    def on_state(self, up: bool, why: str) -> None:
-        if up or self._channel is None:
-            return
-        self._down(why)
-        self._lost(self, why)
-
-    def drop(self, why: str) -> None:
-        """Give the channel up, if there is one: there will be another."""
-        if self._channel is not None:
-            self._channel.close()
-            self._down(why)
-
     def _down(self, why: str) -> None:
-        self._channel, self.why = None, why
         self.on_clock(0, 0)
-        self.end.channel_down(self._now())
+        super()._down(why)
 
     def on_clock(self, ahead_ns: int, within_ns: int) -> None:
         if isinstance(self.connector.out, FarOutPort):
@@ -144,14 +114,6 @@ class ReaderLink:
                 self.end.end(self._now(), channel.send)
             channel.close()
 
-    def _wake(self) -> None:
-        self._poll(self._now())
-
-    def _poll(self, now: int) -> None:
-        channel = self._channel
-        if channel is not None:
-            self._wakening.at(self.end.poll(now, channel.send))
-
     def _deliver(self, now: int) -> None:
         """Write what came, as long as the reader has room; what has none is not acknowledged."""
         end, decode = self.end, self._decode
@@ -168,7 +130,7 @@ class ReaderLink:
                 taken = 0
                 self.undecodable += 1
                 if self.undecodable == 1:
-                    self._report(f"{self.connector.name}: dropped what cannot be decoded: {format_error(error)}")
+                    report(f"{self.connector.name}: dropped what cannot be decoded: {format_error(error)}")
                 continue
             if ages:
                 self._date(end.date)

@@ -7,9 +7,10 @@ other kernel what becomes of it.
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.errors import (
     AiortsError,
@@ -24,6 +25,7 @@ from aiorts.errors import (
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.ports.port import is_removed
 from aiorts.links.answering import refusal, sent
+from aiorts.links.arrivals import told
 from aiorts.links.call_values import (
     DONE,
     ERRORS,
@@ -38,7 +40,7 @@ from aiorts.links.call_values import (
 )
 from aiorts.links.messages import Answer
 from aiorts.model.links import CALL
-from aiorts.model.names import Path
+from aiorts.model.names import MAX_NAME_LENGTH, Path
 from aiorts.services import Goal, OutsideCaller, Provided, ServicePort, goal_types
 
 if TYPE_CHECKING:
@@ -50,8 +52,14 @@ if TYPE_CHECKING:
 _LOG: Final = KernelLog()
 _WITHIN: Final = 2.0
 """Seconds in which the client's kernel takes what is said of a goal."""
-_BOUND: Final = 10_000
-"""Interfaces that other kernels may have bound at the same time, all together."""
+_BY_ONE: Final = 5_000
+"""Interfaces that another kernel may have bound at the same time."""
+_BY_ALL: Final = 10_000
+"""Interfaces that others may have bound at the same time, all together."""
+
+
+_Names: TypeAlias = "tuple[Peer | None, str, str, str]"
+"""The kernel that has bound an interface, its required port and the name of the instance, and the provided port."""
 
 
 class Serving:
@@ -59,7 +67,12 @@ class Serving:
 
     def __init__(self, links: Kernels) -> None:
         self._links = links
-        self._bound: dict[tuple[Peer, int], _Bound] = {}
+        self._bound: dict[Peer, dict[int, _Bound]] = {}
+        """By the kernel that has bound it, and its number."""
+        self._numbers: dict[_Names, int] = {}
+        """The number of each, by what is bound to what: bound again it replaces the former, whose answer was lost."""
+        self._at: Counter[ServicePort] = Counter()
+        """How many there are at each port."""
         self._number = 0
         self._served: dict[tuple[Peer, int], asyncio.Task[Any]] = {}
         self._offered: dict[tuple[Peer, int], Goal[Any, Any]] = {}
@@ -77,39 +90,54 @@ class Serving:
 
     def gone(self, peer: Peer) -> None:
         """Another kernel has gone: what runs for it ends."""
-        for key in [key for key in self._bound if key[0] == peer]:
-            self._bound.pop(key).close()
+        for number in tuple(self._bound.get(peer, ())):
+            self._end(peer, number)
         for key, task in tuple(self._served.items()):
             if key[0] == peer:
                 task.cancel()
 
     def stopped(self) -> None:
         """The kernel ends."""
-        for bound in self._bound.values():
-            bound.close()
+        for peer in tuple(self._bound):
+            for bound in self._bound[peer].values():
+                bound.close()
 
     async def _bind(self, body: bytes, caller: Caller) -> bytes:
         """Another kernel wants an interface of this one."""
         required, instance, provided, text = values_of(body, (str, str, str, list))
         try:
+            if len(instance) > MAX_NAME_LENGTH:
+                raise WiringError(f"the name of an instance has {len(instance):,} letters")  # it is kept
             found = self._links.there(Path.parse(provided), caller, CALL)
             if isinstance(found, Answer):
                 return sent(found)
             end = self._fitting(found, text, instance, provided)
+            names = (caller.peer, required, instance, provided)
+            self._end(caller.peer, self._numbers.get(names, 0))
             if caller.peer is None or caller.peer.kernel not in self._links.reach.carried:
                 self._check_limit(end.port)  # else a connector of this kernel stands for it, which is counted
-            bound = _Bound(end, Path.parse(required))
-            if caller.peer is None or len(self._bound) >= _BOUND:
-                bound.close()
-                raise WiringError("too many interfaces are bound")
+            peer = self._checked(caller)
+            bound = _Bound(end, Path.parse(required), names)
         except WiringError as error:
             return refusal("to bind a service port", caller, error)
-        self._number = self._number % 0xFFFFFFFF + 1
-        self._bound[caller.peer, self._number] = bound
+        self._number = self._numbers[names] = self._number % 0xFFFFFFFF + 1
+        self._bound.setdefault(peer, {})[self._number] = bound
+        self._at[end.port] += 1
         return sent(Answer(number=self._number))
 
+    def _checked(self, caller: Caller) -> Peer:
+        """The kernel that asks, which has room for one more. WiringError: none asks, or it has bound too many."""
+        if caller.peer is None:
+            raise WiringError("who asks is no kernel")
+        by = Counter[str]()
+        for peer, those in self._bound.items():
+            by[peer.kernel] += len(those)
+        if by[caller.peer.kernel] >= _BY_ONE or by.total() >= _BY_ALL:
+            raise WiringError(f"other kernels have bound {by.total():,} interfaces; no more are bound")
+        return caller.peer
+
     def _check_limit(self, port: ServicePort) -> None:
-        has = len(port.connectors) + sum(one.end.port is port for one in self._bound.values())
+        has = len(port.connectors) + self._at[port]
         if port.max_connectors is not None and has >= port.max_connectors:
             raise WiringError(
                 f"{port.path}: takes {port.max_connectors} connectors at the most, has {has}, 1 more asked for"
@@ -133,14 +161,30 @@ class Serving:
         raise WiringError(f"{', '.join(end.path for end in fitting)} all provide that; give one the name {instance!r}")
 
     async def _unbind(self, body: bytes, caller: Caller) -> bytes:
-        (number,) = values_of(body, (int,))
-        if caller.peer is not None and (bound := self._bound.pop((caller.peer, number), None)) is not None:
-            bound.close()
+        try:
+            (number,) = values_of(body, (int,))
+        except LinkError:  # its number was not heard
+            _, required, instance, provided = values_of(body, (int, str, str, str))
+            number = self._numbers.get((caller.peer, required, instance, provided), 0)
+        self._end(caller.peer, number)
         return b""
+
+    def _end(self, peer: Peer | None, number: int) -> None:
+        """It is bound no more, if it was."""
+        those = {} if peer is None else self._bound.get(peer, {})
+        if peer is None or (bound := those.pop(number, None)) is None:
+            return
+        del self._numbers[bound.names]
+        if not those:
+            del self._bound[peer]
+        self._at[bound.end.port] -= 1
+        if not self._at[bound.end.port]:
+            del self._at[bound.end.port]
+        bound.close()
 
     async def _call(self, body: bytes, caller: Caller) -> bytes:
         number, call, method, args, kwargs, seconds = values_of(body, (int, int, str, list, dict, float))
-        bound = None if caller.peer is None else self._bound.get((caller.peer, number))
+        bound = None if caller.peer is None else self._bound.get(caller.peer, {}).get(number)
         if caller.peer is None or bound is None or is_removed(bound.end.port):
             return frame_of([UNBOUND, []])
         if not 0 < seconds <= LONGEST_CALL or method not in bound.end.spec.methods:
@@ -192,24 +236,21 @@ class Serving:
 
     async def _follow(self, key: tuple[Peer, int], goal: Goal[Any, Any], types: GoalTypes) -> None:
         peer, call = key
-
-        async def say(what: str, value: Any) -> None:
-            await self._links.ask(peer, "goal", frame_of([call, what, [value]]), _WITHIN)
-
         try:
             async for feedback in goal:
-                await say("feedback", plain(types.feedback, feedback))
+                said = frame_of([call, "feedback", [plain(types.feedback, feedback)]])
+                await self._links.ask(peer, "goal", said, _WITHIN)
             try:
-                result = plain(types.result, await goal.result())
+                last = frame_of([call, "succeeded", [plain(types.result, await goal.result())]])
             except GoalCancelled:
-                await say("cancelled", None)
-            except (GoalFailed, InterfaceMismatch) as error:
-                await say("failed", str(error)[:2_000])
-            else:
-                await say("succeeded", result)
+                last = frame_of([call, "cancelled", [None]])
+            except GoalFailed as error:
+                last = frame_of([call, "failed", [str(error)[:2_000]]])
         except (LinkError, InterfaceMismatch) as error:
             _LOG.warning("W-LINK: a goal of %s cannot be followed: %s", peer.kernel, error)
             goal.cancel()
+            last = frame_of([call, "failed", [str(error)[:2_000]]])
+        await told(self._links, peer, "goal", last)
 
     async def _cancel(self, body: bytes, caller: Caller) -> bytes:
         (call,) = values_of(body, (int,))
@@ -227,8 +268,8 @@ class Serving:
 class _Bound:
     """An interface of this kernel that one of another kernel is bound to."""
 
-    def __init__(self, end: Provided[Any], required: Path) -> None:
-        self.end = end
+    def __init__(self, end: Provided[Any], required: Path, names: _Names) -> None:
+        self.end, self.names = end, names
         component = f"{required.kernel}/{required.component}" if required.kernel else required.component
         self._caller = OutsideCaller(end, component, required.port or "call")
 

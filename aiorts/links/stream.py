@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import os
 import socket
 import struct
@@ -37,6 +38,8 @@ _LARGEST: Final = 80 << 20
 _DESCRIPTOR: Final = struct.Struct("i")
 _ONE: Final = 20
 """Bytes in which the system tells of one descriptor (CMSG_LEN); in CMSG_SPACE, which is rounded up, are two."""
+_GONE: Final = (errno.EPIPE, errno.ECONNRESET)
+"""Nobody reads any more at the other end. What else is wrong, such as a want of memory, is wrong at this end."""
 _VECTORS: Final = 64
 """Buffers of one system call."""
 
@@ -162,16 +165,20 @@ class Stream:
         return self.send(kind, number, body, (), Turn.CONTROL)
 
     def send_descriptor(self, kind: int, number: int, body: bytes, descriptor: int) -> bool:
-        """Send a short message with a descriptor, which stays the caller's; False: the connection is over.
+        """Send a short message with a descriptor, which stays the caller's; False: it will not be sent.
 
         It goes after the samples that wait: what they say of rings is of those before.
         """
         if self.closed or self._broken or not self._samples.takes(Turn.LAST):
             return False
+        try:
+            own = os.dup(descriptor)
+        except OSError:
+            return False
         if not self._waits:
             self._wait()
         data = _HEAD.pack(len(body), kind, 0, 0, number) + body
-        self._samples.messages.append(([data], len(data), os.dup(descriptor)))
+        self._samples.messages.append(([data], len(data), own))
         self._samples.size += len(data)
         return True
 
@@ -188,9 +195,11 @@ class Stream:
             return self._socket.send(vectors[0]) if len(vectors) == 1 else self._socket.sendmsg(vectors[:_VECTORS])
         except (BlockingIOError, InterruptedError):
             return 0
-        except OSError:
-            # What the other end said last may still be read, and that it has ended.
+        except OSError as error:
             self._broken = True
+            # Where the other end has ended, what it said last may still be read, and then that it has.
+            if error.errno not in _GONE:
+                self._loop.call_soon(self._end, error.strerror or "broken")
             return 0
 
     def _writable(self) -> None:

@@ -53,9 +53,10 @@ _SILENT: Final = 256
 _ACCEPT_AGAIN_SECONDS: Final = 0.2
 _CONNECT_AGAIN: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 """Seconds until a kernel is connected to again."""
-_FOR_NOW: Final = (errno.EAGAIN, errno.EINTR, errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
-"""Why a kernel that is there cannot be connected to now: its queue is full, as while it stands still, or this process
-or the system has no descriptors or memory left."""
+_NO_ROOM: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+"""This process or the system has no descriptors or memory left."""
+_FOR_NOW: Final = (errno.EAGAIN, errno.EINTR, *_NO_ROOM)
+"""Why a kernel that is there cannot be connected to now: also since its queue is full, as while it stands still."""
 _ASKED: Final = 1_000
 """Questions of one peer that are being answered at the same time, at the most."""
 _OF_ONE_PROGRAM: Final = 64 << 20
@@ -118,6 +119,7 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
         except LinkError:
             raise
         except (AiortsError, OSError) as error:
+            await self.close()  # it may listen already, and is opened again
             raise LinkError(f"other kernels of this host cannot be reached: {error}") from None
         found = [connection for path in others if (connection := self._connect(path)) is not None]
         if found:
@@ -169,7 +171,7 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
         try:
             sock, _ = self._listener.accept()
         except OSError as error:
-            if error.errno in (errno.EMFILE, errno.ENFILE):
+            if error.errno in _NO_ROOM:
                 # Who calls stays in the queue, and the loop would be called for it without end.
                 self.loop.remove_reader(self._listener.fileno())
                 self.loop.call_later(_ACCEPT_AGAIN_SECONDS, self._accept_again)

@@ -16,7 +16,7 @@ from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.links.layout import layout_of
 from aiorts.links.linked import LINK, Aged, Confirmation, Confirmed, Linked, added
-from aiorts.links.timing import Wakening
+from aiorts.links.sides import LinkSide, report
 from aiorts.links.transport import LinkOffer
 from aiorts.model.links import WriterEnd, versions
 from aiorts.model.policy import Push
@@ -24,6 +24,7 @@ from aiorts.model.policy import Push
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.links.sides import Driver
     from aiorts.links.transport import Channel
     from aiorts.model.links import Buffer
     from aiorts.model.names import Path
@@ -41,15 +42,11 @@ _OWN_FATES: Final = (_UNKNOWN, "disconnected")
 """Why samples are dropped that the reader's end has not answered for."""
 
 
-class WriterLink:
+class WriterLink(LinkSide[WriterEnd]):
     """Sends what is written to one connector into another kernel.
 
     Args:
         encode: makes the bytes of a sample, with what travels beside them.
-        lost: called when the channel went down, with the reason.
-        unanswered: called when the channel was given up, since nobody has answered on it.
-        ended: called when the reader's end has disconnected.
-        report: warns of what cannot be sent.
     """
 
     def __init__(
@@ -57,23 +54,13 @@ class WriterLink:
         kernel: Microkernel,
         connector: Connector,
         epoch: int,
+        driver: Driver,
         encode: Callable[[Any], tuple[bytes, Sequence[memoryview]]],
-        *,
-        lost: Callable[[WriterLink, str], None],
-        unanswered: Callable[[WriterLink], None],
-        ended: Callable[[WriterLink], None],
-        report: Callable[[str], None],
     ) -> None:
-        self.connector = connector
         profile = connector.profile
-        self.end = WriterEnd(0, epoch, window=_NEWEST if profile.push is Push.NEW else _WINDOW)
-        self.why = "not connected yet"
-        """Why it is not up; "" while it is."""
-        self._kernel, self._encode, self._lost, self._report, self._gone = kernel, encode, lost, report, ended
-        self._unanswered = unanswered
-        self._now: Callable[[], int] = kernel.clock.monotonic_ns
-        self._channel: Channel | None = None
-        self._wakening = Wakening(kernel, self._wake)
+        end = WriterEnd(0, epoch, window=_NEWEST if profile.push is Push.NEW else _WINDOW)
+        super().__init__(kernel, connector, end, driver)
+        self._encode = encode
         self._turn_due = self._taking = False
         self._sent_ns = 0
         """When a write has sent its sample last."""
@@ -89,7 +76,6 @@ class WriterLink:
         self._confirmed_at = 0
         """How much was written when a sample was taken last whose writer waits for its acknowledgement."""
         self._unsendable = False
-        self._ended = False
         self._idle: asyncio.Future[None] | None = None
         """The future that the end of the kernel awaits."""
         self._transport().extra[LINK] = self
@@ -181,7 +167,7 @@ class WriterLink:
         self._count("unsendable", 1)
         if not self._unsendable:
             self._unsendable = True
-            self._report(f"{self.connector.name}: dropped what cannot be sent: {error}")
+            report(f"{self.connector.name}: dropped what cannot be sent: {error}")
 
     def _transport(self) -> Linked:
         found = transport_of(self.connector)
@@ -241,11 +227,6 @@ class WriterLink:
                 transport.put_last(sample)
 
     @property
-    def is_connected(self) -> bool:
-        """Whether it has a channel."""
-        return self._channel is not None
-
-    @property
     def busy(self) -> bool:
         """Whether something is on its way, or waits to be sent."""
         transport = self._transport()
@@ -272,7 +253,7 @@ class WriterLink:
         if self._idle is not None:
             self._look_idle()
         if end.peer_ended and not self._ended:
-            self._gone(self)
+            self._driver.left()
 
     def on_room(self) -> None:
         self.end.on_room(self._now())
@@ -281,21 +262,8 @@ class WriterLink:
     def on_clock(self, ahead_ns: int, within_ns: int) -> None:
         """Stamps are those of this kernel's clock."""
 
-    def on_state(self, up: bool, why: str) -> None:
-        if up or self._channel is None:
-            return
-        self._down(why)
-        self._lost(self, why)
-
-    def drop(self, why: str) -> None:
-        """Give the channel up, if there is one: there will be another."""
-        if self._channel is not None:
-            self._channel.close()
-            self._down(why)
-
     def _down(self, why: str) -> None:
-        self._channel, self.why = None, why
-        self.end.channel_down(self._now())
+        super()._down(why)
         self._look_idle()
 
     def close(self, *, for_good: bool) -> None:
@@ -315,14 +283,9 @@ class WriterLink:
         now = self._now()
         if self._channel is not None and self.end.is_unanswered(now):
             self.drop("the reader's end has not answered")
-            self._unanswered(self)
+            self._driver.silent()
         else:
             self._poll(now)
-
-    def _poll(self, now: int) -> None:
-        channel = self._channel
-        if channel is not None:
-            self._wakening.at(self.end.poll(now, channel.send))
 
     def _settle(self) -> None:
         """Count what became of samples, and let those go on who wait for it."""
@@ -333,7 +296,7 @@ class WriterLink:
                 self._count(fate, last - first + 1)
                 if fate == _UNKNOWN:
                     what = f"dropped{{{_UNKNOWN}}} {last - first + 1}: sent to a reader that is gone"
-                    self._report(f"{self.connector.name}: {what}, which may have read them or not")
+                    report(f"{self.connector.name}: {what}, which may have read them or not")
             else:
                 self.refused = added(self.refused, {fate: last - first + 1})
             confirmations = self._confirmations

@@ -157,6 +157,7 @@ class Sending:
         if what == READY and self._awaits == READY and self._making is not None:
             self._awaits = MAPPED
             if not self._say(bytes((RING,)), self._making.descriptor):
+                self._made = RINGS  # the other end waits for this one, and would take no other
                 self._drop()
         elif what == MAPPED and self._awaits == MAPPED and self._memory is not None:
             before = self._used

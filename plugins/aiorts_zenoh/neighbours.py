@@ -158,7 +158,9 @@ class Neighbours:
             self._timers.append(self._loop.call_later(_SHOWS, self._shows_nothing, name, target))
 
     def _token(self, token: str, up: bool) -> None:
-        if up and (peer := peer_of(token)) is not None:
+        if self._secured is None or not up or (peer := peer_of(token)) is None:
+            return
+        if self._secured.access.is_kernel(peer.kernel):  # any name may be in a token, and no other is ever looked for
             self._shown.add(peer.kernel)
 
     def _shows_nothing(self, name: str, target: str) -> None:

@@ -28,6 +28,8 @@ _REST: Final = 50e-6
 """Where several machines claim a host name: seconds, for each claim, until all of them are looked at again."""
 _TICK: Final = 0.1
 """Seconds between two looks whether a name is owned by now, or free again."""
+_AGAIN: Final = 1.0
+"""Seconds until tokens are declared again that the engine did not take."""
 _SAID: Final = 100
 """The most lines in the log about others that claim the same, until this kernel stands otherwise."""
 
@@ -107,6 +109,8 @@ class Presence:
         self._due: OrderedDict[tuple[str, str], None] = OrderedDict()
         self._due_scopes: set[str] = set()
         """Names to look at again, and whole scopes."""
+        self._seen: dict[str, Mapping[str, Claim]] = {}
+        """The claims that were seen of a scope of several machines when all of it was looked at last."""
         self._works: asyncio.Handle | None = None
         self._said: set[str] = set()
         self._renamed, self._declared = renamed, keys
@@ -191,11 +195,17 @@ class Presence:
             other, token = self._to_tell.popleft()
             self._tell_of_first(other)  # first: else it would claim its name again
             self._send("-", token, other)
+        self._show_due()
+
+    def _show_due(self) -> None:
         until = time.perf_counter() + _TURN
         while self._due and time.perf_counter() < until and not self._closed:
             scope, kernel = self._due.popitem(last=False)[0]
             if not self._claims.is_shared(scope):
-                self._set(scope, {kernel: self._claims.first(scope, kernel)})
+                self._set(scope, kernel, self._claims.first(scope, kernel))
+            elif scope in self._seen:
+                claim = self._seen[scope].get(kernel)
+                self._set(scope, kernel, claim if claim is not None and claim in self._claims else None)
 
     def _put(self, claim: Claim, *, owned: bool, up: bool) -> None:
         """A token of another kernel is there, or is there no more."""
@@ -226,7 +236,7 @@ class Presence:
     def _ended(self, claim: Claim, scope: str, *, was_shared: bool) -> None:
         # It is shown no more, at once: what comes next may be the same kernel with a new connection.
         if self._shown.get(scope, {}).get(claim.kernel) == _peer(claim):
-            self._set(scope, {claim.kernel: None})
+            self._set(scope, claim.kernel, None)
         if was_shared:  # and it may be no more
             self._look_at_all(scope)
         self._to_tell.extend(self._told_others.ended(claim))
@@ -312,26 +322,29 @@ class Presence:
     def _look_at_scope(self, scope: str) -> None:
         self._due_scopes.discard(scope)
         found = self._claims.seen(scope)
-        self._set(scope, {kernel: found.get(kernel) for kernel in {*self._shown.get(scope, ()), *found}})
+        if self._claims.is_shared(scope):
+            self._seen[scope] = found
+        else:
+            self._seen.pop(scope, None)
+        self._due.update(dict.fromkeys((scope, kernel) for kernel in {*self._shown.get(scope, ()), *found}))
+        self._work_soon()
 
-    def _set(self, scope: str, kernels: Mapping[str, Claim | None]) -> None:
-        """Show these claims of a scope, and no others of the same names."""
+    def _set(self, scope: str, kernel: str, claim: Claim | None) -> None:
+        """Show this claim, and no other of the same name."""
         if self._closed:
             return
-        shown, own = self._shown.setdefault(scope, {}), self._name.own
-        for kernel, claim in kernels.items():
-            now = None if claim in (None, own) or not self._name.is_shown else claim
-            before, peer = shown.get(kernel), None if now is None else _peer(now)
-            if peer == before:
-                continue
-            if before is not None:
-                del shown[kernel]
-                self._show(before, False)
-            if peer is not None:
-                shown[kernel] = peer
-                self._show(peer, True)
-        if not shown:
-            del self._shown[scope]
+        shown, own = self._shown.get(scope, {}), self._name.own
+        peer = None if claim in (None, own) or not self._name.is_shown else _peer(claim)
+        if peer == (before := shown.get(kernel)):
+            return
+        if before is not None:
+            del shown[kernel]
+            if not shown:
+                del self._shown[scope]
+            self._show(before, False)
+        if peer is not None:
+            self._shown.setdefault(scope, {})[kernel] = peer
+            self._show(peer, True)
 
     # -- this kernel -----------------------------------------------------------------------------------------------
 
@@ -353,21 +366,29 @@ class Presence:
         self._claims.put(own, owned=True, up=self.standing is Standing.OWNS)
         for scope in {*self._claims.scopes, *self._shown}:
             self._look_at_scope(scope)
-        if not self._telling:
-            self._telling = True
-            self._kernel.run_in_background(self._tell(), "aiorts zenoh name")
+        self._show_due()  # as many as there is time for, so that of a few kernels none is shown that is not to be
+        self._tell_soon()
         if self._timer is None and self.standing in (Standing.CLAIMS, Standing.WITHDRAWN):
             self._timer = self._loop.call_later(_TICK, self._tick)
 
+    def _tell_soon(self) -> None:
+        if not (self._telling or self._closed):
+            self._telling = True
+            self._kernel.run_in_background(self._tell(), "aiorts zenoh name")
+
     async def _tell(self) -> None:
-        """Declare the tokens that belong to how it stands, one change after the other."""
+        """Declare the tokens that belong to how it stands, one change after the other; what fails is tried again."""
         try:
-            while self._told != (self.standing, self._keys) and not self._closed:
-                standing, keys = self._told = self.standing, self._keys
+            while self._told != (now := (self.standing, self._keys)) and not self._closed:
+                standing, keys = now
                 if keys is not self._declared:
                     await in_thread(partial(self._declare_as, keys))
                 tokens = {Standing.CLAIMS: [keys.token], Standing.OWNS: [keys.token, keys.owned]}
                 await in_thread(partial(self._engine.announce, *tokens.get(standing, ())))
+                self._told = now
+        except Exception:
+            self._loop.call_later(_AGAIN, self._tell_soon)
+            raise
         finally:
             self._telling = False
 

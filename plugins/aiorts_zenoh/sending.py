@@ -182,11 +182,6 @@ class Sender:
         """What was sent when the other end was asked last how far it has come."""
         budget.senders[self] = None
 
-    @property
-    def under_way(self) -> int:
-        """The cost of what was sent and the other end has not yet said to have taken."""
-        return self._sent - self._taken
-
     def send(self, blocks: Sequence[bytes | memoryview]) -> bool:
         """Send a frame, or keep it until there is room; False: too much waits."""
         size, budget = size_of(blocks), self._budget

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from itertools import islice
@@ -103,12 +103,13 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         self._bad: set[Peer] = set()
         """Those that have sent what is no message, which is said once."""
         self._gate: Gate
-        self._answers: dict[tuple[str, bytes, int], asyncio.Future[tuple[bool, bytes]]] = {}
+        self._answers: OrderedDict[tuple[str, bytes, int], asyncio.Future[tuple[bool, bytes]]] = OrderedDict()
+        """The answers to what was asked last, by who asks and its number: a question that comes twice is answered
+        once."""
         self._answering = 0
         """Questions that are being answered."""
         self._news = asyncio.Event()
         """Set, and another one from then on, when there is another kernel."""
-        """What was asked last, by who asks and its number: a question that comes twice is answered once."""
         self._ways: dict[Peer, _Way] = {}
         self._looking: asyncio.TimerHandle | None = None
         self._closed = False
@@ -494,9 +495,12 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
                 await in_thread(work)
 
     def _forget_answers(self) -> None:
-        """Forget those of the oldest that were given."""
-        for key in [key for key in islice(self._answers, _ASKED // 2) if self._answers[key].done()]:
-            del self._answers[key]
+        """Forget those of the oldest that were given; the others are looked at again after all that came since."""
+        for key in tuple(islice(self._answers, _ASKED // 2)):
+            if self._answers[key].done():
+                del self._answers[key]
+            else:
+                self._answers.move_to_end(key)
 
     def _who(self, name: str, who: bytes) -> Peer | None:
         """The kernel that asks: its name is in the key, where it cannot be another's."""

@@ -14,6 +14,7 @@ import pytest
 from aiorts import EventContext, Kernel, KernelService, PeriodicContext
 from aiorts.errors import StateError, WiringError
 from aiorts.links import Links
+from aiorts.model.links.negotiation import NegotiationState
 from aiorts.types import TimedLong
 from aiorts_log import RecordingReader
 from aiorts_log.recorder.beside import Beside
@@ -69,7 +70,7 @@ def _links(kernel: Kernel, *connectors: Any) -> list[Any]:
 
 
 def _up(kernel: Kernel, connector: Any) -> bool:
-    return all(end.link.is_connected for end in kernel.service(Links).ends.of(connector))
+    return all(end.negotiation.state is NegotiationState.UP for end in kernel.service(Links).ends.of(connector))
 
 
 async def test_an_injected_sample_arrives_there_and_takes_no_place() -> None:

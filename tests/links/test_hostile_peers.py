@@ -6,15 +6,17 @@ import asyncio
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Protocol
 
 import pytest
 
-from aiorts import Kernel
+from aiorts import Component, Kernel, Provided, Required
 from aiorts.errors import InterfaceMismatch, LinkError
-from aiorts.links import Caller, LinkOffer, Peer, ends
-from aiorts.links.call_values import restored
+from aiorts.links import Caller, LinkOffer, Peer, ends, serving
+from aiorts.links.call_values import frame_of, interface_text, restored
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.messages import Answer, LinkRequest, fields
+from aiorts.model.interface import read_interface
 from aiorts.model.links import ReaderEnd, WriterEnd, versions
 from aiorts.model.links.frames import BATCH, BATCH_BYTES, acknowledgement, data, hello
 from aiorts.model.names import Path
@@ -139,6 +141,70 @@ def test_another_kernel_makes_a_bounded_number_of_connectors_and_of_its_own_port
             if what == "request":
                 assert not two.connectors  # it was never answered what was to be offered
                 assert not (await _asked(two, network, "one", what, bodies("one", 1)))[0].refused
+
+    simulate(run())
+
+
+@pytest.mark.fault("E13")
+def test_little_is_kept_of_what_another_kernel_says_of_a_connector() -> None:
+    async def run() -> None:
+        network = MemoryNetwork()
+        async with kernel_of(network, "two") as two:
+            await two.add(Source())
+            await two.add(Sink())
+            for options in ({"name": "x" * 100_000}, {"dataport.x": "x" * 100_000}):
+                body = LinkRequest("two/source0.out", "one/sink.inp", options, versions.SPOKEN).to_bytes()
+                (answer,) = await _asked(two, network, "one", "request", [body])
+                assert "a request of 100," in answer.refused
+                assert "at most 16,384 are allowed" in answer.refused
+            (answer,) = await _asked(two, network, "one", "offer", [_offer("x" * 100_000, "one/source.out")])
+            assert "an offer without its type of 200," in answer.refused
+            assert not two.connectors
+
+    simulate(run())
+
+
+class Meter(Protocol):
+    async def read(self) -> float: ...
+
+
+class Device(Component):
+    meter = Provided[Meter]()
+
+    async def read(self) -> float:
+        return 1.0
+
+
+class Client(Component):
+    meter = Required[Meter]()
+
+
+@pytest.mark.fault("E13")
+def test_a_kernel_that_binds_too_many_interfaces_leaves_room_for_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serving, "_BY_ONE", 3)
+    monkeypatch.setattr(serving, "_BY_ALL", 5)
+    wanted = interface_text(read_interface(Meter))
+    bodies = [frame_of([f"one/client{number}.meter", "meter", "two/device0.meter", wanted]) for number in range(5)]
+
+    async def run() -> None:
+        network = MemoryNetwork()
+        async with kernel_of(network, "two") as two, kernel_of(network, "three") as three:
+            await two.add(Device())
+            greedy = network.transport("one")
+            await greedy.open(Face("one"))
+            await asyncio.sleep(0.1)
+            found: list[Peer] = []
+            greedy.presence(lambda peer, up: found.append(peer))
+            (to,) = [peer for peer in found if peer.kernel == "two"]
+            answers = [Answer.from_bytes(await greedy.ask(to, "bind", body, within=2.0)) for body in bodies]
+            assert [bool(answer.refused) for answer in answers] == [False, False, False, True, True]
+            assert "other kernels have bound 3 interfaces; no more are bound" in answers[4].refused
+            client = await three.add(Client())
+            await three.connect(client.meter, "two/device0.meter")
+            assert await client.meter.proxy.read() == 1.0
+            await greedy.ask(to, "unbind", frame_of([answers[0].number]), within=2.0)
+            assert not Answer.from_bytes(await greedy.ask(to, "bind", bodies[4], within=2.0)).refused
+            await greedy.close()
 
     simulate(run())
 

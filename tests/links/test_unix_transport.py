@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 import resource
 import socket
 import struct
@@ -338,5 +340,75 @@ def test_of_two_connections_with_one_kernel_the_other_one_carries_on() -> None:
             assert (await sink.inp.read(timeout=10.0)).data == 2
             assert links.report()
             assert connector.statistics.dropped == {}
+
+    asyncio.run(main())
+
+
+def test_a_transport_that_could_not_be_opened_for_want_of_descriptors_has_given_up_its_socket() -> None:
+    class Face:
+        name, epoch, host = "one", 7, "here"
+
+        def report(self, text: str) -> None:
+            raise AssertionError(text)
+
+        def run_in_background(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
+            return asyncio.get_running_loop().create_task(coroutine, name=name)
+
+    async def main() -> None:
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        transport, fillers = UnixTransport(), list[int]()
+        resource.setrlimit(resource.RLIMIT_NOFILE, (256, hard))
+        try:
+            with suppress(OSError):
+                while True:
+                    fillers.append(os.dup(0))
+            os.close(fillers.pop())  # enough to listen, and not to look who is there
+            with pytest.raises(LinkError, match="cannot be reached"):
+                await transport.open(Face())
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+            for one in fillers:
+                os.close(one)
+        assert not list(Path(os.environ["XDG_RUNTIME_DIR"], "aiorts").glob("*"))
+        await transport.open(Face())
+        await transport.close()
+
+    asyncio.run(main())
+
+
+class _Short:
+    """A socket whose system has no memory to send anything."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self._socket = sock
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._socket, name)
+
+    def send(self, _data: object) -> int:
+        raise OSError(errno.ENOBUFS, "No buffer space available")
+
+
+def test_a_connection_that_can_send_no_more_ends_at_this_end() -> None:
+    async def main() -> None:
+        loop, (near, far) = asyncio.get_running_loop(), socket.socketpair()
+        ended: asyncio.Future[str] = loop.create_future()
+        short: Any = _Short(near)
+        stream = Stream(loop, short, lambda _messages: None, lambda: None, ended.set_result)
+        assert not stream.send(1, 2, b"head")
+        assert await asyncio.wait_for(ended, 5.0) == "No buffer space available"
+        assert stream.closed
+        far.close()
+
+    asyncio.run(main())
+
+
+def test_a_descriptor_that_cannot_be_kept_is_not_sent() -> None:
+    async def main() -> None:
+        near, far = socket.socketpair()
+        stream = Stream(asyncio.get_running_loop(), near, lambda _messages: None, lambda: None, lambda _why: None)
+        assert not stream.send_descriptor(1, 2, b"ring", 100_000)  # there is none of this number
+        stream.close()
+        far.close()
 
     asyncio.run(main())

@@ -108,13 +108,18 @@ class Counting:
     is_heard = True
 
     def __init__(self) -> None:
-        self.puts = 0
+        self.puts = self.refuses = 0
+        """Messages; and how often it takes no tokens."""
+        self.announced: tuple[str, ...] = ()
 
     def put(self, key: str, data: bytes) -> None:
         self.puts += 1
 
     def announce(self, *tokens: str) -> None:
-        pass
+        self.refuses -= 1
+        if self.refuses >= 0:
+            raise OSError("no thread can be started")
+        self.announced = tokens
 
 
 @contextmanager
@@ -132,6 +137,44 @@ def presence() -> Iterator[tuple[Presence, Counting, list[Peer]]]:
         yield made, engine, shown
     finally:
         made.close()
+
+
+def test_an_engine_that_did_not_take_the_tokens_is_given_them_again() -> None:
+    async def main() -> None:
+        failed: list[object] = []
+        asyncio.get_running_loop().set_exception_handler(lambda _loop, context: failed.append(context["exception"]))
+        with presence() as (made, engine, _):
+            engine.refuses = 2
+            async with asyncio.timeout(10.0):
+                while not engine.announced:
+                    await asyncio.sleep(0.05)
+            assert made.standing is Standing.OWNS
+            assert [token.endswith("/own") for token in engine.announced] == [False, True]
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("machines", [1, 2])
+def test_many_kernels_that_are_to_be_seen_no_more_are_hidden_a_few_at_a_time(machines: int) -> None:
+    count = 2_000
+
+    async def main() -> None:
+        with presence() as (made, _, shown):
+            for number in range(count):
+                made._came(f"{BASE}/live/there/arm{number}/1-{number:016x}-{1:016x}/own", True)
+            if machines > 1:
+                made._came(f"{BASE}/live/there/other/2-{count:016x}-{2:016x}", True)
+            async with asyncio.timeout(20.0):
+                while len(shown) < count:
+                    await asyncio.sleep(0.01)
+                before = count
+                made._came(f"{BASE}/live/here/hub/0-{9:016x}-{1:016x}/own", True)  # it has the name of this kernel
+                while shown:
+                    await asyncio.sleep(0)
+                    assert before - len(shown) < count / 2, "most of them in one turn of the loop"
+                    before = len(shown)
+
+    asyncio.run(main())
 
 
 def token_of(number: int, how: str) -> str:

@@ -105,3 +105,28 @@ def test_a_question_that_comes_twice_is_carried_out_once(size: str) -> None:
             assert asking.carried_out == ["victim"]
 
     asyncio.run(main())
+
+
+def test_answers_that_are_given_are_forgotten_though_older_questions_wait_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aiorts_zenoh.transport._ASKED", 10)
+
+    async def main() -> None:
+        async with Asking() as asking:
+            free = asyncio.Event()
+
+            async def slow(body: bytes, caller: Caller) -> bytes:
+                if body == b"1":
+                    await free.wait()
+                return await asking.answer(body, caller)
+
+            asking.transport.answer("secret", slow)
+            waiting = [asyncio.ensure_future(asking.ask("victim", "victim", number, "1")) for number in range(1, 6)]
+            while len(asking.transport._answers) < 5:
+                await asyncio.sleep(0.01)
+            for number in range(6, 56):
+                assert await asking.ask("victim", "victim", number, "0") == (True, b"for victim")
+                assert len(asking.transport._answers) <= 20
+            free.set()
+            assert {good for good, _ in await asyncio.gather(*waiting)} == {True}
+
+    asyncio.run(main())

@@ -33,6 +33,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.x509.oid import NameOID
 
 from aiorts_zenoh import Network
+from aiorts_zenoh.neighbours import Neighbours
 from aiorts_zenoh.security.folder import Folder
 from aiorts_zenoh.security.probe import probe
 from network.certificate_parts import folder, issue_for, issue_later
@@ -381,3 +382,10 @@ def test_a_kernel_in_plain_tcp_is_said_to_speak_no_tls(tmp_path: Path) -> None:
             return await asyncio.to_thread(probe, "127.0.0.1", port, own)
 
     assert asyncio.run(main()) == "does not speak TLS: it may be a kernel without certificates"
+
+
+def test_names_in_tokens_are_not_kept_where_nobody_looks_for_them() -> None:
+    neighbours = Neighbours([], None, lambda text: None)
+    for number in range(10):
+        neighbours._token(f"aiorts/1/default/live/far/k{number}/1-{number:016x}-{1:016x}", True)
+    assert not neighbours._shown

@@ -157,7 +157,7 @@ present      | ask      | ask      | ask      | ask      | -        | -       | 
 gone         | -        | part     | part     | part     | leave    | -       | -
 missing      | !        | miss     | !        | !        | !        | !       | !
 come         | -        | ask      | -        | ask      | -        | -       | -
-wanted       | -        | -        | -        | ask      | ask anew | -       | -
+wanted       | ask      | -        | -        | ask      | ask anew | -       | -
 due          | !        | !        | !        | ask      | !        | !       | !
 agreed       | !        | open     | !        | !        | !        | !       | !
 promised     | !        | !        | !        | !        | !        | !       | !

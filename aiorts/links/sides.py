@@ -1,0 +1,104 @@
+"""What both sides of a link have in common: a connector, the end of the protocol, and the channel of the moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
+
+from aiorts.kernel.loop.guarded import KernelLog
+
+if TYPE_CHECKING:
+    from aiorts.kernel.loop.timers import Cancellable
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.links.transport import Channel
+    from aiorts.model.links import ReaderEnd, WriterEnd
+
+report: Final = partial(KernelLog().warning, "W-LINK: %s")
+"""Warns of what cannot be sent or read."""
+E = TypeVar("E", bound="WriterEnd | ReaderEnd")
+
+
+class Driver(Protocol):
+    """What has made a side, and hears of what ends its channel."""
+
+    def lost(self, why: str) -> None:
+        """The channel went down."""
+        ...
+
+    def silent(self) -> None:
+        """The channel was given up, since nobody has answered on it."""
+        ...
+
+    def left(self) -> None:
+        """The other end has disconnected."""
+        ...
+
+
+class Wakening:
+    """Calls back at the time asked for last, or a little before it: `callback` asks again for what is due later."""
+
+    __slots__ = ("_due_ns", "_kernel", "_timer", "_wakened")
+
+    def __init__(self, kernel: Microkernel, callback: Callable[[], None]) -> None:
+        self._kernel, self._wakened = kernel, callback
+        self._timer: Cancellable | None = None
+        self._due_ns = 0
+
+    def at(self, when_ns: int | None) -> None:
+        """Call back at this time of the kernel's clock, None for not at all."""
+        # A timer that is due earlier stays: to set one anew at each sample costs more than a call for nothing.
+        if when_ns is None or (self._timer is not None and self._due_ns <= when_ns):
+            return
+        self.cancel()
+        self._due_ns = when_ns
+        self._timer = self._kernel.call_at(when_ns, self._wake)
+
+    def cancel(self) -> None:
+        """Call back no more."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _wake(self) -> None:
+        self._timer = None
+        self._wakened()
+
+
+class LinkSide(Generic[E]):
+    """One side of a link in its kernel. See `ChannelEvents` for what the transport calls."""
+
+    def __init__(self, kernel: Microkernel, connector: Connector, end: E, driver: Driver) -> None:
+        self.connector = connector
+        self.end: E = end
+        self.why = "not connected yet"
+        """Why it is not up; "" while it is."""
+        self._kernel, self._driver = kernel, driver
+        self._now: Callable[[], int] = kernel.clock.monotonic_ns
+        self._channel: Channel | None = None
+        self._wakening = Wakening(kernel, self._wake)
+        self._ended = False
+
+    def on_state(self, up: bool, why: str) -> None:
+        if not up and self._channel is not None:
+            self._down(why)
+            self._driver.lost(why)
+
+    def drop(self, why: str) -> None:
+        """Give the channel up, if there is one: there will be another."""
+        if self._channel is not None:
+            self._channel.close()
+            self._down(why)
+
+    def _down(self, why: str) -> None:
+        self._channel, self.why = None, why
+        self.end.channel_down(self._now())
+
+    def _wake(self) -> None:
+        self._poll(self._now())
+
+    def _poll(self, now: int) -> None:
+        channel = self._channel
+        if channel is not None:
+            self._wakening.at(self.end.poll(now, channel.send))
