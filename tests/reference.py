@@ -355,6 +355,8 @@ def exit_status() -> str:
         lines.append(f"- `{status}`{name}: {_ticked(meaning)}.\n")
     return (
         f"{''.join(lines)}\n"
+        "A component, a type or a port that a command names and that is not there makes it end with `6`; one that a "
+        "file names, or that a command was to start, with `2`: then nothing was started. "
         "A component ends `aiorts run` with a status of its own by `self.kernel.request_stop(status)`. A filter that "
         "could not read a line goes on and ends with `1`. A command for what runs ends with `6` where the kernel ends "
         "meanwhile; one that only follows it, such as `print` or `top`, with `0`, unless `--count` asked for more. "

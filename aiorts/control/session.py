@@ -10,7 +10,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from aiorts.control.operation import Right
-from aiorts.errors import AiortsError, ControlError, TransitionTimeout, format_error
+from aiorts.errors import AbsentError, AiortsError, ControlError, TransitionTimeout, format_error
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.model.plain import plain
@@ -152,10 +152,13 @@ class Session:
             if stream is not None:
                 stream.close()
             self._audit(operation, arguments, "cancelled")
-            self._send(_error(number, ControlError(f"{operation.name}: was cancelled")), _nothing)
+            kind, why = (AbsentError, "its kernel has ended") if self.kernel.closed else (ControlError, "was cancelled")
+            self._send(_error(number, kind(f"{operation.name}: {why}")), _nothing)
         elif (error := task.exception()) is not None:
             if isinstance(error, TransitionTimeout):
                 self.operates(changing)
+            if self.kernel.closed:  # whatever it says is so because what it is about has ended
+                error = AbsentError(f"{operation.name}: its kernel has ended: {format_error(error)}")
             self._fail(number, operation, arguments, error, stream)
         else:
             self._succeed(number, operation, arguments, task.result(), stream)

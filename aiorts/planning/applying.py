@@ -57,7 +57,7 @@ from aiorts.planning.shown import shown_name
 from aiorts.planning.snapshot import Snapshot
 from aiorts.planning.switching import CompositesAside, switch, tops, without_components
 from aiorts.reload import Trial, check_replaceable, code_of
-from aiorts.supervision import Supervising
+from aiorts.supervision import Patience, Supervising
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
@@ -147,15 +147,17 @@ class Application:
         Raises:
             BaseException: what a step raised; nothing is taken back yet.
         """
-        for step in self.plan.steps:
-            self._kernel.check_open("apply")
-            self._begun.append(step)
-            await self.carry_out(step)
         rules = [
             one.start for name, one in self._wanted.components.items() if one.start and name not in self._now.components
         ]
+        patience = Patience(self._kernel, rules)
+        for step in self.plan.steps:
+            self._kernel.check_open("apply")
+            self._begun.append(step)
+            async with patience.activating(*self._who_comes_up(step)):
+                await self.carry_out(step)
         if rules:
-            await self._kernel.service(Supervising).start_in_order(rules)
+            await self._kernel.service(Supervising).start_in_order(rules, patience)
         self.ended = self._before.ended()
 
     async def carry_out(self, step: Step) -> None:
@@ -465,6 +467,14 @@ class Application:
             members = [one for one in members if self._before.was_active(step.context, one.name) is step.after]
         if members:
             await (context.activate if step.after else context.deactivate)(*members)
+
+    def _who_comes_up(self, step: Step) -> list[str]:
+        """Who may be activated by this step."""
+        if isinstance(step, Activate):
+            return [one.name for one in self._running(step.context).members] if step.after else []
+        lines = step.after.contexts.values() if isinstance(step, Move) else ()
+        there = self._kernel.components
+        return [part.name for line in lines for name in line if name in there for part in parts_of(there[name])]
 
     async def _move(self, step: Move) -> None:
         kernel = self._kernel

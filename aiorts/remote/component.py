@@ -216,7 +216,7 @@ class FarComponent(Component, kind=FarKind()):
         added = [key for key in state.sets if key not in before.sets]
         if changed or activate or gone or added:
             one = self._where.component
-            await self._ask("configure", component=one, values=changed, add=added, remove=gone, activate=activate)
+            await self.ask("configure", component=one, values=changed, add=added, remove=gone, activate=activate)
 
     async def on_startup(self) -> None:
         await self._connect()
@@ -242,7 +242,7 @@ class FarComponent(Component, kind=FarKind()):
     async def on_reset(self) -> None:
         await self._connect()
         if self._there is _ERROR:
-            await self._ask("reset", component=self._where.component, timeout=_TIMEOUT)
+            await self.ask("reset", component=self._where.component, timeout=_TIMEOUT)
             self._there = _INACTIVE
         await self._to(_INACTIVE, "deactivate")
 
@@ -257,9 +257,10 @@ class FarComponent(Component, kind=FarKind()):
         finally:
             self._own -= 1
 
-    async def _ask(self, operation: str, **arguments: Any) -> None:
+    async def ask(self, operation: str, **arguments: Any) -> Any:
+        """What its kernel answers. LinkError: it is lost. NoAnswerError, AiortsError: it does not, or has refused."""
         async with self._turn:
-            await self._open_session.call(operation, **arguments)
+            return await self._open_session.call(operation, **arguments)
 
 
 def _replaced(

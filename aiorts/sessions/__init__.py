@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         framed,
         frames,
         has_frame,
+        packed,
         request_in,
     )
     from aiorts.sessions.session import Call, ClientSession
@@ -93,6 +94,7 @@ __all__ = (
     "open_all",
     "outlines",
     "private_folder",
+    "packed",
     "request_in",
     "sharing",
     "the_one",
@@ -105,7 +107,7 @@ _late(
         "aiorts.sessions.folder": "FURTHER Carrier Claim Entry TakenError entries is_supported private_folder",
         "aiorts.sessions.many": "FEW",
         "aiorts.sessions.protocol": (
-            "BYE REQUESTS STALL_SECONDS WAITING Made agreed answer_in framed frames has_frame request_in"
+            "BYE REQUESTS STALL_SECONDS WAITING Made agreed answer_in framed frames has_frame packed request_in"
         ),
         "aiorts.sessions.session": "Call ClientSession",
         "aiorts.sessions.target": (

@@ -12,6 +12,7 @@ it closes. Keys that are not known are passed over, and so are answers to calls 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any, Final, cast
 
@@ -34,6 +35,8 @@ WAITING: Final = 256
 STALL_SECONDS: Final = 30.0
 """After which a client that does not read what was sent, or does not end what it began to say, is cut off."""
 _LENGTH: Final = 4
+_BYTES: Final = "surrogateescape"
+"""How texts are encoded and decoded: as Python has paths, whose bytes may be no UTF-8."""
 
 
 class Made:
@@ -62,12 +65,20 @@ def agreed(oldest: object, newest: object, who: str) -> int:
 
 
 def framed(message: Mapping[str, Any]) -> bytes:
-    """A message as its frame; what msgpack does not know is made plain first."""
-    try:
-        body = cast("bytes", msgpack.packb(message, default=_plain))
-    except (OverflowError, ValueError):  # an integer of more than 64 bits, or nested deeper than msgpack goes
-        body = cast("bytes", msgpack.packb(_shortened(plain(message), 0)))
+    """A message as its frame."""
+    body = packed(message)
     return len(body).to_bytes(_LENGTH, "big") + body
+
+
+def packed(message: Mapping[str, Any]) -> bytes:
+    """A message as msgpack; what that does not know is made plain first.
+
+    A path that is not UTF-8 goes as the bytes that it has on disk, and is the same path at the other end.
+    """
+    try:
+        return cast("bytes", msgpack.packb(message, default=_plain, unicode_errors=_BYTES))
+    except (OverflowError, ValueError):  # what msgpack cannot say
+        return cast("bytes", msgpack.packb(_shortened(plain(message), 0), unicode_errors=_BYTES))
 
 
 def frames(buffer: bytearray, longest: int) -> Iterator[bytes]:
@@ -104,7 +115,7 @@ def request_in(frame: bytes) -> dict[Any, Any]:
 def answer_in(frame: bytes) -> dict[Any, Any]:
     """What a kernel says in a frame; WireError when it is no map."""
     try:
-        value = msgpack.unpackb(frame, strict_map_key=False, raw=False, unicode_errors="replace")
+        value = msgpack.unpackb(frame, strict_map_key=False, raw=False, unicode_errors=_BYTES)
     except (ValueError, TypeError) as error:  # TypeError: a list or map as a key
         raise WireError(f"a frame that is no msgpack: {error}") from None
     if type(value) is not dict:
@@ -131,17 +142,25 @@ def _plain(value: object) -> Any:
 
 
 _DEEPEST: Final = 100
+_HALF: Final = re.compile("[\ud800-\udc7f\udd00-\udfff]")
 
 
 def _shortened(value: Any, depth: int) -> Any:
-    """The same with texts for what msgpack cannot say."""
+    """The same without what msgpack cannot say: integers of more than 64 bits, deep nests, halves of characters."""
     if depth > _DEEPEST:
-        return str(value)[:200]
+        return _sayable(str(value)[:200])
     if isinstance(value, dict):
-        return {key: _shortened(one, depth + 1) for key, one in value.items()}
+        return {_shortened(key, depth + 1): _shortened(one, depth + 1) for key, one in value.items()}
     if isinstance(value, list):
         return [_shortened(one, depth + 1) for one in value]
+    if type(value) is str:
+        return _sayable(value)
     return str(value) if type(value) is int and not -(2**63) <= value < 2**64 else value
+
+
+def _sayable(text: str) -> str:
+    """The text without lone surrogates, which JSON can escape and no UTF-8 has; those that stand for bytes stay."""
+    return _HALF.sub("\ufffd", text)
 
 
 BYE: Final = framed({"bye": True})

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from aiorts.model.wanted.start_rules import ADDED, StartRule, in_order
     from aiorts.supervision.readiness import wait_ready
     from aiorts.supervision.saved_state import standing_of
+    from aiorts.supervision.start_sequence import Patience
     from aiorts.supervision.supervising import Supervising
     from aiorts.supervision.supervisor import ComponentRecovered, RestartLimitReached, Supervised
 
@@ -24,6 +25,7 @@ _late(
         "aiorts.supervision.saved_state": "standing_of",
         "aiorts.model.wanted.restart_policy": "ACTIONS Supervision",
         "aiorts.model.wanted.start_rules": "ADDED StartRule in_order",
+        "aiorts.supervision.start_sequence": "Patience",
         "aiorts.supervision.supervising": "Supervising",
         "aiorts.supervision.supervisor": "ComponentRecovered RestartLimitReached Supervised",
     },

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import asyncio
+from collections import Counter
+from collections.abc import AsyncIterator, Iterable, Sequence
+from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
 from aiorts.errors import AiortsError, StateError, TransitionTimeout
@@ -15,14 +18,63 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
 
 
-async def start_in_order(kernel: Microkernel, rules: Sequence[StartRule], started: list[str]) -> None:
+class Patience:
+    """How long the rules of one start may still wait.
+
+    A rule waits also while what its conditions name is activated before its turn comes.
+    """
+
+    def __init__(self, kernel: Microkernel, rules: Iterable[StartRule]) -> None:
+        self._kernel, self._rules = kernel, tuple(rules)
+        self._spent: Counter[str] = Counter()
+        """Nanoseconds, by the component of the rule."""
+
+    def left(self, rule: StartRule) -> float:
+        """Seconds that the conditions of this rule may still take."""
+        return max(0.0, rule.timeout - self._spent[rule.component] / 1e9)
+
+    @asynccontextmanager
+    async def activating(self, *names: str) -> AsyncIterator[None]:
+        """Lasts while these components are activated.
+
+        Raises:
+            TransitionTimeout: a rule has waited for one of them for as long as it may; the activation is left to it.
+        """
+        waiting = [
+            rule
+            for rule in self._rules
+            if any(one.component in names and not _holds(self._kernel, one) for one in rule.conditions)
+        ]
+        if not waiting:
+            yield
+            return
+        kernel, first = self._kernel, min(waiting, key=self.left)
+        begun = kernel.clock.monotonic_ns()
+        try:
+            async with asyncio.timeout(None) as limit:
+                timer = kernel.call_later(self.left(first), lambda: limit.reschedule(kernel.loop.time()))
+                try:
+                    yield
+                finally:
+                    timer.cancel()
+        except TimeoutError:
+            if not limit.expired():
+                raise
+            raise not_started(kernel, first) from None
+        finally:
+            took = kernel.clock.monotonic_ns() - begun
+            self._spent.update({rule.component: took for rule in waiting})
+
+
+async def start_in_order(
+    kernel: Microkernel, rules: Sequence[StartRule], started: list[str], patience: Patience
+) -> None:
     """See `Kernel.start_in_order`; adds the name of each that was activated to `started`."""
     for rule in in_order(rules):
         conditions = rule.conditions
         # Looked at together: what was true a while ago does not count.
-        if not await until(kernel, lambda cs=conditions: all(_holds(kernel, c) for c in cs), rule.timeout):  # type: ignore[misc]
-            untrue = "; ".join(_text(kernel, one) for one in conditions if not _holds(kernel, one))
-            raise TransitionTimeout(f"{rule.component}: not started: after {rule.timeout} s still {untrue}")
+        if not await until(kernel, lambda cs=conditions: all(_holds(kernel, c) for c in cs), patience.left(rule)):  # type: ignore[misc]
+            raise not_started(kernel, rule)
         if rule.wait:
             await kernel.sleep(rule.wait)
         component = kernel.components.get(rule.component)
@@ -33,7 +85,14 @@ async def start_in_order(kernel: Microkernel, rules: Sequence[StartRule], starte
             raise StateError(f"{rule.component}: cannot be started: it is in no context")
         if rule.component not in started:
             started.append(rule.component)
-        await _activate(component)
+        async with patience.activating(rule.component):
+            await _activate(component)
+
+
+def not_started(kernel: Microkernel, rule: StartRule) -> TransitionTimeout:
+    """The error of a rule whose conditions have taken too long."""
+    untrue = "; ".join(_text(kernel, one) for one in rule.conditions if not _holds(kernel, one))
+    return TransitionTimeout(f"{rule.component}: not started: after {rule.timeout} s still {untrue}")
 
 
 async def _activate(component: Component) -> None:

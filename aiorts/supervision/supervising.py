@@ -15,6 +15,7 @@ from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.model.wanted.start_rules import in_order
 from aiorts.supervision import start_sequence
+from aiorts.supervision.start_sequence import Patience
 from aiorts.supervision.supervisor import Supervisor
 
 if TYPE_CHECKING:
@@ -83,11 +84,12 @@ class Supervising(KernelService):
         """The supervised components, by name; one that could not be replaced stays, exhausted."""
         return MappingProxyType({} if self._supervisor is None else self._supervisor.supervised)
 
-    async def start_in_order(self, rules: Sequence[StartRule]) -> None:
-        """See `Kernel.start_in_order`."""
+    async def start_in_order(self, rules: Sequence[StartRule], patience: Patience | None = None) -> None:
+        """See `Kernel.start_in_order`; `patience` knows how long these rules have waited before."""
         in_order(rules)
         self.rules.update((rule.component, rule) for rule in rules)
-        await start_sequence.start_in_order(self.kernel, rules, self._started)
+        patience = patience or Patience(self.kernel, rules)
+        await start_sequence.start_in_order(self.kernel, rules, self._started, patience)
 
     async def stop_in_order(self, timeout: float | None) -> None:
         """See `Kernel.stop_in_order`."""

@@ -28,7 +28,7 @@ from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import names_kernel
 from aiorts.model.wanted.entries import CompositeEntry, ConnectionEntry
 from aiorts.planning import Planning, Setting
-from aiorts.supervision import in_order
+from aiorts.supervision import Patience, Supervising, in_order
 from aiorts.system.checks.adapting import adapted
 from aiorts.system.checks.check import of_draft
 from aiorts.system.checks.connection_checks import end_key
@@ -160,16 +160,19 @@ async def _start(kernel: Kernel, plan: Blueprint) -> None:
     for context in system.contexts.values():
         members = [kernel.components[name] for name in context.members]
         started[context.name] = await kernel.start(plan.contexts[context.name], *members)
+    rules = [entry.start for entry in system.components.values() if entry.start is not None]
+    patience = Patience(kernel, rules)
     for name in _in_order(system):
         entry = system.components.get(name)
         for context in system.contexts.values():
             if context.activate and name in context.members and (entry is None or entry.start is None):
-                await _activate(started[context.name], kernel.components[name])
-    rules = [entry.start for entry in system.components.values() if entry.start is not None]
+                component = kernel.components[name]
+                async with patience.activating(name, *(part.name for part in flattened((component,)))):
+                    await _activate(started[context.name], component)
     for rule in in_order(rules):
         # One that fails is in error; whoever waits for it says so, unless it is helped in time.
         with contextlib.suppress(ComponentError):
-            await kernel.start_in_order([rule])
+            await kernel.service(Supervising).start_in_order([rule], patience)
 
 
 def _options(plan: Blueprint, connection: ConnectionEntry) -> Mapping[str, Any]:

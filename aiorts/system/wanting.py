@@ -8,10 +8,12 @@ from types import MappingProxyType
 from typing import Any
 
 from aiorts.composites import exports
+from aiorts.errors import WiringError
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.model.names import names_kernel
 from aiorts.model.options import connector_profile, link_options
+from aiorts.model.wanted.doubled import Joined
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
 from aiorts.planning import Canon, service_connection, table, whole
 from aiorts.services import ServicePort, pairs_of
@@ -30,6 +32,7 @@ def wanted(system: SystemFile | Blueprint, notes: list[str] | None = None) -> Wa
     Raises:
         AiortsError: what `prepare` raises.
         SystemFileError: a port of a component cannot be known without running it.
+        WiringError: two ports are connected twice.
     """
     return _Reader(
         prepare(system) if isinstance(system, SystemFile) else system, [] if notes is None else notes
@@ -87,6 +90,7 @@ class _Reader:
     def _connections(self) -> Iterator[ConnectionEntry]:
         """Those of data ports first, as a kernel has them."""
         services: list[ConnectionEntry] = []
+        joined = Joined()
         number = 0
         for entry in self._system.connections:
             ports = [self._port(path) for path in entry.ports]
@@ -101,7 +105,11 @@ class _Reader:
                 said, elsewhere = options, self._system.is_elsewhere
                 if elsewhere(out) or elsewhere(in_):
                     said = link_options("", options, from_reader=names_kernel(out))
-                profile, _ = connector_profile("", said, "", (out, in_), 8 if length is None else length)
+                profile, limits = connector_profile("", said, "", (out, in_), 8 if length is None else length)
+                allowed = bool(limits.get("allow_duplicate", False))
+                if (fault := joined.fault(out, in_, entry.number, allowed=allowed)) is not None:
+                    place = self._system.at("connections", entry.number - 1, of_key=True)
+                    raise WiringError(f"{place}: connections[{entry.number}]: {fault}")
                 name = f"{profile.name}-{at + 1}" if at and profile.name else profile.name
                 yield self._canon.connection((out, in_), replace(profile, name=name), length, number)
         for entry in services:

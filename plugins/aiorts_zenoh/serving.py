@@ -10,13 +10,11 @@ import threading
 import time
 from collections.abc import Callable, Coroutine
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, cast
-
-import msgpack  # type: ignore[import-untyped]
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control import Control, Right
 from aiorts.errors import AiortsError, ClosedError, ControlError, DeniedError, NoAnswerError
-from aiorts.sessions import ClientSession, answer_in, framed
+from aiorts.sessions import ClientSession, answer_in, framed, packed
 from aiorts_zenoh.carried import Carried
 from aiorts_zenoh.engine import Engine, Inbox
 from aiorts_zenoh.envelope import END, FRAME, LOOK, read
@@ -232,7 +230,7 @@ class Serving:
         self._run(self._answer(connected, session, operation, call, reply))
 
     def _reply(self, query: Any, key: str, answer: dict[Any, Any]) -> None:
-        self._engine.reply(query, cast("bytes", msgpack.packb(answer)), good=True, key=key)
+        self._engine.reply(query, packed(answer), good=True, key=key)
 
     async def _answer(
         self,

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from aiorts import exits
 from aiorts.cli.app import run_command
 from aiorts.cli.commands.record_types import GROUPS, example_of
 from aiorts.cli.console.report import LONGEST
@@ -244,6 +245,17 @@ def test_a_class_or_file_that_is_misspelt_is_told_the_nearest(arm: Path, capsys:
     assert (status, "--speed" in err) == (2, True)
     status, _, err = aiorts(capsys, "inspect", f"{arm / 'arm.py'}:Arm", "--speed", "-3")
     assert (status, "must be > 0" in err) == (2, True)
+
+
+@pytest.mark.parametrize("what", ["inspect", "doc"])
+@pytest.mark.parametrize("name", ["NoSuch", "no_such.py:One", "no_such.module:One", "asyncio.no_such:One", "re:One"])
+def test_what_is_not_there_ends_with_the_status_of_absence_and_what_is_to_be_started_with_a_refusal(
+    what: str, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = aiorts(capsys, what, name)
+    assert (status, out) == (exits.ABSENT, "")
+    assert err.startswith("aiorts: E-UNKNOWN-TYPE: ")
+    assert aiorts(capsys, "run", name)[0] == exits.REFUSED
 
 
 @pytest.mark.fault("F05")

@@ -153,7 +153,12 @@ async def test_with_adapt_a_filter_is_put_between_and_shown(capsys: pytest.Captu
         (["dis", "reader1"], 6, "did you mean reader0"),
         (["exit", "reader9"], 6, "did you mean reader0"),
         (["comp", "add", "reader0", "counter0"], 2, "is no composite but a Reader"),
-        (["comp", "create", "NoSuchType"], 2, "NoSuchType"),
+        (["comp", "create", "NoSuchType"], 6, "E-UNKNOWN-TYPE: no component named 'NoSuchType'"),
+        (["comp", "create", "no_such_file.py:One"], 6, "no_such_file.py:One': no file 'no_such_file.py'"),
+        (["comp", "create", "no_such.module:One"], 6, "E-UNKNOWN-TYPE: no module named 'no_such'"),
+        (["comp", "create", "asyncio.nothing:One"], 6, "E-UNKNOWN-TYPE: asyncio.nothing:One: no module named"),
+        (["comp", "create", "aiorts.testing:One"], 6, "E-UNKNOWN-TYPE: aiorts.testing:One: there is no 'One'"),
+        (["comp", "create", "aiorts.testing:simulated"], 2, "E-PLUGIN: "),
     ],
 )
 async def test_wrong_words_are_told(

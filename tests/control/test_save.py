@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -15,7 +17,7 @@ from aiorts import EventContext, Kernel
 from aiorts.cli.app import run_command
 from aiorts.sessions import Client
 from aiorts.system import check
-from control_parts import WAIT, Counter, with_client
+from control_parts import WAIT, Counter, commanded, with_client
 
 pytestmark = pytest.mark.anyio
 SYSTEM = """schema = 1
@@ -114,3 +116,40 @@ async def test_a_thousand_components_and_two_thousand_connectors_are_saved() -> 
     assert text.count("[components.") == 1001
     assert text.count("[[connections]]") == 1999
     assert text.count("allow_duplicate = true") == 999
+
+
+_PLACE = """
+from aiorts import Component, Param
+
+
+class Place(Component):
+    note = Param("", file="write")
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="file names that are no UTF-8")
+async def test_paths_that_are_no_utf_8_are_shown_set_and_saved_or_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / os.fsdecode(b"r\xc3\xc4\xff")
+    folder.mkdir()
+    (folder / "place.py").write_text(_PLACE)
+    note = str(folder / os.fsdecode(b"n\xfe"))
+    async with Kernel(services={"control": {"name": "bytes"}}) as kernel:
+        kernel.services[0].table = None
+        place = await kernel.create(f"{folder / 'place.py'}:Place", "place")
+        status, text = await commanded(capsys, "save", "-o", str(folder / "out.toml"))
+        assert (status, text) == (0, "")
+        saved = (folder / "out.toml").read_text("utf-8")
+        assert 'type = "place.py:Place"' in saved
+        status, text = await commanded(capsys, "save", "-o", str(tmp_path / "out.toml"))
+        assert (status, "is no UTF-8, which TOML is" in text, len(text.splitlines())) == (2, True, 1), text
+        assert "place.type: cannot be saved: 'r\\udcc3\\udcc4\\udcff/place.py:Place'" in text
+        assert await commanded(capsys, "conf", "place", f"note={note}") == (0, "")
+        assert place.configuration.values["note"] == note
+        for words in (("cat", "place", "-l", "--json"), ("conf", "place", "--json")):
+            status, text = await commanded(capsys, *words)
+            assert (status, text.isascii(), json.dumps(note) in text) == (0, True, True), text
+        status, text = await commanded(capsys, "save", "-o", str(folder / "other.toml"))
+        assert (status, "place.params.note: cannot be saved: " in text) == (2, True), text
+        assert sorted(path.name for path in folder.glob("*.toml")) == ["out.toml"]

@@ -16,6 +16,8 @@ import numpy as np
 
 from aiorts import Component, Goal, InPort, OutPort, Param, Provided, Required
 from aiorts.errors import ServiceError
+from aiorts.statechart import Chart, On, State
+from aiorts.statemachines import MultiModeComponent, StateMachineComponent
 from aiorts.types import TimedDoubleSeq, TimedLong, TimedOctetSeq, TimedPose2D
 from campaign import CAMPAIGN
 
@@ -338,3 +340,22 @@ class Detector(Component):
         for sample in self.inp.drain():
             if bytes(sample.data[:8]) != sample.tm.to_bytes(8, "little"):
                 raise RuntimeError(f"sample {sample.tm} is another one")
+
+
+class Door(StateMachineComponent):
+    """A state machine."""
+
+    chart = Chart(
+        State("closed", On("button", to="open"), initial=True),
+        State("open", On("button", to="closed", action="note")),
+    )
+    noted = OutPort(TimedLong)
+
+    def note(self, data: Any) -> None:
+        self.noted.write_nowait(TimedLong(0, data["by"]))
+
+
+class Lamp(MultiModeComponent):
+    """Modes."""
+
+    modes = ("dark", "bright")

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from anyio import fail_after, sleep
 
-from aiorts import Kernel, LifecycleState
+from aiorts import EventContext, Kernel, LifecycleState
 from aiorts.errors import WiringError
 from aiorts.system import build, load, prepare, wanted
 from aiorts.types import TimedLong
 from control_parts import commanded
-from isolation.isolated_parts import Scale, Sink, Source
+from isolation.isolated_parts import Door, Lamp, Scale, Sink, Source
 from isolation.test_isolated import until
 from run_parts import here
 
@@ -130,3 +131,34 @@ async def test_a_connection_fans_out_to_components_here_and_in_a_process() -> No
             await kernel.connect(source.large, "two.inp", sink.large)
         assert len(kernel.connectors) == 4
         assert [len(each.ports["inp"].connectors) for each in (one, two)] == [1, 1]
+
+
+@pytest.mark.parametrize("where", ["process", "kernel"])
+async def test_a_state_machine_and_modes_elsewhere_are_shown_and_changed_as_those_here(
+    where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    services = {"control": {"name": "house"}, "links": {}}
+    async with Kernel(services={"control": {"name": "far"}, "links": {}}) as far, Kernel(services=services) as kernel:
+        if where == "process":
+            ends = [await kernel.create_isolated(kind, kind.__name__.lower()) for kind in (Door, Lamp, Scale)]
+        else:
+            for kind in (Door, Lamp, Scale):
+                await far.start(EventContext(), await far.create(kind, kind.__name__.lower()))
+            ends = [await kernel.stand_in(f"far/{name}") for name in ("door", "lamp", "scale")]
+        for one in ends:
+            await kernel.start(EventContext(), one, activate=True)
+        assert (await commanded(capsys, "fsm", "house/door"))[1].split()[:5] == [
+            *("house/door", "states", "closed", "events", "button")
+        ]
+        assert await commanded(capsys, "fsm", "house/door", "button") == (0, "")
+        with fail_after(5):
+            while (await commanded(capsys, "fsm", "house/door"))[1].split()[2] != "open":
+                await sleep(0.01)
+        assert await commanded(capsys, "fsm", "house/door", "button", '{"by": 1}') == (0, "")
+        status, text = await commanded(capsys, "fsm", "house/door", "buton")
+        assert (status, "did you mean button?" in text) == (6, True)
+        assert await commanded(capsys, "fsm", "house/lamp", "--mode", "bright") == (0, "")
+        assert "bright of dark, bright" in (await commanded(capsys, "fsm", "house/lamp"))[1]
+        assert (await commanded(capsys, "fsm", "house/lamp", "--mode", "off"))[0] == 6
+        status, text = await commanded(capsys, "fsm", "house/scale")
+        assert (status, "has no state machine and no modes; it is a Scale" in text) == (2, True)

@@ -173,6 +173,20 @@ def test_what_cannot_be_recorded_is_refused_before_the_start(folder: Path, words
     assert said in " ".join(errors.split())
 
 
+@pytest.mark.parametrize("what", ["system.toml", "counter.py:Counter", "early.py:Early"])
+def test_a_file_that_is_found_bad_when_it_is_opened_is_refused_before_the_start(folder: Path, what: str) -> None:
+    (folder / "early.py").write_text(
+        COUNTER.replace("Counter", "Early").replace(
+            "    n = 0\n", "    n = 0\n    def on_initialize(self):\n        self.out.write_nowait(TimedLong(0, 7))\n"
+        )
+    )
+    (folder / "r.mcap").write_text("no recording")
+    status, out, errors = in_process("run", str(folder / what), "--record", str(folder / "r.mcap"), "--append")
+    assert (status, out) == (2, "")
+    assert "r.mcap: no recording" in errors
+    assert "is not complete" not in errors
+
+
 @pytest.mark.row(128)
 def test_two_runs_in_virtual_time_are_the_same_to_the_byte(folder: Path) -> None:
     paths = [folder / "a.mcap", folder / "b.mcap"]

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from aiorts.errors import AiortsError, ControlError, LimitError, NoAnswerError, WireError
 from aiorts.sessions import Client, Entry
-from aiorts.sessions.protocol import REQUESTS, WAITING, answer_in, frames, request_in
+from aiorts.sessions.protocol import REQUESTS, WAITING, answer_in, frames, packed, request_in
 from campaign import cases
 from control_parts import WAIT, controlled, entry_of, until, with_client
 from garbage import HELLO, framed
@@ -396,3 +396,18 @@ async def test_who_waits_while_the_loop_is_held_is_told_so() -> None:
         answer = await asked
     assert answer == f"{kernel.address or answer.partition(':')[0]}: no answer: {answer.rpartition(': ')[2]}"
     assert answer.rpartition(": ")[2].startswith("its event loop has been busy for at least 0.")
+
+
+@pytest.mark.parametrize(
+    ("sent", "heard"),
+    [
+        (os.fsdecode(b"/r\xc3\xc4\xff"), os.fsdecode(b"/r\xc3\xc4\xff")),  # a path whose bytes are no UTF-8
+        ("a\ud800b", "a\ufffdb"),  # half a character, as JSON can escape it
+        (f"\udfff{os.fsdecode(bytes([255]))}", f"\ufffd{os.fsdecode(bytes([255]))}"),
+        ("ä\U0001f916", "ä\U0001f916"),
+    ],
+)
+def test_every_text_can_be_said(sent: str, heard: str) -> None:
+    assert answer_in(packed({"id": 1, "ok": {sent: [sent, 2**70]}})) == {"id": 1, "ok": {heard: [heard, str(2**70)]}}
+    assert request_in(packed({"op": sent})) == {"op": heard}
+    assert packed({"x": "ä"}) == msgpack.packb({"x": "ä"})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from aiorts import Component, EventContext, Kernel, LifecycleState, PeriodicContext, SimulatedClock, StartRule
 from aiorts.errors import (
+    AiortsError,
     ClosedError,
     ComponentError,
     ConfigurationError,
@@ -21,6 +23,7 @@ from aiorts.errors import (
 )
 from aiorts.events import StateChanged
 from aiorts.model.wanted.start_rules import in_order
+from aiorts.system import build, load, wanted
 from aiorts.testing import simulated
 from campaign import cases
 
@@ -152,6 +155,60 @@ async def test_a_condition_that_never_comes_true_is_named(simulated_clock: Simul
         with pytest.raises(TransitionTimeout, match="gripper added: it is not there"):
             await kernel.start_in_order([StartRule("camera"), StartRule("arm", after="gripper added", timeout=1.0)])
         assert (made["camera"].state, made["arm"].state) == (A, I)
+
+
+@pytest.mark.parametrize(("after", "seconds"), [(["camera"], 2.0), (["light", "camera"], 2.5), (["light"], None)])
+@simulated
+async def test_time_counts_while_the_awaited_component_comes_up(
+    after: list[str], seconds: float | None, simulated_clock: SimulatedClock
+) -> None:
+    """Only that: neither what comes between, nor what the others of the same rules wait."""
+    async with Kernel() as kernel:
+        made = await parts(kernel, "light", "between", "camera", "arm", light=1.5, between=4.0, camera=3.0)
+        rules = [
+            StartRule("light"),
+            StartRule("between"),
+            StartRule("camera", wait=2.0),
+            StartRule("arm", after=after, timeout=2.0),
+        ]
+        before = simulated_clock.monotonic_ns()
+        if seconds is None:
+            await kernel.start_in_order(rules)
+            assert made["arm"].state is A
+            return
+        with pytest.raises(TransitionTimeout, match=r"arm: not started: after 2.0 s still not camera active: it is in"):
+            await kernel.start_in_order(rules)
+        until = {2.0: 1.5 + 4.0 + 2.0 + 2.0, 2.5: 1.5 + 4.0 + 2.0 + 0.5}[seconds]
+        assert (simulated_clock.monotonic_ns() - before) / 1e9 == pytest.approx(until, abs=0.05)
+        assert made["arm"].state is I
+
+
+@pytest.mark.parametrize("way", ["file", "plan"])
+@simulated
+async def test_time_counts_while_the_awaited_component_of_a_file_comes_up(
+    way: str, simulated_clock: SimulatedClock, tmp_path: Path
+) -> None:
+    text = 'schema = 1\n[clock]\nkind = "simulated"\n'
+    (tmp_path / "comes_up.py").write_text(
+        "from aiorts import Component\nclass Slow(Component):\n    async def on_activated(self):\n"
+        "        await self.sleep(3.0)\nclass Fast(Component):\n    pass\n"
+    )
+    (tmp_path / "none.toml").write_text(text)
+    (tmp_path / "s.toml").write_text(
+        f'{text}[components.slow]\ntype = "comes_up.py:Slow"\n[components.fast]\ntype = "comes_up.py:Fast"\n'
+        'start.after = "slow"\nstart.timeout = 1.0\n[contexts.a]\nkind = "periodic"\nrate = 10.0\nmembers = ["slow"]\n'
+        '[contexts.b]\nkind = "periodic"\nrate = 10.0\nmembers = ["fast"]\n'
+    )
+    async with Kernel() as kernel:
+        if way == "file":
+            with pytest.raises(TransitionTimeout, match=r"fast: not started: after 1.0 s still not slow active"):
+                await build(kernel, load(tmp_path / "s.toml"))
+            assert kernel.components["fast"].state is I
+            return
+        await build(kernel, load(tmp_path / "none.toml"))
+        with pytest.raises(AiortsError, match=r"fast: not started: after 1.0 s still not slow active"):
+            await kernel.apply(wanted(load(tmp_path / "s.toml")))
+        assert list(kernel.components) == []
 
 
 @simulated

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from aiorts import Kernel
-from aiorts.errors import AiortsError
+from aiorts.errors import AiortsError, SystemFileError
 from aiorts.system import Finding, build, check, check_text, load, prepare
 from system_parts import CHAIN
 
@@ -356,6 +356,8 @@ def test_what_only_the_writers_kernel_can_do_is_refused_where_the_reader_is(
 def test_a_connection_made_twice_and_one_the_wrong_way_round(write: Write) -> None:
     twice = joined("s.out0", "b.whole", '[[connections]]\nfrom = "s.out0"\nto = "b.whole"\n')
     assert "connected already, by connections[1]" in only(write(twice), "error").message
+    with pytest.raises(SystemFileError, match=r"connections\[2\]: s.out0 and b.whole are connected already"):
+        load(write(twice))
     assert only(write(joined("b.whole", "s.out0")), "warning").code == "W-TURNED"
     assert found(write(twice.replace('to = "b.whole"', 'to = "b.whole"\nallow_duplicate = true')), "error") == []
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from aiorts.errors import SystemFileError
 from aiorts.system import Choices, SystemFile, check, load, prepare
 from expansion_parts import ARM, refused, wires
 
@@ -168,7 +169,10 @@ def test_a_connection_of_one_that_is_left_out_is_refused(write: Callable[..., Pa
         "system.toml:25:8: connections[2].from: camera is left out by the if in system.toml:8:6; give the connection "
         "the same if"
     )
-    assert wires(load(write(text), (), Choices(remaps=("camera.out=player.out",))))[1] == ("player.out", "sink.input")
+    other = text.replace('if = "${sim}"\nfrom', 'if = "not ${sim}"\nfrom')
+    assert wires(load(write(other), (), Choices(remaps=("camera.out=player.out",))))[0] == ("player.out", "sink.input")
+    with pytest.raises(SystemFileError, match=r"player\.out and sink\.input are connected already"):
+        load(write(text), (), Choices(remaps=("camera.out=player.out",)))
     text = SIM + '[[connections]]\nfrom = "player.out"\nto = ["sink.input", "camera.in"]\n'
     assert refused(write(text)).endswith("the same if, or a connection of its own")
 

@@ -13,7 +13,7 @@ import pytest
 from aiorts import Catalogue, Composite, Kernel, LifecycleState, StartRule, Supervision
 from aiorts.diagnostics.loop_monitor import LoopLimit
 from aiorts.errors import AiortsError
-from aiorts.system import Finding, build, check, graph, load, prepare, schema, wait_finished
+from aiorts.system import Finding, build, check, graph, load, prepare, schema, wait_finished, wanted
 from aiorts.testing import simulate
 from system_parts import CHAIN, TABLES
 
@@ -182,6 +182,8 @@ def test_a_port_that_a_composite_shows_is_connected_once(write: Write) -> None:
     for text in (twice, direct):
         errors = [one for one in check(write(text)) if one.severity == "error"]
         assert ["connected already, by connections[3]" in one.cause for one in errors] == [True]
+        with pytest.raises(AiortsError, match=r"connected already, by connections\[3\]"):
+            wanted(load(write(text)))  # what `aiorts plan` and `apply` read a file by
 
 
 def test_a_set_is_checked_on_the_command_line_too(write: Write) -> None:

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from aiorts import Catalogue, Component
 from aiorts.cli.console.plugins_option import catalogue_of
-from aiorts.errors import DeclarationError, PluginError, UnknownTypeError
+from aiorts.errors import DeclarationError, UnknownTypeError
+from aiorts.kernel.extensions.catalogue import AbsentExtension
 from aiorts.kernel.extensions.finders import declared_types
 from aiorts.kernel.extensions.type_names import extension_of, split_type
 from aiorts.kernel.extensions.uninstalled import named_in_project
@@ -46,13 +47,11 @@ def find_subject(name: str, folders: Iterable[Path] = ()) -> Subject:
     """
     catalogue = catalogue_of(folders)
     if ":" in name or name.endswith(".py"):
-        extension = extension_of(name, catalogue)
         try:
+            extension = extension_of(name, catalogue)
             cls = extension.load_class(object)
-        except PluginError as error:
-            if isinstance(error.__cause__, AttributeError):
-                raise UnknownTypeError(str(error)) from error.__cause__
-            raise
+        except AbsentExtension as error:
+            raise UnknownTypeError(str(error)) from error.__cause__
         home, folder = split_type(extension.target)[0], extension.folder
         return Subject(cls, f"module {home}" if folder is None or not home.endswith(".py") else f"file {folder / home}")
     components = catalogue.extensions("components")

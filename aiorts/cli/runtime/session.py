@@ -184,9 +184,9 @@ async def _session(run: _Run) -> int:
         elif over.done() and not over.cancelled():
             run.warn("W-START", f"--for {options.duration:g}: over before everything was started; {_not_yet(kernel)}")
         failures.end()
-        stopper.watch(kernel.exit_status or _status(status, error, failures, run))
+        stopper.watch(_status(kernel, status, error, failures, run))
     _report_failed(failures.in_error, run)
-    status = kernel.exit_status or _status(status, error, failures, run)
+    status = _status(kernel, status, error, failures, run)
     status = status if stopper.status is None else stopper.status
     if left:
         stopper.end_now(status)
@@ -267,8 +267,15 @@ async def _until_end(kernel: Kernel, run: _Run, over: asyncio.Future[None], endi
     return exits.DONE
 
 
-def _status(status: int, error: BaseException | None, failures: Failures, run: _Run) -> int:
-    """What the run ends with by what is known of it now; a failure at the end counts as much as one before."""
+def _status(kernel: Kernel, status: int, error: BaseException | None, failures: Failures, run: _Run) -> int:
+    """What the run ends with by what is known of it now; a failure at the end counts as much as one before.
+
+    What was refused before the start stays refused, whatever a service finds when it ends.
+    """
+    if error is not None and status == exits.REFUSED:
+        return status
+    if kernel.exit_status:
+        return kernel.exit_status
     failed = failures.in_error
     if failed and error is None and not run.options.lenient:
         return exits.IN_ERROR if any(_is_dead(*one, run) for one in failed.items()) else exits.FAILED

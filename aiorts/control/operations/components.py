@@ -11,7 +11,8 @@ from aiorts.control.operation import Operation, Right, is_code
 from aiorts.control.operations.known import component_named, context_named
 from aiorts.control.session import Session
 from aiorts.control.values import Done
-from aiorts.errors import AiortsError, ComponentError, StateError, format_error
+from aiorts.errors import AiortsError, ComponentError, StateError, UnknownTypeError, format_error
+from aiorts.kernel.extensions.catalogue import AbsentExtension
 from aiorts.late import dataclass
 
 if TYPE_CHECKING:
@@ -61,6 +62,8 @@ async def _create(session: Session, given: Creation) -> Done:
     context = None if given.context is None else context_named(session, given.context)
     try:
         component = await kernel.create(given.type, given.name, **given.params)
+    except AbsentExtension as error:  # named by the client, and not by a file: nothing is wrong, it is not there
+        raise UnknownTypeError(str(error)) from error
     except AiortsError:
         raise
     except Exception as error:  # what a user's on_initialize raises

@@ -1,8 +1,11 @@
-"""Operations on state machines and modes."""
+"""Operations on state machines and modes.
+
+Of a component that runs in a process of its own, or in another kernel, they are asked for there.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.configuration import Whose
@@ -12,7 +15,16 @@ from aiorts.control.values import Done
 from aiorts.errors import StateError
 from aiorts.kernel.declarations import kinds_of
 from aiorts.late import dataclass
+from aiorts.model.reading import from_plain
 from aiorts.observe import MachineReport, ModeReport
+
+if TYPE_CHECKING:
+    from aiorts.isolation import RemoteComponent
+    from aiorts.kernel.component import Component
+    from aiorts.remote import FarComponent
+
+_ELSEWHERE: Final = 4.0
+"""Seconds that a change of mode may take in another process or kernel, which has to answer then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +57,20 @@ class Mode:
     """Seconds of the kernel's clock; None waits forever."""
 
 
-def _machine(session: Session, given: Whose) -> Shown:
+def _elsewhere(component: Component) -> RemoteComponent | FarComponent | None:
+    """What stands here for a component that runs elsewhere; None where it runs here."""
+    from aiorts.isolation import RemoteComponent  # late: most systems have none
+    from aiorts.remote import FarComponent
+
+    return component if isinstance(component, RemoteComponent | FarComponent) else None
+
+
+async def _machine(session: Session, given: Whose) -> Shown:
     from aiorts.statemachines import MultiModeComponent, StateMachineComponent  # late: most systems have none
 
     component = component_named(session, given.component)
+    if (there := _elsewhere(component)) is not None:
+        return from_plain(Shown, await there.ask("machine", component=given.component))
     reports: dict[str, Any] = {}
     for kind in kinds_of(component):
         reports.update(kind.reports(component))
@@ -60,10 +82,13 @@ def _machine(session: Session, given: Whose) -> Shown:
     return Shown(reports.get("machine"), reports.get("modes"), events)
 
 
-def _send(session: Session, given: Sending) -> Done:
+async def _send(session: Session, given: Sending) -> Done:
     from aiorts.statemachines import StateMachineComponent  # late: most systems have none
 
     component = component_named(session, given.component)
+    if (there := _elsewhere(component)) is not None:
+        await there.ask("send_event", component=given.component, event=given.event, data=given.data)
+        return Done()
     if not isinstance(component, StateMachineComponent):
         raise StateError(f"{given.component}: has no state machine; it is a {type(component).__name__}")
     chart = component.machine.chart
@@ -77,6 +102,10 @@ async def _set_mode(session: Session, given: Mode) -> Done:
     from aiorts.statemachines import MultiModeComponent  # late: most systems have none
 
     component = component_named(session, given.component)
+    if (there := _elsewhere(component)) is not None:
+        timeout = _ELSEWHERE if given.timeout is None else min(given.timeout, _ELSEWHERE)
+        await there.ask("set_mode", component=given.component, mode=given.mode, timeout=timeout)
+        return Done()
     if not isinstance(component, MultiModeComponent):
         raise StateError(f"{given.component}: has no modes; it is a {type(component).__name__}")
     if given.mode not in component.modes:

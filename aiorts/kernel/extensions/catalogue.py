@@ -23,6 +23,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 T = TypeVar("T")
+
+
+class AbsentExtension(PluginError):
+    """There is no file, module, class or offer of the name that was asked for."""
+
+
 KINDS: Final = (
     *("components", "contexts", "services", "codecs", "converters", "describers", "transports", "commands"),
     *("benches", "types"),
@@ -155,7 +161,7 @@ class Catalogue:
             hint = named_in_project(name, kind)
             hint = hint or (f"did you mean {' or '.join(near)}?" if near else f"there are {_some(offers)}")
             broken = f" ({len(self.problems)} could not be read: see `aiorts plugins`)" if self.problems else ""
-            raise PluginError(f"no {word} named {name[:100]!r}; {hint}{broken}")
+            raise AbsentExtension(f"no {word} named {name[:100]!r}; {hint}{broken}")
         if len(found) > 1:
             from aiorts.kernel.extensions.origins import told_apart
 

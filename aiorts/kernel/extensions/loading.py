@@ -16,6 +16,7 @@ from types import FunctionType
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from aiorts.errors import DeclarationError, PluginError
+from aiorts.kernel.extensions.catalogue import AbsentExtension
 from aiorts.kernel.extensions.files import load_file, load_module, make_importable
 from aiorts.kernel.loop.exceptions import trace_of
 from aiorts.kernel.loop.origins import place
@@ -68,17 +69,21 @@ class Offer(Protocol):
 
 
 def load(extension: Offer) -> Any:
-    """The object itself. PluginError names the plugin and what went wrong."""
+    """The object itself. PluginError names the plugin and what went wrong; AbsentExtension: it is not there."""
     where = extension.described
     try:
         found = _imported(extension)
     except PluginError as error:
-        raise PluginError(f"{where}: {error}") from error.__cause__
+        is_absent = not extension.source and isinstance(error.__cause__, AttributeError)
+        kind = AbsentExtension if is_absent else PluginError
+        raise kind(f"{where}: {error}") from error.__cause__
     except BaseException as error:  # a plugin's border: whatever its import does is reported as the plugin's
         if issubclass(type(error), KeyboardInterrupt):
             raise
         if not extension.source and type(error) is ModuleNotFoundError and _is_of(error.name, extension):
-            raise PluginError(f"{where}: no module named {error.name!r}; {_near_module(str(error.name))}") from error
+            raise AbsentExtension(
+                f"{where}: no module named {error.name!r}; {_near_module(str(error.name))}"
+            ) from error
         raise PluginError(f"{where} cannot be loaded: {cause_of(error)}") from error
     return found
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from aiorts.errors import PluginError
-from aiorts.kernel.extensions.catalogue import Catalogue, Extension
+from aiorts.kernel.extensions.catalogue import AbsentExtension, Catalogue, Extension
 from aiorts.kernel.extensions.files import is_importable, package_of
 
 _LONGEST: Final = 4096
@@ -53,7 +53,8 @@ def extension_of(
         kind: what it is the text of.
 
     Raises:
-        PluginError: there is no such file, module or offer (near names are given), or it is none of the three forms.
+        AbsentExtension: there is no such file, module or offer; near names are given.
+        PluginError: it is none of the three forms.
     """
     home, name = split_type(text)
     folders = tuple(places)
@@ -100,7 +101,7 @@ def _of_file(
     near = get_close_matches(Path(home).name, sorted(names), n=1)
     listed = " and ".join(dict.fromkeys(map(_absolute, folders)))
     hint = f"did you mean {near[0]!r}?" if near else "a relative one is counted from there"
-    raise PluginError(f"{shown(text)}: no file {Path(home).name!r} in {listed}; {hint}")
+    raise AbsentExtension(f"{shown(text)}: no file {Path(home).name!r} in {listed}; {hint}")
 
 
 def _absolute(folder: Path) -> str:
@@ -138,4 +139,4 @@ def _place_of(home: str, places: tuple[Path, ...]) -> Path | None:
     known = {module.name for module in pkgutil.iter_modules([*map(_absolute, places), *sys.path])}
     near = get_close_matches(top, known, n=1)
     hint = f"did you mean {near[0]}{home[len(top) :]}?" if near else "install it, or go to the folder that it lies in"
-    raise PluginError(f"no module named {top!r}; {hint}")
+    raise AbsentExtension(f"no module named {top!r}; {hint}")

@@ -31,12 +31,20 @@ def value_text(where: str, value: Any) -> str:
         return repr(value) if math.isfinite(value) else "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
     try:
         text = str(value)
-        text.encode()
-    except ValueError as error:
+    except ValueError as error:  # an integer with more digits than Python writes
         raise ConfigurationError(f"{where}: cannot be saved: {error}") from None
-    return text if isinstance(value, int) else basic_string(text)
+    return text if isinstance(value, int) else basic_string(text, where)
 
 
-def basic_string(text: str) -> str:
-    """A basic string of TOML: as JSON writes it, which escapes everything that TOML wants escaped, but for DEL."""
+def basic_string(text: str, where: str = "") -> str:
+    """A basic string of TOML: as JSON writes it, which escapes everything that TOML wants escaped, but for DEL.
+
+    Raises:
+        ConfigurationError: it is text that UTF-8 does not have; `where` is in the message.
+    """
+    try:
+        text.encode()
+    except ValueError:
+        why = "is no UTF-8, which TOML is; rename what it names, or save the file in that folder"
+        raise ConfigurationError(f"{where}{': ' if where else ''}cannot be saved: {text!r} {why}") from None
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

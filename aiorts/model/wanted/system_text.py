@@ -89,7 +89,7 @@ class _Writer:
             yield from ("", "[plugins]", self._pair("plugins", "path", (".", *map(self._relative, places))))
 
     def _component(self, one: ComponentEntry) -> Iterator[str]:
-        yield f"type = {basic_string(literal(self._type(one.name, one.type)))}"
+        yield f"type = {basic_string(literal(self._type(one.name, one.type)), f'{one.name}.type')}"
         for param, value in one.params.items():
             yield self._pair(one.name, f"params.{_key(param)}", value)
         if one.active:
@@ -164,7 +164,7 @@ class _Writer:
 
     def _value(self, where: str, value: Any) -> str:
         if isinstance(value, Path):
-            return basic_string(literal(self._relative(value)))
+            return basic_string(literal(self._relative(value)), where)
         if isinstance(value, Mapping):
             return self._inline(where, value)
         if isinstance(value, tuple):

@@ -12,6 +12,7 @@ from aiorts.kernel.ports.wiring import converter_between, pair_faults
 from aiorts.kernel.quality import FEATURES
 from aiorts.model.names import names_kernel
 from aiorts.model.options import doubts, idle, link_options, transport_notice, without_effect
+from aiorts.model.wanted.doubled import Joined
 from aiorts.model.wanted.entries import ConnectionEntry
 from aiorts.services import ServicePort, fault_of
 from aiorts.system.checks.adapt import adaptation
@@ -25,7 +26,7 @@ from aiorts.wire import LINK, excess
 
 def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
     """Ports that do not exist, ends that do not go together, and what is connected twice."""
-    pairs: dict[tuple[str, str], int] = {}
+    joined = Joined()
     counts: dict[str, int] = {}
     names: dict[str, int] = {}
     unsure: set[str] = set()
@@ -44,7 +45,7 @@ def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]
         known = [port for port in ports if port is not None]
         if len(known) == len(ports):
             yield from _ends(found, drafts, connection, known)
-            yield from _limits(found, connection, known, pairs, counts)
+            yield from _limits(found, connection, known, joined, counts)
         name = connection.options.get("name")
         if (
             isinstance(name, str)
@@ -209,18 +210,16 @@ def _limits(
     found: Survey,
     connection: ConnectionEntry,
     ports: list[Port[Any]],
-    pairs: dict[tuple[str, str], int],
+    joined: Joined,
     counts: dict[str, int],
 ) -> Iterator[Said]:
     """Connected already, and more connectors than a port takes."""
     limits = found.profiles[connection.number][1] if connection.number in found.profiles else {}
     for out in (port for port in ports if isinstance(port, OutPort)):
         for in_ in (port for port in ports if isinstance(port, InPort)):
-            pair = out.path, in_.path
-            if pair in pairs and not limits.get("allow_duplicate", False):
-                what = f"{pair[0]} and {pair[1]} are connected already, by connections[{pairs[pair]}]"
-                yield Said("error", WiringError.code, _key(connection), f"{what}; take one of them away", of_key=True)
-            pairs.setdefault(pair, connection.number)
+            allowed = bool(limits.get("allow_duplicate", False))
+            if (fault := joined.fault(out.path, in_.path, connection.number, allowed=allowed)) is not None:
+                yield Said("error", fault.code, _key(connection), str(fault), of_key=True)
             for port in (out, in_):
                 counts[port.path] = counts.get(port.path, 0) + 1
                 if port.max_connectors is not None and counts[port.path] == port.max_connectors + 1:

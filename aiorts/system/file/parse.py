@@ -19,12 +19,13 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from aiorts.composites import ErrorPolicy, exports, groups_of
-from aiorts.errors import AiortsError, ConfigurationError, InvalidNameError, SystemFileError
+from aiorts.errors import AiortsError, ConfigurationError, InvalidNameError, SystemFileError, WiringError
 from aiorts.kernel.component import LINK_LOST
 from aiorts.model.configuration.sets import DEFAULT
 from aiorts.model.names import Path as PortPath
 from aiorts.model.names import check_name, names_kernel
-from aiorts.model.options import OWN_KEYS, SERVICE_KEYS
+from aiorts.model.options import OWN_KEYS, SERVICE_KEYS, connector_profile
+from aiorts.model.wanted.doubled import Joined
 from aiorts.model.wanted.entries import ClockEntry, ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry
 from aiorts.processes import Limits
 from aiorts.supervision import StartRule, Supervision, in_order
@@ -148,6 +149,7 @@ class _Reader(Reading):
     def __init__(self, found: Expanded) -> None:
         super().__init__()
         self._found = found
+        self._joined = Joined()
         self._path = found.origins.main.path
 
     def system(self, top: dict[str, Any], overrides: Iterable[str]) -> SystemFile:
@@ -279,7 +281,20 @@ class _Reader(Reading):
             self._say((*key, "from"), "no port is of this system; connect them in the file of one of those kernels")
         if writer is None or len(self.mistakes) > before:
             return None
-        return ConnectionEntry((writer, *texts), MappingProxyType(_flat(options)), number)
+        entry = ConnectionEntry((writer, *texts), MappingProxyType(_flat(options)), number)
+        self._once(key, entry)
+        return None if len(self.mistakes) > before else entry
+
+    def _once(self, key: Key, entry: ConnectionEntry) -> None:
+        """Refuse what is connected already, as far as that can be seen without the ports."""
+        try:
+            allowed = connector_profile("", entry.options, "", entry.ports)[1].get("allow_duplicate", False)
+        except WiringError:  # wrong, or an option of service ports: for who knows the ports
+            return
+        writer, *readers = entry.ports
+        for reader in readers:
+            if (fault := self._joined.fault(writer, reader, entry.number, allowed=bool(allowed))) is not None:
+                self._say(key, str(fault), of_key=True)
 
     def _no_tables(self, key: Key, options: Mapping[str, Any]) -> None:
         """Refuse a table where an option wants a value, and one that holds nothing."""
