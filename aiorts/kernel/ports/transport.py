@@ -349,13 +349,7 @@ class Transport:
 
     def must_wait(self) -> bool:
         """Whether a sample written now would have to wait for room."""
-        if (
-            self.connector.profile.full is not _BLOCK
-            or self.push is _NEW
-            or self.closed
-            or not self.receiver.open
-            or self.retired
-        ):
+        if not self.blocks or self.closed or not self.receiver.open or self.retired:
             return False
         if len(self.queue) < self.length and not self.waiting:
             return False
