@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         entries,
         is_supported,
         private_folder,
+        remove_left,
     )
     from aiorts.sessions.many import FEW
     from aiorts.sessions.protocol import (
@@ -93,6 +94,7 @@ __all__ = (
     "open_all",
     "outlines",
     "private_folder",
+    "remove_left",
     "request_in",
     "sharing",
     "the_one",
@@ -102,7 +104,9 @@ _late(
     globals(),
     {
         "aiorts.sessions.client": "END TIMEOUT Client CutOff Silent Stream open_all",
-        "aiorts.sessions.folder": "FURTHER Carrier Claim Entry TakenError entries is_supported private_folder",
+        "aiorts.sessions.folder": (
+            "FURTHER Carrier Claim Entry TakenError entries is_supported private_folder remove_left"
+        ),
         "aiorts.sessions.many": "FEW",
         "aiorts.sessions.protocol": (
             "BYE REQUESTS STALL_SECONDS WAITING Made agreed answer_in framed frames has_frame request_in"
