@@ -108,6 +108,7 @@ def pytest_configure(config: pytest.Config) -> None:
             with capture.global_and_fixture_disabled() if capture else contextlib.nullcontext():
                 traceback.print_stack()
                 print(f"\nENDED {test}", file=sys.stderr, flush=True)
+            shutil.rmtree(RUNTIME, ignore_errors=True)
         leave(status)
 
     os._exit = told

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         entries,
         is_supported,
         private_folder,
+        remove_left,
     )
     from aiorts.sessions.many import FEW
     from aiorts.sessions.protocol import (
@@ -93,8 +94,9 @@ __all__ = (
     "likely",
     "open_all",
     "outlines",
-    "private_folder",
     "packed",
+    "private_folder",
+    "remove_left",
     "request_in",
     "sharing",
     "the_one",
@@ -104,7 +106,9 @@ _late(
     globals(),
     {
         "aiorts.sessions.client": "END TIMEOUT Client CutOff Silent Stream open_all",
-        "aiorts.sessions.folder": "FURTHER Carrier Claim Entry TakenError entries is_supported private_folder",
+        "aiorts.sessions.folder": (
+            "FURTHER Carrier Claim Entry TakenError entries is_supported private_folder remove_left"
+        ),
         "aiorts.sessions.many": "FEW",
         "aiorts.sessions.protocol": (
             "BYE REQUESTS STALL_SECONDS WAITING Made agreed answer_in framed frames has_frame packed request_in"

@@ -258,8 +258,19 @@ class Carrier:
         """Of the socket, which is its owner's to open."""
 
     def write(self, kernels: Iterable[tuple[str, str]]) -> None:
-        """These can be reached from now on, by address and epoch, and no others."""
+        """These can be reached from now on, by address and epoch, and no others; the socket listens already."""
         _write(Path(self.path).with_suffix(".json"), {"pid": os.getpid(), "carried": list(kernels)})
+
+
+def remove_left(prefix: str) -> None:
+    """Remove this user's temporary folders of that prefix whose carriers are gone: killed, one leaves its folder."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
+        with contextlib.suppress(OSError, ControlError):
+            check(folder)
+            path = _socket_path(folder, "carrier")
+            if Path(path).with_suffix(".json").exists() and _is_dead(path):
+                _remove(path)
+                folder.rmdir()
 
 
 def _socket_path(folder: Path, name: str) -> str:

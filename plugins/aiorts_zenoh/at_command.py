@@ -17,7 +17,7 @@ from typing import Final
 import click
 
 from aiorts.errors import LinkError
-from aiorts.sessions import FEW, FURTHER
+from aiorts.sessions import FEW, FURTHER, remove_left
 from aiorts_zenoh.gateway import Gateway
 from aiorts_zenoh.keys import ClientKeys
 from aiorts_zenoh.network import NetworkSettings, endpoints_of, engine_settings, listed
@@ -28,6 +28,7 @@ from aiorts_zenoh.security.tls import Secured, secured_by
 _CONNECTS: Final = 3_000
 """Milliseconds within which the other host answers."""
 _ENDPOINT: Final = re.compile(r".+:[0-9]{1,5}")
+_FOLDER: Final = "aiorts-at-"
 _UNNAMED: Final = re.compile(r"[^A-Za-z0-9_.-]+")
 
 
@@ -72,7 +73,8 @@ def _user() -> str:
 async def _at(settings: NetworkSettings, caller: str, command: tuple[str, ...]) -> int:
     secured = secured_by(settings.certificates, caller, (VIEWER, *OPERATORS)) if settings.certificates else None
     own = {"connect/timeout_ms": _CONNECTS, "connect/exit_on_failure": True}
-    with tempfile.TemporaryDirectory(prefix="aiorts-at-") as folder:
+    remove_left(_FOLDER)
+    with tempfile.TemporaryDirectory(prefix=_FOLDER) as folder:
         gateway = Gateway(
             Path(folder), ClientKeys(settings.domain, caller), {**engine_settings(settings, secured), **own}
         )

@@ -69,8 +69,8 @@ class Gateway:
         self._inbox = inbox = Inbox(asyncio.get_running_loop())
         for token in await in_thread(partial(self._declare, inbox)):
             self._present(token, True)
-        self._settle()
         self._server = await asyncio.start_unix_server(self._came, self._carrier.path, backlog=_COMMANDS)
+        self._settle()  # a list without a listener is one that was left
         self._asking = self._run(self._sessions.find_operable())
         self._engine.presence(self._keys.tokens, self._present)
 

@@ -52,9 +52,9 @@ def test_the_line_tells_how_it_goes_and_is_gone_in_the_end(folder: Path) -> None
     (last,) = re.findall(r"wrote \d+ in periodic 100.0", terminal.text)
     assert shown(terminal.text) == ["ready", last, "stopped in event", ""]  # who writes ends before who reads
     lines = STATUS.findall(terminal.text)
-    assert re.fullmatch(
-        r"0:00:01  2 active  \d+ samples/s  0 dropped  late \d+\.\d ms at worst  \d+ overruns", lines[-1]
-    )
+    running = [line for line in lines if "  2 active  " in line]  # on a busy machine, not at 0:00:01 yet, or once more
+    form = r"0:00:0[1-9]  2 active  \d+ samples/s  0 dropped  late \d+\.\d ms at worst  \d+ overruns"
+    assert re.fullmatch(form, running[-1])
     assert all(len(line) < 100 for line in lines)
 
 

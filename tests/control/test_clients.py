@@ -77,7 +77,9 @@ async def test_who_looks_leaves_connections_and_descriptors_to_who_operates() ->
                 operator.settimeout(WAIT)
                 operator.sendall(framed({"hello": {"oldest": OLDEST, "newest": NEWEST, "who": "it"}}) + framed(call))
                 while not came:
-                    buffer += operator.recv(65_536)
+                    data = operator.recv(65_536)
+                    assert data, "it hangs up"
+                    buffer += data
                     came = "".join("done" for frame in frames(buffer, 1 << 20) if "ok" in answer_in(frame))
                 return came
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -163,6 +164,7 @@ class System:
         folder(self.certificates, victim="component", reader="component", otto="operator", **names)
         self.address = f"127.0.0.1:{free_port()}"
         self.processes: list[Linked] = []
+        self._folder = tempfile.TemporaryDirectory(prefix="ai")  # short: a socket's path has 107 letters
         try:
             self._begin(path, processor, every)
         except BaseException:
@@ -177,7 +179,7 @@ class System:
             self.victim.until(lambda seen: "hreader/reader" in seen["peers"], BEGINS)
             self.victim.do("connect", to="hreader/reader/sink.inp")
             self.victim.until(lambda seen: seen["states"] == ["up"], BEGINS)
-            self.operator = self._start(path, "otto", "operates", every=every)
+            self.operator = self._start(path, "otto", "operates", every=every, folder=self._folder.name)
         until = time.monotonic() + BEGINS
         while not self.operator.do("answers"):
             assert time.monotonic() < until, self.operator.said
@@ -192,6 +194,7 @@ class System:
         """Kill its processes."""
         for one in self.processes:
             one.kill()
+        self._folder.cleanup()
 
     @property
     def target(self) -> Target:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
-import tempfile
 import time
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -173,16 +172,16 @@ async def of_operator(settings: dict[str, Any]) -> Any:
     certificates = Path(settings["certificates"])
     secured = secured_by(certificates, settings["name"], OPERATORS)
     network = engine_settings(NetworkSettings(connect=settings["address"], certificates=certificates), secured)
-    with tempfile.TemporaryDirectory(prefix="ai") as folder:
-        gateway = Gateway(Path(folder), ClientKeys("default", settings["name"]), network)
-        await gateway.open()
-        try:
-            (peer,) = [peer for peer in gateway.peers if peer.kernel == "victim"]
-            path = str(next(Path(folder).glob("*.sock")))
-            entry = Entry(f"{peer.host}/{peer.kernel}", 1, f"{peer.epoch:016x}", path, carried=True)
-            yield Operates(entry, settings["every"])
-        finally:
-            await gateway.close()
+    folder = Path(settings["folder"])
+    gateway = Gateway(folder, ClientKeys("default", settings["name"]), network)
+    await gateway.open()
+    try:
+        (peer,) = [peer for peer in gateway.peers if peer.kernel == "victim"]
+        path = str(next(folder.glob("*.sock")))
+        entry = Entry(f"{peer.host}/{peer.kernel}", 1, f"{peer.epoch:016x}", path, carried=True)
+        yield Operates(entry, settings["every"])
+    finally:
+        await gateway.close()
 
 
 async def main(settings: dict[str, Any]) -> None:

@@ -22,7 +22,7 @@ from aiorts_zenoh.network import engine_settings
 from campaign import CAMPAIGN, time_limit
 from network.network_parts import free_port
 
-CALLBACKS = 10_000_000 if CAMPAIGN else 400_000
+CALLBACKS = 10_000_000 if CAMPAIGN else 240_000
 BOUND = 128 << 10
 """KiB by which the process may grow: 100,000 messages with their keys, and what the engine holds."""
 

@@ -23,6 +23,7 @@ from aiorts.types import TimedLong
 from aiorts_zenoh import Network
 from aiorts_zenoh.gate import Gate
 from aiorts_zenoh.limits import CUT_OFF, LIMITS, NAMES, OF_KERNEL, SLOW_NS, SLOW_NS_PER_BYTE, Limits, Names
+from campaign import CAMPAIGN
 from network.network_parts import free_port
 
 HOSTILE = Path(__file__).with_name("hostile_program.py")
@@ -168,7 +169,7 @@ class Sink(Component):
 
 @pytest.mark.fault("E21")
 def test_a_flood_of_one_peer_is_cut_off_and_a_link_at_1_khz_loses_nothing(caplog: pytest.LogCaptureFixture) -> None:
-    count = 4_000
+    count = 4_000 if CAMPAIGN else 2_000
 
     async def main() -> tuple[Any, list[int], Any, float]:
         address = f"127.0.0.1:{free_port()}"

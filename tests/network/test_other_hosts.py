@@ -80,7 +80,7 @@ class Far:
             self.process = subprocess.Popen(self._run, env=self._on(1), stdout=output, stderr=output)
 
     def _on(self, host: int) -> dict[str, str]:
-        return os.environ | {"XDG_RUNTIME_DIR": self.folders[host]}
+        return os.environ | dict.fromkeys(("XDG_RUNTIME_DIR", "TMPDIR"), self.folders[host])
 
     def start(self, *words: str, **options: Any) -> subprocess.Popen[str]:
         at = [sys.executable, "-m", "aiorts", "at", *self.client, self.address]
@@ -191,6 +191,11 @@ def test_what_a_command_began_ends_with_it_also_where_it_is_killed(far: Far) -> 
     while far.descriptors() > before:
         assert time.monotonic() < until
         time.sleep(0.05)
+    place = Path(far.folders[0])
+    assert len(list(place.glob("aiorts-at-*"))) == 1
+    (place / "aiorts-at-another").mkdir(mode=0o700)  # of one that begins
+    assert far.step() == 1
+    assert [left.name for left in place.glob("aiorts-at-*")] == ["aiorts-at-another"]
 
 
 def test_in_a_shell_a_kernel_that_is_started_anew_is_operated(far: Far) -> None:

@@ -8,8 +8,6 @@ import logging
 import shutil
 import socket
 import ssl
-import subprocess
-import sys
 import threading
 import time
 from collections import Counter
@@ -39,6 +37,7 @@ from aiorts_zenoh.security.probe import probe
 from network.certificate_parts import folder, issue_for, issue_later
 from network.engine_parts import Heard, session, unchecked
 from network.network_parts import free_port
+from run_parts import here
 
 NAMES = {"reader": "component", "writer": "component"}
 SYSTEM = """
@@ -151,9 +150,8 @@ def test_a_kernel_whose_certificate_is_not_to_be_used_is_not_started(tmp_path: P
     _, theirs = pair(tmp_path, cause)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         (tmp_path / "system.toml").write_text(SYSTEM)
-        run = [sys.executable, "-m", "aiorts", "run", str(tmp_path / "system.toml"), "--name", "writer"]
-        network = ["--certs", str(theirs.path), "--connect", f"127.0.0.1:{listening.getsockname()[1]}"]
-        done = subprocess.run([*run, *network], capture_output=True, text=True, timeout=30.0, check=False)
+        network = ["--certs", theirs.path, "--connect", f"127.0.0.1:{listening.getsockname()[1]}"]
+        done = here("run", tmp_path / "system.toml", "--name", "writer", *network)
         assert (done.returncode, said in done.stderr) == (exits.REFUSED, True), done.stderr
         assert "PRIVATE" not in done.stderr
         listening.settimeout(0.1)
@@ -360,7 +358,9 @@ def test_a_port_that_is_busy_with_bad_handshakes_is_called_busy_and_then_answers
         flooding = threading.Thread(target=flood)
         flooding.start()
         try:
-            said = [probe("127.0.0.1", port, own, within=1.0) for _ in range(3)]
+            said = [probe("127.0.0.1", port, own, within=1.0)]
+            while not said[-1] and len(said) < 3:  # what the engine is behind with takes it twice as long to be rid of
+                said.append(probe("127.0.0.1", port, own, within=1.0))
         finally:
             ended.set()
             flooding.join(10.0)

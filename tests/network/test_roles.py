@@ -144,9 +144,10 @@ async def as_kernel(at: Target, role: str, path: Path) -> dict[str, bool]:
         tries = await kernel.add(Tries("tries"))
         links, own = kernel.service(Links), at.kernel.service(Links)
         until = time.monotonic() + TRIED
-        while time.monotonic() < until and not (links.peers and own.peers):
+        while not (seen := name in {peer.kernel for peer in own.peers}) or not links.peers:
+            if time.monotonic() > until:
+                break
             await asyncio.sleep(0.02)
-        seen = name in {peer.kernel for peer in own.peers}
 
         async def read() -> None:
             await kernel.connect("far/robot/robot.out", tries.inp)
@@ -220,17 +221,21 @@ WAYS: Final = {"link": as_kernel, "session": as_client}
 
 @pytest.fixture(scope="module")
 def tried(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], dict[str, bool]]:
-    """What a role can do in one way; each is tried once."""
+    """What a role can do in one way; each is tried once, those that are to be refused at the same time: they wait."""
 
     @cache
-    def found(way: str, role: str) -> dict[str, bool]:
+    def together(way: str, *roles: str) -> dict[str, dict[str, bool]]:
         path = tmp_path_factory.mktemp("roles")
 
-        async def main() -> dict[str, bool]:
+        async def main() -> list[dict[str, bool]]:
             async with target(path / "certificates") as at:
-                return await WAYS[way](at, role, path / "own")
+                return await asyncio.gather(*(WAYS[way](at, role, path / role) for role in roles))
 
-        return asyncio.run(main())
+        return dict(zip(roles, asyncio.run(main()), strict=True))
+
+    def found(way: str, role: str) -> dict[str, bool]:
+        let_in = MAY[way, "declare"]
+        return together(way, *((role,) if role in let_in else (one for one in ROLES if one not in let_in)))[role]
 
     return found
 

@@ -49,7 +49,7 @@ def test_of_ten_megabit_on_a_link_of_one_the_newest_comes_soon_and_calls_are_ans
             before = [memory(one, "VmRSS") for one in (a, b)]
             b.do("write", sources=["s"], every=every, size=size)
             b.do("ask", every=0.05)
-            time.sleep(20.0 if CAMPAIGN else 8.0)
+            time.sleep(20.0 if CAMPAIGN else 5.0)
             calls, ages = b.do("asked"), a.do("look")["ages"]["k"]
             grown = [memory(one, "VmHWM") - was for one, was in zip((a, b), before, strict=True)]
             proxy.rate = 0.0

@@ -65,5 +65,7 @@ async def test_each_of_many_writers_that_give_up_costs_what_each_of_few_does(
     place: Callable[[AsyncExitStack], Awaitable[Any]], last_first: bool
 ) -> None:
     few = min([await seconds(FEW, place, last_first=last_first) for _ in range(3)])
-    many = min([await seconds(FEW * FACTOR, place, last_first=last_first) for _ in range(2)])
+    many = await seconds(FEW * FACTOR, place, last_first=last_first)
+    if many >= GROWS * few:  # another program may have had the caches
+        many = min(many, await seconds(FEW * FACTOR, place, last_first=last_first))
     assert many < GROWS * few, (few, many)
