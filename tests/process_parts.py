@@ -58,14 +58,10 @@ def there(mark: str) -> dict[int, str]:
 
 
 def all_gone(mark: str, within: float = GONE) -> dict[int, str]:
-    """What is left of the processes with a mark after so many seconds at the most.
-
-    Of a look that took long no more than 0.05 s counts: this process had to wait for its turn, and so had they.
-    """
-    waited, began = 0.0, time.monotonic()
-    while (left := there(mark)) and waited < within:
+    """What is left of the processes with a mark after so many seconds at the most."""
+    until = time.monotonic() + within
+    while (left := there(mark)) and time.monotonic() < until:
         time.sleep(0.01)
-        waited, began = waited + min(time.monotonic() - began, 0.05), time.monotonic()
     return left
 
 
