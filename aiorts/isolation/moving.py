@@ -439,7 +439,7 @@ class _Move:
             # Taken out again and again: it makes room there for what waits, where the buffer of its port is full.
             is_all_sent = await self._is_all_sent()
             taking.add(taken := asyncio.ensure_future(take_out()))
-            await asyncio.shield(taken)  # an answer that nobody waits for would be lost, and its samples with it
+            await asyncio.shield(taken)  # cancelled, it would lose the answer, and the samples in it
             taking.discard(taken)
             return is_all_sent
 

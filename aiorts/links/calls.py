@@ -361,7 +361,7 @@ class FarProvider:
             self._unbind()
 
     def _unbind(self) -> None:
-        """Have the other kernel unbind it, if that has bound it and its answer was lost."""
+        """Have the other kernel unbind the provider where it has bound it and its answer was lost."""
         if self._unheard is not None:
             peer, names = self._unheard
             self._tell(peer, "unbind", [0, *names])

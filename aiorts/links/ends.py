@@ -95,7 +95,7 @@ class LinkEnd(Generic[Side]):
         self._late = 0
         """The epoch of the other end, whose kernel was late."""
         self._unheard = False
-        """Whether an offer was made last that nobody has answered: the other kernel may have taken it."""
+        """Whether the last offer has had no answer: the other kernel may have taken it."""
         self._timer: Cancellable | None = None
         self._watchers: list[asyncio.Future[None]] = []
         self.requested = False
@@ -134,7 +134,7 @@ class LinkEnd(Generic[Side]):
         if self._links.peer_of(self.far) != peer:
             return
         if not self.own and self._peer not in (None, peer) and self.negotiation.state is NegotiationState.ABSENT:
-            # One that was started anew, and may be about to connect it again: it would be told that it is connected.
+            # The peer was restarted and may be about to connect it itself: it would be told that it is connected.
             self._links.kernel.call_later(LINGER, partial(self._present_still, peer))
         else:
             self.on(LinkEvent.PRESENT)
@@ -195,7 +195,7 @@ class LinkEnd(Generic[Side]):
         self.on(LinkEvent.LOST, why)
 
     def silent(self) -> None:
-        """The channel was given up, since nobody has answered on it."""
+        """The channel was given up: no acknowledgement has come on it."""
         self.on(LinkEvent.SILENT)
 
     def _set_timer(self) -> None:

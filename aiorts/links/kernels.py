@@ -50,7 +50,7 @@ class Reached(Protocol):
         ...
 
     def absent(self, path: Path) -> str:
-        """Why the kernel of a path is not there: nobody has its name, or no kernel can be reached."""
+        """The reason why the kernel of a path is not there: no kernel has its name, or none can be reached."""
         ...
 
     def refusal(self, peer: Peer, right: str, port: InPort[Any] | OutPort[Any]) -> str:

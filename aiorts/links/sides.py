@@ -1,4 +1,4 @@
-"""What both sides of a link have in common: a connector, the end of the protocol, and the channel of the moment."""
+"""The common part of both sides of a link: a connector, the end of the protocol, and the channel of the moment."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ E = TypeVar("E", bound="WriterEnd | ReaderEnd")
 
 
 class Driver(Protocol):
-    """What has made a side, and hears of what ends its channel."""
+    """The owner of a side: it hears what ends the side's channel."""
 
     def lost(self, why: str) -> None:
         """The channel went down."""
         ...
 
     def silent(self) -> None:
-        """The channel was given up, since nobody has answered on it."""
+        """The channel was given up: no acknowledgement has come on it."""
         ...
 
     def left(self) -> None:
-        """The other end has disconnected."""
+        """The connector was disconnected at its other end."""
         ...
 
 
@@ -48,7 +48,7 @@ class Wakening:
 
     def at(self, when_ns: int | None) -> None:
         """Call back at this time of the kernel's clock, None for not at all."""
-        # A timer that is due earlier stays: to set one anew at each sample costs more than a call for nothing.
+        # A timer that is due earlier stays: another timer for each sample costs more than a call for nothing.
         if when_ns is None or (self._timer is not None and self._due_ns <= when_ns):
             return
         self.cancel()

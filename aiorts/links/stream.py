@@ -39,7 +39,7 @@ _DESCRIPTOR: Final = struct.Struct("i")
 _ONE: Final = 20
 """Bytes in which the system tells of one descriptor (CMSG_LEN); in CMSG_SPACE, which is rounded up, are two."""
 _GONE: Final = (errno.EPIPE, errno.ECONNRESET)
-"""Nobody reads any more at the other end. What else is wrong, such as a want of memory, is wrong at this end."""
+"""Errors of a connection whose other end reads no more. Any other error, such as a want of memory, is of this end."""
 _VECTORS: Final = 64
 """Buffers of one system call."""
 

@@ -469,7 +469,7 @@ class Application:
             await (context.activate if step.after else context.deactivate)(*members)
 
     def _who_comes_up(self, step: Step) -> list[str]:
-        """Who may be activated by this step."""
+        """The names of the components that this step may activate."""
         if isinstance(step, Activate):
             return [one.name for one in self._running(step.context).members] if step.after else []
         lines = step.after.contexts.values() if isinstance(step, Move) else ()

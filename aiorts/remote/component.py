@@ -258,7 +258,12 @@ class FarComponent(Component, kind=FarKind()):
             self._own -= 1
 
     async def ask(self, operation: str, **arguments: Any) -> Any:
-        """What its kernel answers. LinkError: it is lost. NoAnswerError, AiortsError: it does not, or has refused."""
+        """The answer of its kernel.
+
+        Raises:
+            LinkError: the connection is lost.
+            NoAnswerError, AiortsError: the kernel does not answer, or has refused.
+        """
         async with self._turn:
             return await self._open_session.call(operation, **arguments)
 

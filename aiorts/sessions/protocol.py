@@ -146,7 +146,7 @@ _HALF: Final = re.compile("[\ud800-\udc7f\udd00-\udfff]")
 
 
 def _shortened(value: Any, depth: int) -> Any:
-    """The same without what msgpack cannot say: integers of more than 64 bits, deep nests, halves of characters."""
+    """The value without what msgpack cannot carry: integers of more than 64 bits, deep nests, halves of characters."""
     if depth > _DEEPEST:
         return _sayable(str(value)[:200])
     if isinstance(value, dict):

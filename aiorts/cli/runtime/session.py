@@ -268,7 +268,7 @@ async def _until_end(kernel: Kernel, run: _Run, over: asyncio.Future[None], endi
 
 
 def _status(kernel: Kernel, status: int, error: BaseException | None, failures: Failures, run: _Run) -> int:
-    """What the run ends with by what is known of it now; a failure at the end counts as much as one before.
+    """The exit status of the run, as far as it has come; a failure at the end counts as much as one before.
 
     What was refused before the start stays refused, whatever a service finds when it ends.
     """

@@ -58,7 +58,7 @@ class Mode:
 
 
 def _elsewhere(component: Component) -> RemoteComponent | FarComponent | None:
-    """What stands here for a component that runs elsewhere; None where it runs here."""
+    """The stand-in of a component that runs in another process or kernel; None for one that runs in this kernel."""
     from aiorts.isolation import RemoteComponent  # late: most systems have none
     from aiorts.remote import FarComponent
 

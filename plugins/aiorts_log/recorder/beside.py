@@ -374,7 +374,7 @@ class Beside(KernelService):
 
     def stopped(self) -> None:
         session = self._session
-        if session is None or self._refused:  # whoever asked for the start knows the reason
+        if session is None or self._refused:  # the caller that asked for the start knows the reason
             return
         self._finish(session)  # where `ending` was left no time for it
         if not session.wait_closed(_LAST):
