@@ -110,6 +110,7 @@ class Numbers(Booked):
     burst: int = Param(1)
 
     def send(self) -> None:
+        self.look()
         self.count("written")
         self.out.write_nowait(TimedLong(self.counts["written"] * STEP_NS, self.counts["written"]))
 
@@ -162,6 +163,7 @@ class Await(Booked):
 
     async def on_execute(self) -> None:
         await self.inp.read()
+        self.look()
         self.count("read")
 
 
