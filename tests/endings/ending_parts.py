@@ -42,6 +42,9 @@ class Booked(Component):
             if isinstance(port, (InPort, OutPort)):
                 self.had |= {id(one): one for one in port.connectors}
 
+    def on_startup(self) -> None:
+        self.look()
+
     def on_activated(self) -> None:
         self.count("activated")
         self.look()

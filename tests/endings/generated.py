@@ -1,4 +1,4 @@
-"""Systems made at random, of the components in `ending_parts.py`, and what their books have to say when they have ended.
+"""Systems made at random, of the components in `ending_parts.py`, and what their books have to say at the end.
 
 Pure: a seed makes a system, books become faults. A system has cells of at least four kinds that are tied to one another
 by their samples, in several contexts; a part of it may be another kernel, its peer.
@@ -271,7 +271,7 @@ def system_of(seed: int) -> System:
 
 
 def faults(system: System, books: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """What is wrong with the books of a system that has ended, by component; `keeper` and `peer/keeper` are there too."""
+    """What is wrong with the books of a system that has ended, by component; those of keepers are there, too."""
     found = [f"{name}: it has no book" for name in [*system.components, "keeper"] if name not in books]
     for name, book in books.items():
         counts = book["counts"]
@@ -321,12 +321,12 @@ def _joint(system: System, books: Mapping[str, Mapping[str, Any]]) -> Iterable[s
             continue
         sent = _ledgers(books[writer], "out", f"{writer}.{_port(out)}", f"{reader}.{_port(into)}")
         got = _ledgers(books[reader], "in", f"{reader}.{_port(into)}", f"{writer}.{_port(out)}")
-        if not all(one["written"] for one in (*sent, *got)) and len(sent) + len(got) == 1:
-            continue  # of the peer, which has never looked at its ports while they were connected
+        wrote = books[writer]["counts"].get("written", 0)
+        if len(sent) + len(got) < 2 and not any(one["written"] for one in (*sent, *got)) and not wrote:
+            continue  # it ended before they looked at their ports
         if len(sent) != 1 or len(got) != 1:
             yield f"{out} -> {into}: ledgers {sent} and {got}"
             continue
-        wrote = books[writer]["counts"].get("written", 0)
         if sent[0]["written"] != wrote and (writer not in system.peer or sent[0]["written"] > wrote):
             yield f"{out} -> {into}: it wrote {wrote}, its ledger is {sent[0]}"
         if (taken := sent[0]["acknowledged"]) is not None and taken != got[0]["written"]:
@@ -362,7 +362,7 @@ def _ledgers(book: Mapping[str, Any], side: str, own: str, other: str) -> list[d
 
 
 def _reads_all(system: System, writer: str, reader: str) -> bool:
-    """Whether it reads all that comes in an event context, where it ends after its writers, and reads what is unread."""
+    """Whether it reads all that comes in an event context, where it ends after its writers and reads what is left."""
     kind = system.components[reader].partition("\n")[0]
     if system.components[writer].startswith("Plant") or writer in system.peer:
         return False  # a circle has no order, and the peer ends after this kernel
