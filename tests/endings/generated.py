@@ -324,12 +324,15 @@ def _joint(system: System, books: Mapping[str, Mapping[str, Any]]) -> Iterable[s
         wrote = books[writer]["counts"].get("written", 0)
         if len(sent) + len(got) < 2 and not any(one["written"] for one in (*sent, *got)) and not wrote:
             continue  # it ended before they looked at their ports
+        if not got and not books[reader]["counts"]:
+            continue  # the reader's context was not started before the end
         if len(sent) != 1 or len(got) != 1:
             yield f"{out} -> {into}: ledgers {sent} and {got}"
             continue
         if sent[0]["written"] != wrote and (writer not in system.peer or sent[0]["written"] > wrote):
             yield f"{out} -> {into}: it wrote {wrote}, its ledger is {sent[0]}"
-        if (taken := sent[0]["acknowledged"]) is not None and taken != got[0]["written"]:
+        came = got[0]["written"] - got[0]["dropped"].get("rejected", 0)
+        if (taken := sent[0]["acknowledged"]) is not None and taken != came:
             yield f"{out} -> {into}: one end {sent[0]}, the other {got[0]}"
         reads[into] += got[0]["delivered"] or 0
         if options == ALL and _reads_all(system, writer, reader) and (sent[0]["dropped"] or got[0]["dropped"]):
@@ -368,4 +371,4 @@ def _reads_all(system: System, writer: str, reader: str) -> bool:
         return False  # a circle has no order, and the peer ends after this kernel
     place = next((name for name, table in system.composites.items() if f'"{reader}"' in table), reader)
     table = next(table for table, members in system.contexts if place in members)
-    return kind in ("Take", "Pass", "Fuse") and 'kind = "event"' in table and place == reader
+    return kind in ("Take", "TakeOne", "Await", "Pass", "Fuse") and 'kind = "event"' in table and place == reader
