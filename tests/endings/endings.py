@@ -102,7 +102,7 @@ def _run(folder: Path, file: str, environment: dict[str, str], *options: str) ->
                 process.kill()
                 raise
             finally:
-                process.communicate()
+                process.communicate(timeout=LONGEST)
 
 
 def _is_ready(process: subprocess.Popen[str]) -> bool:

@@ -13,7 +13,8 @@ from aiorts.model.options import DEFAULT_LENGTH
 from aiorts.model.policy import Dataflow, Push, Subscription
 
 if TYPE_CHECKING:
-    from aiorts import Connector, ConnectorProfile
+    from aiorts import Connector
+    from aiorts.model.profile import ConnectorProfile
 
 Tell: TypeAlias = Callable[[str, str], None]
 """Takes a code and a message."""
