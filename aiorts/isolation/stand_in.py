@@ -19,6 +19,7 @@ from aiorts.isolation.services import RemoteServices, remote_end
 from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import Kind, declarations
 from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.loop.deadlines import StopBudget
 from aiorts.kernel.parameters import Declared
 from aiorts.kernel.ports import InPort, OutPort, PortDeclaration
 from aiorts.kernel.ports.far import RemoteInPort, RemoteOutPort
@@ -199,11 +200,17 @@ class RemoteComponent(Component, kind=RemoteKind()):
     async def on_deactivated(self) -> None:
         if self._running.runs and self._there is LifecycleState.ACTIVE:
             try:
-                await self._ask("deactivate")
+                await (self._retire() if self.kernel.closed else self._ask("deactivate"))
             except ProcessError as error:
                 if self._running.runs:  # else its end is its failure
                     self._fail(error)  # whether it still runs there is not known
                 raise
+
+    async def _retire(self) -> None:
+        """End it there as a component of this kernel ends: it has, and reads, what was written to it before."""
+        connectors = [one for port in self.ports.values() for one in port.connectors]
+        await self.kernel.service(Links).sent(connectors, StopBudget(self.kernel.loop))
+        await self._running.ask("retire", context=self.context.name)
 
     async def on_reset(self) -> None:
         if self._running.runs:

@@ -297,8 +297,12 @@ class Links(KernelService):
     # -- ending --------------------------------------------------------------------------------------------------------
 
     async def ending(self, budget: StopBudget) -> None:
-        """Wait until what was written is acknowledged, for a short time."""
-        waits = [idle for one in self.ends.writers.values() if (idle := one.link.idle()) is not None]
+        await self.sent(self.ends.writers, budget)
+
+    async def sent(self, connectors: Iterable[Connector], budget: StopBudget) -> None:
+        """Wait until what was written to these connectors is acknowledged, for a short time."""
+        ends = [end for one in connectors if (end := self.ends.writers.get(one)) is not None]
+        waits = [idle for one in ends if (idle := one.link.idle()) is not None]
         if waits and (seconds := min(_LAST_SECONDS, budget.rest)) > 0:
             await asyncio.wait(waits, timeout=seconds)
 

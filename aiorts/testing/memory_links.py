@@ -144,15 +144,16 @@ class _Line:
         if self._under_way and (self._timer is None or self._under_way[0][0] < self._due):
             self._stop_waiting()
             self._due = self._under_way[0][0]
-            self._timer = self._near.loop.call_at(self._due, self._deliver)
+            self._timer = self._near.loop.call_at(self._due, self.arrive)
 
     def _stop_waiting(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
 
-    def _deliver(self) -> None:
-        self._timer = None
+    def arrive(self) -> None:
+        """Deliver what is due by now."""
+        self._stop_waiting()
         if self._network._stands(self._near, self.far):
             return
         now = self._near.loop.time()
@@ -195,7 +196,9 @@ class _MemoryTransport(BaseTransport["_MemoryChannel"]):
         self.network._enter(self)
 
     async def close(self) -> None:
-        """See `Transport`."""
+        """See `Transport`. What was sent before arrives, but for what the network delays."""
+        for line in tuple(self._lines.values()):
+            line.arrive()
         self.network._leave(self)
         self.end_all()
         for line in tuple(self._lines.values()):

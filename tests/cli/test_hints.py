@@ -58,6 +58,11 @@ class Sleepy(Component):
     def on_execute(self):
         self.sleep(0.1)
         self.finish()
+
+class Never(Newest):
+    """Takes none."""
+    def on_execute(self):
+        pass
 '''
 SYSTEM = """
 schema = 1
@@ -142,6 +147,18 @@ def test_samples_that_a_reader_passed_over_unawares_are_told(
     why = ".latest takes the newest alone; drain() or read() takes every one"
     said = f"aiorts: W-DROPPED: reader.raw: 99 of 100 samples superseded: {why}"
     assert lines == ([said] if told else [])
+
+
+@pytest.mark.parametrize(("length", "more", "told"), [(200, (), True), (200, ("-v",), True), (8, (), False)])
+def test_samples_that_wait_when_the_run_ends_are_told(
+    folder: Path, length: int, more: tuple[str, ...], told: bool
+) -> None:
+    text = SYSTEM.replace("length = 200", f"length = {length}").format(reader="Never", kind="event", option="")
+    (folder / "system.toml").write_text(text)
+    done = here(folder, "run", "system.toml", "--simulate", "--for", "0.5", *more)
+    assert done.returncode == 0
+    said = "aiorts: W-DROPPED: reader.raw: 100 of 100 samples inactive: unread when the reader ended, or written while "
+    assert (said in done.stderr) is told
 
 
 def test_what_helps_a_slow_reader_is_the_same_in_the_run_and_in_the_explanation(folder: Path) -> None:

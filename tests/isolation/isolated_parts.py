@@ -56,6 +56,22 @@ class Scale(Component):
             raise ValueError("13 is no factor")
 
 
+class OneByOne(Component):
+    """Takes its time for each sample, and says how many there were when it ends."""
+
+    inp = InPort(TimedLong, length=10_000)
+    out = OutPort(TimedLong)
+    count = 0
+
+    async def on_execute(self) -> None:
+        self.inp.read_nowait()
+        await self.sleep(0.001)
+        self.count += 1
+
+    def on_deactivated(self) -> None:
+        self.out.write_nowait(TimedLong(0, self.count))
+
+
 def misbehave(what: int) -> None:
     """Fail in one of several ways."""
     match what:

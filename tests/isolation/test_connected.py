@@ -19,7 +19,7 @@ from aiorts.types import TimedLong
 from aiorts_log import RecordingReader
 from aiorts_log.recorder.beside import Beside
 from control_parts import commanded
-from isolation.isolated_parts import Asked, Careful, Scale, Single, Sink, Source, Ticker
+from isolation.isolated_parts import Asked, Careful, OneByOne, Scale, Single, Sink, Source, Ticker
 from isolation.test_isolated import ERROR, answer, chain, until
 
 pytestmark = pytest.mark.anyio
@@ -277,3 +277,22 @@ async def emptied(kernel: Kernel, ask: Any, between: Any) -> None:
         for _ in range(ledger.buffered):
             ask.out.write_nowait(TimedLong(0, 0))
         await asyncio.sleep(0.1)
+
+
+@pytest.mark.anyio
+async def test_one_that_ends_with_its_kernel_reads_what_was_written_and_what_it_writes_last_is_read() -> None:
+    class Last(Sink):
+        def on_execute(self) -> None:
+            seen.extend(sample.data for sample in self.inp.drain())
+
+    seen: list[int] = []
+    async with Kernel() as kernel:
+        source, last = await kernel.add(Source("source")), await kernel.add(Last("last"))
+        apart = await kernel.create_isolated(OneByOne, "apart")
+        await kernel.connect(source.out, "apart.inp", length=1000)
+        await kernel.connect("apart.out", last.inp)
+        await kernel.start(EventContext(), last, activate=True)
+        await kernel.start(EventContext(name="apart"), apart, activate=True)
+        for number in range(200):
+            source.out.write_nowait(TimedLong(0, number))
+    assert seen == [200]

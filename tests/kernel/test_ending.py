@@ -155,6 +155,27 @@ def test_what_is_sent_last_arrives_whatever_the_order_of_the_contexts_is(
     assert relayed == kept == [*range(1, sent + 1), -1]
 
 
+@pytest.mark.parametrize("seconds", [0.0, 0.002, 0.02])
+def test_a_reader_that_is_behind_reads_all_that_is_unread_one_sample_in_a_cycle(seconds: float) -> None:
+    class Slow(Keeper):
+        async def on_execute(self) -> None:  # type: ignore[override]
+            super().on_execute()
+            await self.sleep(0.001)
+
+    async def main(_clock: Any) -> None:
+        async with Kernel() as kernel:
+            source, slow = await kernel.add(Last("source")), await kernel.add(Slow("slow"))
+            await kernel.connect(source.out, slow.inp)
+            await kernel.start(EventContext(), slow, activate=True)
+            for number in range(100):
+                source.out.write_nowait(TimedLong(0, number))
+            await kernel.sleep(seconds)
+        assert in_error(slow) == []
+        assert slow.kept == [*range(100)]
+
+    simulate(main)
+
+
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 @pytest.mark.parametrize("kind", [EventContext, lambda: PeriodicContext(50.0)])
 def test_a_hook_that_waits_for_a_sample_is_no_error_at_the_end(

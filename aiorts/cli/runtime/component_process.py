@@ -40,6 +40,7 @@ from aiorts.isolation import (
 from aiorts.kernel.component import Component
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.loop.bus import PortAdded, PortRemoved, StateChanged
+from aiorts.kernel.loop.deadlines import StopBudget
 from aiorts.kernel.ports import InPort
 from aiorts.links import Caller, Links, Peer, UnixTransport
 from aiorts.model.lifecycle import LifecycleState
@@ -83,6 +84,7 @@ class _Process:
             "state": self._state,
             "unread": self._unread,
             "give": self._give,
+            "retire": self._retire,
         }
         """The operations of a component's process that the control table lacks, or answers otherwise."""
 
@@ -182,6 +184,12 @@ class _Process:
     async def _give(self, state: dict[str, Any]) -> None:
         """Have these attributes."""
         await give_state(self._kernel, self._component, state)
+
+    async def _retire(self, context: str) -> None:
+        """Have the members read what is unread, and end; what they write last has arrived."""
+        runner, budget = self._kernel.contexts[context].runner, StopBudget(self._kernel.loop)
+        await runner.retire(tuple(runner.members), budget)
+        await self._links.sent(self._kernel.connectors.values(), budget)
 
     def _changed(self, event: StateChanged) -> None:
         component = self._kernel.components.get(event.component)

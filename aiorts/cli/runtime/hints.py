@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from aiorts import Component, InPort, Kernel
 from aiorts.diagnostics import unawaited_told
 from aiorts.errors import SLOW_READER
-from aiorts.model.policy import Dataflow, Subscription
+from aiorts.model.options import DEFAULT_LENGTH
+from aiorts.model.policy import Dataflow, Push, Subscription
 
 if TYPE_CHECKING:
     from aiorts import Connector
+    from aiorts.model.profile import ConnectorProfile
 
 Tell: TypeAlias = Callable[[str, str], None]
 """Takes a code and a message."""
@@ -22,25 +24,49 @@ _WHY: Final = {
     "unconverted": "the connection's convert failed on them; the log has the first one",
     "expired": "no read within the connector's lifespan",
     "rejected": f"the reader is slower than the writer; {SLOW_READER}",
+    "inactive": "unread when the reader ended, or written while it was not active",
+    "disconnected": "unread when the connection ended",
 }
+_LEFT: Final = ("inactive", "disconnected")
+"""What an end does to samples that wait."""
 
 
-def dropped(kernel: Kernel, *, every: bool) -> Iterator[str]:
-    """A line for each connector that was to deliver every sample and did not.
+class Drops:
+    """What the connectors have lost that were to deliver every sample. Made before the kernel ends, told afterwards."""
 
-    Args:
-        every: also where a reader in a context with a rate leaves samples out, and where they are few.
-    """
-    for connector in kernel.connectors.values():
-        profile = connector.profile
-        if profile.subscription is not Subscription.FLUSH or profile.dataflow is Dataflow.PULL:
-            continue  # newest only, by design
-        ledger = connector.statistics
-        for reason, why in _WHY.items():
-            count = ledger.dropped.get(reason, 0)
-            surprising = reason == "superseded" and 2 * count >= ledger.written and _on_events(kernel, connector)
-            if count and (every or surprising):
-                yield f"{connector.in_.path}: {count} of {ledger.written} samples {reason}: {why}"
+    def __init__(self, kernel: Kernel) -> None:
+        self._before = [
+            (connector, connector.statistics.dropped, _on_events(kernel, connector))
+            for connector in kernel.connectors.values()
+            if connector.profile.dataflow is not Dataflow.PULL
+            and (
+                connector.profile.subscription is Subscription.FLUSH or connector.profile.push in (Push.ALL, Push.FIFO)
+            )
+        ]
+
+    def lines(self, *, every: bool) -> Iterator[str]:
+        """A line for each connector and reason.
+
+        Args:
+            every: also where a reader in a context with a rate leaves samples out, and where they are few.
+        """
+        for connector, before, on_events in self._before:
+            ledger = connector.statistics
+            for reason, why in _WHY.items():
+                count = ledger.dropped.get(reason, 0)
+                if reason in _LEFT:  # that more are left than a buffer usually holds is no matter of the last cycle
+                    surprising = count - before.get(reason, 0) > DEFAULT_LENGTH
+                else:
+                    surprising = reason == "superseded" and 2 * count >= ledger.written and on_events
+                if count and (every or surprising):
+                    yield f"{connector.in_.path}: {count} of {ledger.written} samples {reason}: {why}"
+
+
+def _is_for_all(profile: ConnectorProfile) -> bool:
+    """Whether it is to deliver every sample, and not the newest only."""
+    if profile.dataflow is Dataflow.PULL:
+        return False
+    return profile.subscription is Subscription.FLUSH or profile.push in (Push.ALL, Push.FIFO)
 
 
 def _on_events(kernel: Kernel, connector: Connector) -> bool:

@@ -20,7 +20,7 @@ import aiorts
 from aiorts import Catalogue, Kernel, LifecycleState, ScaledClock, exits
 from aiorts.cli.console.report import ADVICE, cause_of
 from aiorts.cli.runtime.failures import Failures
-from aiorts.cli.runtime.hints import dropped, unawaited_reported, unfed
+from aiorts.cli.runtime.hints import Drops, unawaited_reported, unfed
 from aiorts.cli.runtime.log import Log
 from aiorts.cli.runtime.options import Options, checked
 from aiorts.cli.runtime.stopping import Stopper
@@ -146,7 +146,7 @@ async def _session(run: _Run) -> int:
         initialize_timeout=_INITIALIZE_SECONDS,
         plugins=run.catalogue,
     )
-    status = exits.DONE
+    status, drops = exits.DONE, None
     left: list[HookFailed] = []
 
     def note(event: HookFailed) -> None:
@@ -179,12 +179,14 @@ async def _session(run: _Run) -> int:
                 run.warn("W-UNFED", hint)
             async with contextlib.nullcontext() if run.watch is None else run.watch.beside(kernel, run.log):
                 status = await _until_end(kernel, run, over, ending)
-            for line in dropped(kernel, every=options.tell_drops or run.log.levels.default <= logging.INFO):
-                run.warn("W-DROPPED", line)
+            drops = Drops(kernel)
         elif over.done() and not over.cancelled():
             run.warn("W-START", f"--for {options.duration:g}: over before everything was started; {_not_yet(kernel)}")
         failures.end()
         stopper.watch(_status(kernel, status, error, failures, run))
+    every = options.tell_drops or run.log.levels.default <= logging.INFO
+    for line in () if drops is None else drops.lines(every=every):
+        run.warn("W-DROPPED", line)
     _report_failed(failures.in_error, run)
     status = _status(kernel, status, error, failures, run)
     status = status if stopper.status is None else stopper.status
