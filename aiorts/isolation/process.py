@@ -186,12 +186,18 @@ class Process:
         child = self._child
         if child is None:
             return
+        why = "the kernel did not wait for its end"
         try:
-            if self._peer is not None and self.runs and not self.busy:
+            if busy := self.busy:
+                why = f"a hook has held it for {busy:.1f} s"
+            elif self._peer is not None and self.runs:
                 with contextlib.suppress(AiortsError):
                     await self.ask("end", within=_LOOK)
                 await asyncio.wait((child.ended,), timeout=_ENDS)
+                why = f"it had not ended {_ENDS:g} s after it was asked to"
         finally:
+            if self._peer is not None and self.runs and not child.ended.done():
+                self._line(logging.WARNING, f"killed: {why}; its on_finalize may not have run")
             child.kill()  # also where nobody waits for it any more
         await asyncio.wait((child.ended,), timeout=_KILLED)
 

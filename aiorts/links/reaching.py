@@ -10,6 +10,7 @@ from functools import partial
 from itertools import chain, repeat
 from typing import TYPE_CHECKING, Any, Final
 
+from aiorts.clock import SimulatedClock
 from aiorts.errors import LinkError, PluginError, format_error
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
@@ -127,7 +128,12 @@ class Reach:
                 raise
 
     async def _open(self) -> None:
-        self._transport = self._transport or find_transport(self._name, self._links.kernel.plugins)
+        kernel = self._links.kernel
+        if self._transport is None and isinstance(kernel.clock, SimulatedClock):
+            # With a peer in real time, simulated time stood still for ever: it waits for all that is under way.
+            _LOG.warning("W-LINK: on a simulated clock no kernel of another process is reached: its time is another")
+            return
+        self._transport = self._transport or find_transport(self._name, kernel.plugins)
         await self._use(self._transport)
 
     @property

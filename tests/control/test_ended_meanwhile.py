@@ -168,3 +168,25 @@ def test_a_filter_that_takes_what_runs_has_all_to_the_last(system: Path, how: st
     written = [json.loads(line)["data"] for line in recorded.splitlines()]
     assert lines == written[-len(lines) :]
     assert set(range(200)) <= set(lines)
+
+
+def test_a_simulated_run_is_alone_whatever_its_links_lead_to(system: Path) -> None:
+    system.write_text(SYSTEM.format(rate=50.0))
+    alone = system.with_name("alone.toml")
+    alone.write_text(
+        """schema = 1
+[components.teller]
+type = "parts.py:Teller"
+[contexts.fast]
+kind = "periodic"
+rate = 50.0
+members = ["teller"]
+[[connections]]
+from = "teller.out"
+to = "meanwhile/slow.inp"
+"""
+    )
+    with told(system):
+        status, _, said = ended(begin("run", str(alone), "--simulate", "--for", "3600", "--lenient"))
+    assert status == 0, said
+    assert "W-LINK: on a simulated clock no kernel of another process is reached" in said

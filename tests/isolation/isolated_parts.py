@@ -114,6 +114,13 @@ class SlowStart(Scale):
         await self.sleep(0.15)
 
 
+class Lingers(Component):
+    """Does not end while its process is asked to."""
+
+    def on_finalize(self) -> None:
+        time.sleep(20.0)
+
+
 class Spinner(Component):
     """Uses its processor for a quarter of a second for each sample, and says from when until when."""
 

@@ -25,7 +25,7 @@ from aiorts.system import build, check, load
 from aiorts.testing import simulate
 from aiorts.types import TimedDoubleSeq, TimedLong
 from control_parts import commanded
-from isolation.isolated_parts import Echo, Held, Scale, Sink, Source, Spinner, Ticker, Unmakeable
+from isolation.isolated_parts import Echo, Held, Lingers, Scale, Sink, Source, Spinner, Ticker, Unmakeable
 
 pytestmark = pytest.mark.anyio
 ACTIVE, INACTIVE, ERROR = LifecycleState.ACTIVE, LifecycleState.INACTIVE, LifecycleState.ERROR
@@ -448,3 +448,10 @@ def test_its_process_imports_the_operations_that_it_is_asked_for_alone() -> None
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=60, check=True)
     found = {name.rpartition(".")[2] for name in done.stdout.split() if name.startswith("aiorts.control.operations.")}
     assert {"components", "lifecycle"} <= found <= {"components", "configuration", "contexts", "lifecycle", "known"}
+
+
+async def test_a_process_that_does_not_end_is_killed_and_the_log_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel() as kernel:
+        await kernel.create_isolated(Lingers, "lingers")
+    (said,) = [one.getMessage() for one in caplog.records if "killed" in one.getMessage()]
+    assert "had not ended 1.2 s after it was asked to; its on_finalize may not have run" in said

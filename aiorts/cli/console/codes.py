@@ -361,7 +361,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "W-DROPPED": Code(
         "A connection that should deliver every sample did not, or, as aiorts check finds, cannot.",
-        "The reader takes only the newest (.latest), or is slower than the writer.",
+        "The reader takes only the newest (.latest), is slower than the writer, or ended before it had read them.",
         f"{SLOW_READER.capitalize()}.",
     ),
     "W-EMPTY": Code(

@@ -38,10 +38,7 @@ class Drops:
         self._before = [
             (connector, connector.statistics.dropped, _on_events(kernel, connector))
             for connector in kernel.connectors.values()
-            if connector.profile.dataflow is not Dataflow.PULL
-            and (
-                connector.profile.subscription is Subscription.FLUSH or connector.profile.push in (Push.ALL, Push.FIFO)
-            )
+            if _is_for_all(connector.profile)
         ]
 
     def lines(self, *, every: bool) -> Iterator[str]:
