@@ -66,7 +66,7 @@ def test_a_component_says_what_its_own_level_admits(folder: Path) -> None:
 def test_json_is_an_object_in_a_line_with_where_and_what(folder: Path) -> None:
     arguments = (*SIMULATED, "--set", "sink.limit=3", "--log-format", "json", "-v")
     done = here(folder, "run", *arguments)
-    ready, failed = map(json.loads, done.stderr.splitlines())
+    ready, failed, lost = map(json.loads, done.stderr.splitlines())
     assert re.fullmatch(TIME, ready.pop("time"))
     assert re.fullmatch(TIME, failed.pop("time"))
     ours = {"component": "sink", "context": "slow"}
@@ -78,6 +78,8 @@ def test_json_is_an_object_in_a_line_with_where_and_what(folder: Path) -> None:
         "code": "E-COMPONENT",
         "message": "ValueError: too much (parts.py:31)",
     }
+    assert lost["code"] == "W-DROPPED"
+    assert "inactive: unread when the reader ended" in lost["message"]
     last = here(folder, "run", *arguments, "--debug").stderr.splitlines()
     traces = [line["traceback"] for line in map(json.loads, last) if "traceback" in line]
     assert len(traces) == 1
@@ -108,9 +110,11 @@ def test_the_file_has_every_line_and_standard_error_what_is_wrong(folder: Path) 
         arguments = (*SIMULATED, "--set", "sink.limit=3", "--log-file", "run.log", "-v")
         done = here(folder, "run", *arguments)
         assert done.stderr.startswith("aiorts: E-COMPONENT: sink.on_execute: ValueError: too much (parts.py:31);")
-        assert done.stderr.count("\n") == 1
+        assert [line[:17] for line in done.stderr.splitlines()[1:]] == ["aiorts: W-DROPPED"]
     lines = [re.sub(f"^{TIME} ", "", line) for line in (folder / "run.log").read_text().splitlines()]
-    assert lines == ["info sink: ready", "error E-COMPONENT: sink.on_execute: ValueError: too much (parts.py:31)"] * 2
+    told = ["info sink: ready", "error E-COMPONENT: sink.on_execute: ValueError: too much (parts.py:31)"]
+    assert [line for line in lines if "W-DROPPED" not in line] == told * 2
+    assert len(lines) == 6
 
 
 @pytest.mark.fault("F15")
