@@ -38,6 +38,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
     return status, said.out, said.err
 
 
+@pytest.mark.slow
 def test_every_code_that_can_be_printed_is_explained_and_nothing_else() -> None:
     found = printed_codes()
     assert "E-LINE" in found
@@ -95,6 +96,7 @@ def test_the_first_screen(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(capsys, "help")[1] == err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [["-m", "aiorts"], ["-c", "import sys; from aiorts.cli import main; sys.exit(main())"]]
 )
@@ -166,6 +168,7 @@ def test_a_missing_extra_says_which_command_installs_it() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_help_comes_at_once() -> None:
     """Nothing heavy is imported for the first screen: a generous bound, and what must not be there."""
     code = "import sys; from aiorts.cli.app import run_command; run_command(['--help']); print(*sys.modules)"

@@ -43,6 +43,7 @@ def sections(name: str) -> dict[str, str]:
     return {head.strip("`"): " ".join(text.split()) for head, text in zip(parts[1::2], parts[2::2], strict=True)}
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("name", GENERATED)
 def test_a_page_is_what_the_generator_gives_now(name: str) -> None:
     assert (FOLDER / f"{name}.md").read_text(encoding="utf-8") == page(name), "run: python tests/reference.py"
@@ -74,6 +75,7 @@ def commands(shown: str) -> list[str]:
     return re.findall(r"^  ([a-z][\w-]*) +[A-Z]", lists, re.MULTILINE) + re.findall(r"[a-z]+", filters)
 
 
+@pytest.mark.slow(kept_by="test_a_page_is_what_the_generator_gives_now")
 def test_every_command_and_option_is_there(capsys: pytest.CaptureFixture[str]) -> None:
     entries, lacking, seen = sections("command-line"), [], list[str]()
     waiting: list[tuple[str, ...]] = [()]
@@ -104,6 +106,7 @@ def test_every_exit_status_is_there(capsys: pytest.CaptureFixture[str]) -> None:
     assert statuses == re.findall(r"^- `([^`]+)`", text, re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_every_record_type_is_there_with_its_fields(capsys: pytest.CaptureFixture[str]) -> None:
     entries = sections("record-types")
     known = [one for one in json.loads(printed(capsys, "types", "--json")) if one["group"] not in ("user", "plain")]
@@ -140,6 +143,7 @@ def test_every_key_of_a_system_file_is_there(capsys: pytest.CaptureFixture[str])
     assert [key for key in sorted(keys) if f"`{key}`" not in text and f"[{key}" not in text] == []
 
 
+@pytest.mark.slow(kept_by="first")
 def test_every_option_and_parameter_of_a_flexi_component_is_there(capsys: pytest.CaptureFixture[str]) -> None:
     entries = sections("flexi")
     assert len(entries) == 7
@@ -151,6 +155,7 @@ def test_every_option_and_parameter_of_a_flexi_component_is_there(capsys: pytest
         assert [one["name"] for one in params if f"`{one['name']}: " not in text] == []
 
 
+@pytest.mark.slow(kept_by="first")
 def test_every_class_of_statistics_is_there_with_its_fields() -> None:
     entries = sections("statistics")
     sources = [path.read_text(encoding="utf-8") for path in sorted((ROOT / "aiorts").rglob("*.py"))]
