@@ -112,7 +112,7 @@ def test_the_table_is_what_scripts_may_rely_on() -> None:
 
 
 def test_help_shows_the_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command(["help"]) == 0
+    assert run_command(["help", "commands"]) == 0
     shown = " ".join(capsys.readouterr().out.partition("Exit status:")[2].split())
     assert shown == " ".join(f"{number} {meaning}" for number, meaning in exits.TABLE)
 

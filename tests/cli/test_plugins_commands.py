@@ -83,10 +83,12 @@ def test_a_folder_that_is_not_there_is_refused_where_it_is_typed_and_reported_wh
 def test_help_names_commands_of_plugins_and_components_without_importing_them(greets: Path) -> None:
     (greets / "greets.py").rename(greets / "away.py")
     try:
-        done = here("--plugins", str(greets), "--help")
+        first = here("--plugins", str(greets), "--help")
+        done = here("--plugins", str(greets), "help", "commands")
     finally:
         (greets / "away.py").rename(greets / "greets.py")
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (first.returncode, first.stderr) == (done.returncode, done.stderr) == (0, "")
+    assert "Commands of other plugins: hello, " in first.stdout
     assert f"hello       Of folder {greets}"[:20] in done.stdout
     assert "two words" not in done.stdout
     assert "log         Recordings: " in done.stdout
@@ -162,7 +164,7 @@ def test_nothing_that_is_listed_commands_the_terminal(tmp_path: Path) -> None:
         f'[project]\nname = "odd"\n[project.entry-points."aiorts.components"]\n"{odd}" = "x\\u001b:y"\n"Ünï" = "x:y"\n'
         f'[project.entry-points."aiorts.{odd}"]\n"x" = "x:y"\n'
     )
-    for arguments in (("plugins",), ("plugins", "--json"), ("--help",)):
+    for arguments in (("plugins",), ("plugins", "--json"), ("--help",), ("help", "commands")):
         done = here("--plugins", str(tmp_path), *arguments)
         assert not [c for c in done.stdout + done.stderr if not c.isprintable() and c != "\n"]
     listed = here("--plugins", str(tmp_path), "plugins")

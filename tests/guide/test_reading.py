@@ -13,6 +13,7 @@ import pytest
 
 from aiorts.cli.app import run_command
 from aiorts.guide import blocks, pages, rendered, search
+from aiorts.guide.newcomers import ASKED
 from aiorts.guide.server import answer, renderer
 
 
@@ -104,6 +105,39 @@ QUESTIONS = {
     "benchmark my own code": "write-bench",
     "two processes": "connect-processes",
 }
+
+
+@pytest.mark.slow(kept_by="test_what_newcomers_typed_is_answered_first_by_the_page_that_says_what_there_is")
+def test_each_word_of_a_newcomer_leads_first_to_the_page_that_answers() -> None:
+    names = {page.name for page in pages()}
+    assert ASKED.keys() <= names
+    words = [word for several in ASKED.values() for word in several]
+    assert len(set(words)) == len(words)
+    found = {word: search(word)[0].page.name for word in words}
+    wrong = {word: found[word] for page, several in ASKED.items() for word in several if found[word] != page}
+    assert wrong == {}
+
+
+@pytest.mark.parametrize(
+    ("word", "page", "said"),
+    [("gui", "limits", "graphical interface"), ("dashboard", "limits", "dashboard"), ("metrics", "limits", "metrics"),
+     ("kubernetes", "limits", "Kubernetes"), ("rviz", "foxglove-live", "Foxglove"), ("3d", "foxglove-live", "Foxglove"),
+     ("websocket", "fastapi", ""), ("health", "fastapi", ""), ("replay", "recording", "")],
+)  # fmt: skip
+def test_what_newcomers_typed_is_answered_first_by_the_page_that_says_what_there_is(
+    word: str, page: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for question in (word, f"is there a {word}?"):
+        status, out, _ = run(capsys, "help", "--search", question)
+        assert status == 0
+        assert out.startswith(f"aiorts help {page} ")
+        assert said in "".join(out.splitlines()[1:2])
+
+
+def test_the_line_of_a_tier_is_no_answer() -> None:
+    assert {hit.page.name for hit in search("provisional")} == {"stability", "command-line"}
+
+
 DISTRIBUTION = ("distributed", "distribution", "multiprocess", "multiprocessing", "remote")
 
 

@@ -18,7 +18,9 @@ from test_layers import PUBLIC, ROOT
 
 from aiorts import events
 from aiorts.cli.app import run_command
-from reference import FOLDER, HEADS, LINKS, links_page, page
+from aiorts.guide import pages
+from aiorts.tiers import LATTER
+from reference import FOLDER, HEADS, LINKS, links_page, noted, page
 from reference_api import report_class
 
 GENERATED = ["exit-status", *sorted(HEADS.keys() - {"exit-status"})]
@@ -55,6 +57,16 @@ def test_the_diagrams_of_links_are_those_of_the_table() -> None:
     assert text == links_page(text), "run: python tests/reference.py"
 
 
+def test_a_page_about_something_that_is_not_stable_says_so_below_its_title_and_no_other_does() -> None:
+    assert [one.name for one in pages() if one.text != noted(one.name, one.text)] == [], (
+        "run: python tests/reference.py"
+    )
+    said = {
+        one.name: one.text.splitlines()[2].partition(":")[0] for one in pages() if one.text.splitlines()[2][0] == "*"
+    }
+    assert said == {name: f"*{tier.name}" for tier in LATTER for name in tier.pages}
+
+
 def test_every_public_name_has_an_entry() -> None:
     entries = sections("api")
     names = [f"{module}.{name}" for module in PUBLIC for name in importlib.import_module(module).__all__]
@@ -69,8 +81,8 @@ def listed(option: str, text: str) -> bool:
 
 def commands(shown: str) -> list[str]:
     """The commands that a help names, filters included."""
-    below = shown.partition("\nOptions:\n")[2].partition("\nExit status:")[0]
-    lists, _, filters = below.partition("Components, as filters:\n")
+    below = shown.partition("\nOptions:\n")[2] if "\nOptions:\n" in shown else f"\n\n{shown}"
+    lists, _, filters = below.partition("\nExit status:")[0].partition("Components, as filters:\n")
     lists = "".join(lists.partition("\n\n")[1:])
     return re.findall(r"^  ([a-z][\w-]*) +[A-Z]", lists, re.MULTILINE) + re.findall(r"[a-z]+", filters)
 
@@ -88,7 +100,7 @@ def test_every_command_and_option_is_there(capsys: pytest.CaptureFixture[str]) -
         options = re.findall(r"^  (?:-\w, )?(--[\w-]+)", shown.partition("ptions:\n")[2], re.MULTILINE)
         lacking += [f"{path} {option}" for option in options if option != "--help" and not listed(option, text)]
         if "COMMAND [ARGS]" in shown:
-            waiting += [(*words, name) for name in commands(shown)]
+            waiting += [(*words, name) for name in commands(shown if words else printed(capsys, "help", "commands"))]
     assert lacking == []
     assert set(entries) == set(seen)
     assert {"aiorts run", "aiorts log plot", "aiorts bench push", "aiorts flexiselect"} < set(seen)
@@ -101,7 +113,9 @@ def test_every_error_code_is_there(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_every_exit_status_is_there(capsys: pytest.CaptureFixture[str]) -> None:
-    statuses = re.findall(r"^  (\d[\d +n]*?)  ", printed(capsys, "--help").partition("Exit status:")[2], re.MULTILINE)
+    statuses = re.findall(
+        r"^  (\d[\d +n]*?)  ", printed(capsys, "help", "commands").partition("Exit status:")[2], re.MULTILINE
+    )
     text = (FOLDER / "exit-status.md").read_text(encoding="utf-8")
     assert statuses == re.findall(r"^- `([^`]+)`", text, re.MULTILINE)
 
