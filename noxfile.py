@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -20,8 +19,6 @@ nox.options.reuse_existing_virtualenvs = True
 
 ROOT = Path(__file__).parent
 NOT_COPIED = shutil.ignore_patterns(".git", ".venv", ".nox", ".*_cache", ".hypothesis", "__pycache__")
-UNSTEADY_AT_MOST = 5
-"""So many failed tests are run again, alone; more are no accident of a busy machine."""
 DEPEND_ON_PYTHON = (
     *("kernel", "loop", "execution", "contexts", "ports", "services", "supervision", "diagnostics"),
     *("functions", "extensions", "realtime", "time", "wire", "testing"),
@@ -51,20 +48,6 @@ def copy(session: nox.Session) -> Iterator[Path]:
             yield Path(folder)
 
 
-def run_tests(session: nox.Session, *command: str, python: str = "python") -> None:
-    """Run tests. The few that failed are run again, alone: one that passes then was late on a busy machine."""
-    cache = Path(".pytest_cache/v/cache/lastfailed")
-    cache.unlink(missing_ok=True)  # what failed in another run is none of this one
-    try:
-        session.run(*command, external=True)
-    except CommandFailed:
-        failed = sorted(json.loads(cache.read_text(encoding="utf-8"))) if cache.exists() else []
-        if session.posargs or not 1 <= len(failed) <= UNSTEADY_AT_MOST:
-            raise
-        session.run(python, "-m", "pytest", "-q", "--last-failed", "--last-failed-no-failures", "none", external=True)
-        print(*(f"UNSTEADY {name}" for name in failed), sep="\n", flush=True)
-
-
 @nox.session
 def quick(session: nox.Session) -> None:
     """The quick tests: what README's test command runs."""
@@ -76,7 +59,7 @@ def quick(session: nox.Session) -> None:
 def slow(session: nox.Session) -> None:
     """The rest of the tests."""
     session.install("-q", "-e", ".[dev]")
-    run_tests(session, "python", "-m", "pytest", "-q", "-n", "2", "--tier", "slow", *session.posargs)
+    session.run("python", "-m", "pytest", "-q", "-n", "2", "--tier", "slow", *session.posargs)
 
 
 @nox.session
@@ -99,7 +82,14 @@ def engine(session: nox.Session, version: str) -> None:
     """The faults of networks, made on purpose with each version of the engine that is allowed: ten minutes each."""
     session.install("-q", "-e", ".[test]")
     session.install("-q", f"eclipse-zenoh=={version}.*")
-    run_tests(session, "python", "-m", "pytest", "-q", "-n", "2", "--tier", "all", "-m", "fault", "tests/network")
+    session.run("python", "-m", "pytest", "-q", "-n", "2", "--tier", "all", "-m", "fault", "tests/network")
+
+
+@nox.session(venv_backend="none")
+def reports(session: nox.Session) -> None:
+    """Which tests show which feature, and which hold what happens when something goes wrong: build/reports."""
+    for table in ("rows", "faults"):
+        session.run(sys.executable, f"tests/{table}.py", external=True)
 
 
 @nox.session
@@ -167,7 +157,7 @@ def release(session: nox.Session) -> None:
 def readme_test(session: nox.Session) -> None:
     """README's test command, to the letter, in a copy of the sources."""
     with copy(session):
-        run_tests(session, "bash", "-ec", readme("test"), python=".venv/bin/python")
+        session.run("bash", "-ec", readme("test"), external=True)
 
 
 @nox.session(venv_backend="none")
@@ -227,7 +217,7 @@ def other_pythons() -> dict[str, str]:
 def on_another_python(session: nox.Session) -> None:
     """The quick tests of what depends on the Python."""
     session.install("-q", "-e", ".[test]")
-    run_tests(session, "python", "-m", "pytest", "-q", "-n", "2", *(f"tests/{folder}" for folder in DEPEND_ON_PYTHON))
+    session.run("python", "-m", "pytest", "-q", "-n", "2", *(f"tests/{folder}" for folder in DEPEND_ON_PYTHON))
     session.run("python", "-m", "pytest", "-q", "-n", "2", "--tier", "all", *WHOLE)
 
 

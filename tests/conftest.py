@@ -32,7 +32,7 @@ from hypothesis import settings
 
 from aiorts.kernel.extensions.catalogue import Catalogue
 from campaign import CAMPAIGN, be_quick
-from tiers import are_slow, far_from_quick
+from tiers import ALONE, are_slow, far_from_quick
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Iterator
@@ -119,16 +119,22 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--tier",
         choices=("quick", "slow", "all"),
         default="quick",
-        help="quick tests (the default), those in tests/SLOW.txt, or all; a test that is named with :: runs always",
+        help="quick tests (the default), the rest (tests/tiers.py), or all; a test that is named with :: runs always",
     )
     parser.addoption("--shuffle", type=int, metavar="SEED", help="run the tests in another order, the same for a seed")
+
+
+def _keeper(item: pytest.Item) -> str | None:
+    """What keeps the promise of a test that is marked slow."""
+    mark = item.get_closest_marker("slow")
+    return None if mark is None else str(mark.kwargs.get("kept_by", ALONE))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave the tests of the tier that was asked for, in the order that was."""
     tier = config.getoption("--tier")
     if tier != "all" and not any("::" in argument for argument in config.args) and not config.getoption("lf", False):
-        wanted = [slow is (tier == "slow") for slow in are_slow(item.nodeid for item in items)]
+        wanted = [slow is (tier == "slow") for slow in are_slow((item.nodeid, _keeper(item)) for item in items)]
         config.hook.pytest_deselected(items=[item for item, take in zip(items, wanted, strict=True) if not take])
         items[:] = [item for item, take in zip(items, wanted, strict=True) if take]
     if (seed := config.getoption("--shuffle")) is not None:
@@ -156,10 +162,11 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     reporter = config.pluginmanager.getplugin("terminalreporter")
     if config.getoption("--tier") != "quick" or reporter is None or hasattr(config, "workerinput"):
         return
-    took = {report.nodeid: report.duration for report in reporter.getreports("passed")}
+    passed = reporter.getreports("passed")
+    took = {report.nodeid: report.duration for report in passed}
     cache, key = getattr(config, "cache", None), f"aiorts/far from quick, {sys.version_info[0]}.{sys.version_info[1]}"
     before = set(cache.get(key, []) if cache else [])
-    late = far_from_quick(took)
+    late = far_from_quick(took, (report.nodeid for report in passed if "slow" in report.keywords))
     config.stash[FAR_FROM_QUICK] = {name: (took[name], name in before) for name in late}
     if os.getloadavg()[0] > BUSY * (os.cpu_count() or 1):
         return

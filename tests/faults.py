@@ -1,15 +1,11 @@
-"""Write tests/FAULTS.md: what is done to the kernel and its tools on purpose, what is expected, which tests hold it.
+"""Write FAULTS.md: what is done to the kernel and its tools on purpose, what is expected, which tests hold it.
 
-Run: python tests/faults.py. The marks `@pytest.mark.fault("A01")` are read from the source; nothing is run.
+The marks `@pytest.mark.fault("A01")` say which. Run: nox -s reports
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from rows import collect
-
-TARGET = Path(__file__).with_name("FAULTS.md")
+from marks import collect, write
 
 GROUPS = {
     "A": "Code of components",
@@ -168,7 +164,7 @@ def render(shown: dict[str, list[str]]) -> str:
     lines = [
         "# Faults that are made on purpose, and the tests that hold what is expected",
         "",
-        "Written by `python tests/faults.py` from the marks `fault(...)` of the tests; a test fails when it is stale.",
+        "Written by `nox -s reports` from the marks `@pytest.mark.fault(name)`.",
         "Besides its own expectation each has these: no other component is harmed, no sample is lost uncounted,",
         "nothing is abandoned, every wait ends, bad input never gives a traceback.",
     ]
@@ -180,11 +176,5 @@ def render(shown: dict[str, list[str]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def found() -> dict[str, list[str]]:
-    """Fault -> tests that are marked with it."""
-    return {str(name): tests for name, tests in collect("fault").items()}
-
-
 if __name__ == "__main__":
-    TARGET.write_text(render(found()), encoding="utf-8")
-    print(f"{TARGET}: {len(found())} faults")
+    print(write("FAULTS.md", render(collect("fault"))))

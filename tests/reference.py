@@ -18,6 +18,8 @@ from typing import Any, Final
 
 import click
 
+from aiorts.guide import pages
+from aiorts.tiers import LATTER, tier_of_page
 from reference_api import api, events, statistics
 from reference_source import WIDTH, block, doc_of, item, listed, one_line
 
@@ -510,6 +512,15 @@ def links_page(text: str) -> str:
     return _PART.sub("".join(parts) + "\n", text)
 
 
+_NOTE: Final = re.compile(rf"^\*(?:{'|'.join(tier.name for tier in LATTER)}): .*\*\n\n", re.MULTILINE)
+
+
+def noted(name: str, text: str) -> str:
+    """The page with the line of its tier below the title, or without one where it is about something stable."""
+    tier, bare = tier_of_page(name), _NOTE.sub("", text)
+    return bare if tier is None else bare.replace("\n\n", f"\n\n{tier.note}\n\n", 1)
+
+
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).with_name("architecture")))
     os.environ.pop("AIORTS_PLUGINS", None)
@@ -519,3 +530,5 @@ if __name__ == "__main__":
         print(f"{FOLDER / name}.md")
     LINKS.write_text(links_page(LINKS.read_text(encoding="utf-8")), encoding="utf-8")
     print(LINKS)
+    for one in pages():
+        one.path.write_text(noted(one.name, one.text), encoding="utf-8")

@@ -1,20 +1,8 @@
-"""Write tests/ROWS.md: which tests show which row of the feature comparison. Run: python tests/rows.py
-
-The marks `@pytest.mark.row(n)` of tests, classes and modules (`pytestmark`) are read from the source; nothing is run.
-"""
+"""Write ROWS.md: which tests show which row of the feature comparison, by their marks. Run: nox -s reports"""
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Iterator
-from functools import cache
-from pathlib import Path
-from typing import Any
-
-from trees import parse
-
-TESTS = Path(__file__).parent
-TARGET = TESTS / "ROWS.md"
+from marks import collect, write
 
 FEATURES = {
     2: "Runs on the Pythons of today (3.11 and later)",
@@ -147,55 +135,12 @@ NOT_FULFILLED = {
 """What of a row is not so."""
 
 
-def _marks_of(node: ast.AST, kind: str) -> list[Any]:
-    """What stands in the marks of a kind in one expression: `row(1, 2)`."""
-    found: list[Any] = []
-    for part in ast.walk(node):
-        if isinstance(part, ast.Call) and isinstance(part.func, ast.Attribute) and part.func.attr == kind:
-            found += [argument.value for argument in part.args if isinstance(argument, ast.Constant)]
-    return found
-
-
-def _tests(body: list[ast.stmt], inherited: list[ast.expr], prefix: str) -> Iterator[tuple[str, list[ast.expr]]]:
-    """Each test and the expressions in which its marks stand: its own, those of its class and of its module."""
-    assigned = [(statement.targets[0], statement.value) for statement in body if isinstance(statement, ast.Assign)]
-    named = [(target.id, value) for target, value in assigned if isinstance(target, ast.Name)]
-    inherited = inherited + [value for name, value in named if name == "pytestmark"]
-    for statement in body:
-        if isinstance(statement, ast.ClassDef) and statement.name.startswith("Test"):
-            yield from _tests(statement.body, inherited + statement.decorator_list, f"{prefix}{statement.name}::")
-        elif isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef) and statement.name.startswith("test"):
-            yield f"{prefix}{statement.name}", inherited + statement.decorator_list
-    for name, _ in named:
-        if name.startswith("Test"):
-            yield f"{prefix}{name}::runTest", inherited  # a state machine of hypothesis
-
-
-@cache
-def defined(folder: Path = TESTS) -> dict[str, list[ast.expr]]:
-    """Every test, in the order of files and lines, and the expressions in which its marks stand."""
-    return {
-        name: marks
-        for path in sorted(folder.rglob("test_*.py"))
-        for name, marks in _tests(parse(path).body, [], f"{path.relative_to(folder).as_posix()}::")
-    }
-
-
-def collect(kind: str = "row", folder: Path = TESTS) -> dict[Any, list[str]]:
-    """What is marked -> tests with that mark."""
-    shown: dict[Any, list[str]] = {}
-    for name, marks in defined(folder).items():
-        for mark in dict.fromkeys(mark for expression in marks for mark in _marks_of(expression, kind)):
-            shown.setdefault(mark, []).append(name)
-    return shown
-
-
 def render(shown: dict[int, list[str]]) -> str:
     """The text of ROWS.md."""
     lines = [
         "# Rows of the feature comparison and the tests that show them",
         "",
-        "Written by `python tests/rows.py` from the marks `@pytest.mark.row(number)`; a test fails when it is stale.",
+        "Written by `nox -s reports` from the marks `@pytest.mark.row(number)`.",
         "",
         "| Row | Feature | Tests |",
         "|---|---|---|",
@@ -209,5 +154,4 @@ def render(shown: dict[int, list[str]]) -> str:
 
 
 if __name__ == "__main__":
-    TARGET.write_text(render(collect()), encoding="utf-8")
-    print(f"{TARGET}: {len(collect())} rows")
+    print(write("ROWS.md", render(collect("row"))))

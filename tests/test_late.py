@@ -96,6 +96,7 @@ def test_one_that_is_not_frozen_changes_and_has_no_hash() -> None:
         hash(counter)
 
 
+@pytest.mark.slow
 def test_many_threads_make_the_first_instances_of_a_class() -> None:
     for _ in range(50):
 

@@ -1,14 +1,15 @@
-"""Which tests are quick: those that `pytest` runs when nothing else is said. The rest are in the table SLOW.txt.
+"""Which tests are quick: those that `pytest` runs when nothing else is said. The rest have the mark `slow`.
 
-Each line names a slow test and the quick one that keeps its promise. Where nothing quicker does, `first` says that the
-first case of the test itself is run with the quick ones, and `slow` that it is left to the slow tier: the quick tests
-are over in a minute or two. A test is slow when a case of it takes longer than LIMIT.
+`@pytest.mark.slow(kept_by="test_x")` names the quick test that keeps the promise of a slow one, of the same file or as
+"folder/test_file.py::test_x". Where nothing quicker does, `kept_by="first"` says that the first case of the test itself
+is run with the quick ones, and the bare `@pytest.mark.slow` that it is left to the slow tier: the quick tests are over
+in a minute or two. A test is slow when a case of it takes longer than LIMIT.
 Of a quick test with many cases one is quick, chosen by the name of the test: of every two tests that run on both loops
 about one has its quick case on either. Each case is run with one tier or the other.
 
     python -m pytest -q -n 2 --tier all --durations 0 --durations-min 0.05 > all.log; python tests/tiers.py all.log
 
-writes the table anew from what a run of all tests took. Whatever is new in it gets a `?`, to be replaced by hand.
+names the tests that a run of all found slow and that have no mark, and those whose mark is no longer needed.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Iterable
-from functools import cache
 from pathlib import Path
 from zlib import crc32
 
@@ -25,7 +25,6 @@ LIMIT = 0.25
 """Seconds that the longest case of a quick test takes, its fixtures included."""
 USUAL = 0.022
 """Seconds that a quick test takes on average on the machine that LIMIT was chosen on: 130 s for 5,986 of them."""
-LIST = Path(__file__).with_name("SLOW.txt")
 ALWAYS = (
     *("tests/architecture/test_layers.py", "tests/architecture/test_forbidden.py"),
     *("tests/architecture/test_time_limits.py", "tests/scale/test_exact_counts.py"),
@@ -44,36 +43,30 @@ def name_of(nodeid: str) -> str:
     return nodeid.partition("[")[0]
 
 
-@cache
-def table() -> dict[str, str]:
-    """Each slow test and what keeps its promise in the quick tier: a quick test, or `first`."""
-    return dict(line.split() for line in LIST.read_text(encoding="utf-8").splitlines())
+def are_slow(cases: Iterable[tuple[str, str | None]]) -> list[bool]:
+    """Of each case, in the order of collection, whether it is left to the slow tier.
 
-
-def is_slow(name: str) -> bool:
-    """Whether no case of a test is run with the quick ones."""
-    return table().get(name, FIRST) != FIRST
-
-
-def are_slow(nodeids: Iterable[str]) -> list[bool]:
-    """Of each case, in the order of collection, whether it is left to the slow tier."""
-    names = [name_of(nodeid) for nodeid in nodeids]
-    cases, seen, found = Counter(names), Counter[str](), []
-    for name in names:
-        quick = 0 if name in table() else crc32(name.encode()) % cases[name]
-        found.append(is_slow(name) or (seen[name] != quick and not name.startswith(ALWAYS)))
-        seen[name] += 1
+    A case is its nodeid and what keeps its promise by its mark: a quick test, FIRST or ALONE; None without a mark.
+    """
+    named = [(name_of(nodeid), keeper) for nodeid, keeper in cases]
+    count, seen, found = Counter(named), Counter[tuple[str, str | None]](), []
+    for case in named:
+        name, keeper = case
+        quick = 0 if keeper == FIRST else crc32(name.encode()) % count[case]
+        left = keeper is not None and keeper != FIRST
+        found.append(left or (seen[case] != quick and not name.startswith(ALWAYS)))
+        seen[case] += 1
     return found
 
 
-def far_from_quick(took: dict[str, float]) -> set[str]:
-    """Of the seconds that quick tests took: those above four times the limit, and meant to be quick.
+def far_from_quick(took: dict[str, float], meant_to: Iterable[str] = ()) -> set[str]:
+    """Of the seconds that quick tests took: those above four times the limit, but for those that are meant to.
 
     Where all of them take longer than usual, on a slower or busy machine, the limit is as much longer.
     """
     pace = max(1.0, sum(took.values()) / (USUAL * len(took))) if took else 1.0
     late = {nodeid for nodeid, seconds in took.items() if seconds > 4 * LIMIT * pace}
-    return {nodeid for nodeid in late if name_of(nodeid) not in table() and not nodeid.startswith(ALWAYS)}
+    return {nodeid for nodeid in late.difference(meant_to) if not nodeid.startswith(ALWAYS)}
 
 
 def measured(log: str) -> dict[str, float]:
@@ -88,7 +81,9 @@ def measured(log: str) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    found = measured(Path(sys.argv[1]).read_text(encoding="utf-8"))
-    slow = sorted(name for name, seconds in found.items() if seconds > LIMIT and not name.startswith(ALWAYS))
-    LIST.write_text("".join(f"{name} {table().get(name, '?')}\n" for name in slow), encoding="utf-8")
-    print(f"{LIST}: {len(slow)} tests")
+    from marks import slow
+
+    marked = {f"tests/{name}" for name in slow()}
+    for test, seconds in sorted(measured(Path(sys.argv[1]).read_text(encoding="utf-8")).items()):
+        if (seconds > LIMIT) != (test in marked) and not test.startswith(ALWAYS):
+            print(f"{'marked, but quick' if test in marked else 'slow, but not marked'}: {seconds:.2f} s {test}")

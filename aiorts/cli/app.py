@@ -8,6 +8,7 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from inspect import cleandoc
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -19,6 +20,7 @@ from aiorts.cli.console.plugins_option import catalogue_of, plugins_option, use_
 from aiorts.cli.console.report import printed, report, report_error
 from aiorts.cli.group import HelpfulGroup, strict, write_sections
 from aiorts.errors import AiortsError, PluginError
+from aiorts.tiers import tier_of_command
 
 if TYPE_CHECKING:
     from aiorts import Extension
@@ -77,7 +79,9 @@ _HIDDEN: Final = {"kernel": ("aiorts.cli.runtime.process_kernel:kernel", "")}
 """Commands that aiorts itself calls; no help names them."""
 _FULL: Final = (errno.ENOSPC, errno.EIO, errno.EFBIG)
 _SHOWN: Final = 60
-"""Components that the help names."""
+"""Names of components that a message has, and `aiorts help commands`."""
+_SHOWN_FIRST: Final = 12
+"""Names that the first screen has, of components and of commands that others offer."""
 _DELIVERED: Final = {
     "aiorts_bench.cli:bench": "Measure this machine: push policies, contexts, scale and more.",
     "aiorts_foxglove.command:foxglove": "Show what runs in Foxglove.",
@@ -108,7 +112,7 @@ class _LazyGroup(HelpfulGroup):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         found = self._found(ctx, cmd_name)
-        return None if found is None else strict(found)
+        return None if found is None else strict(_of_a_tier(found, cmd_name))
 
     def _found(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         own = _COMMANDS.get(cmd_name) or _HIDDEN.get(cmd_name)
@@ -158,17 +162,49 @@ class _LazyGroup(HelpfulGroup):
             raise
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The lists below the options of the help; nothing is imported for them."""
-        write_sections(formatter, _COMMANDS)
-        if commands := {name: one for name, one in _offered("commands").items() if name not in _COMMANDS}:
-            with formatter.section("Commands of plugins"):
-                formatter.write_dl([(name, _line_of(several[0])) for name, several in commands.items()])
+        """The daily commands, below the options of the help; nothing is imported for them."""
+        lines = _lines()
+        placed = write_sections(formatter, lines, daily=True)
+        others = [name for name in lines if name not in placed]
+        components = [name for name in _offered("components") if name not in lines]
+        with formatter.section("More"):
+            if others:
+                formatter.write_text(f"Commands of other plugins: {_names(others, _SHOWN_FIRST)}.")
+            formatter.write_text(f"Components are commands, too, as filters: {_names(components, _SHOWN_FIRST)}.")
+            formatter.write_text(
+                f"`aiorts help commands` has all {len(lines)} commands, `aiorts help exit-status` what they end with."
+            )
+
+    def format_all(self, formatter: click.HelpFormatter) -> None:
+        """What `aiorts help commands` shows: each command and its sentence; nothing is imported for them."""
+        lines = _lines()
+        placed = write_sections(formatter, lines, daily=False)
+        if others := [(name, line) for name, line in lines.items() if name not in placed]:
+            with formatter.section("Commands of other plugins"):
+                formatter.write_dl(others)
         with formatter.section("Components, as filters"):
-            names = [name for name in _offered("components") if name not in commands and name not in _COMMANDS]
-            more = f" and {len(names) - _SHOWN} more, see aiorts plugins" if len(names) > _SHOWN else ""
-            formatter.write_text(f"{', '.join(names[:_SHOWN])}{more}")
+            formatter.write_text(_names([name for name in _offered("components") if name not in lines], _SHOWN))
         with formatter.section("Exit status"):
             formatter.write_dl(exits.TABLE)
+
+
+def _lines() -> dict[str, str]:
+    """Each command and its sentence."""
+    own = {name: line for name, (_, line) in _COMMANDS.items()}
+    return {name: _line_of(several[0]) for name, several in _offered("commands").items()} | own
+
+
+def _names(names: Sequence[str], most: int) -> str:
+    more = f" and {len(names) - most} more, see aiorts plugins" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}" or "none"
+
+
+def _of_a_tier(command: click.Command, name: str) -> click.Command:
+    """The command, whose help says so if it is not stable."""
+    tier, said = tier_of_command(name), cleandoc(command.help or "")
+    if tier is not None and tier.line not in said:
+        command.help = f"{said}\n\n{tier.line}"
+    return command
 
 
 def _line_of(command: Any) -> str:
@@ -208,13 +244,7 @@ def aiorts(debug: bool) -> None:
     """RT-Middleware for Python: robot software as components on an asyncio microkernel.
 
     New here? `aiorts demo` shows a small system and saves it for you to change; `aiorts help tutorial` lists the steps
-    of the tutorial.
-
-    Every installed component is a command as well, in lower case: a Unix filter for JSON lines, as in
-
-    \b
-      aiorts flexiconst -p TimedDouble -c 6.2 -r 50 --count 5 |
-        aiorts flexidump -p TimedDouble
+    of the tutorial, `aiorts help --search WORDS` finds an answer.
     """
 
 

@@ -14,55 +14,55 @@ from click.shell_completion import CompletionItem
 
 _SECTIONS: Final = (
     ("Begin", ("demo", "new", "doctor", "help")),
-    ("Systems", ("run", "check", "plan", "apply", "graph", "schema")),
+    ("Systems", ("run", "check", "graph", "plan", "apply", "schema")),
     (
-        "What runs",
+        "Look at what runs",
+        (*("ls", "cat", "top", "print", "vlog", "find", "hz", "bw", "delay"), *("watch", "fsm")),
+    ),
+    (
+        "Change what runs",
         (
-            "ls",
-            "cat",
-            "find",
-            "activate",
-            "deactivate",
-            "reset",
-            "conf",
-            "connect",
-            "disconnect",
-            "comp",
-            "ctx",
-            "fsm",
-            "call",
-            "goal",
-            "reload",
-            "save",
-            "batch",
-            "exit",
-            "top",
-            "hz",
-            "bw",
-            "delay",
-            "print",
-            "inject",
-            "vlog",
-            "watch",
-            "stop",
+            *(
+                "conf",
+                "connect",
+                "activate",
+                "stop",
+                "disconnect",
+                "deactivate",
+                "reset",
+                "comp",
+                "ctx",
+                "call",
+                "goal",
+            ),
+            *("inject", "reload", "save", "batch", "exit"),
         ),
     ),
-    ("What there is", ("inspect", "doc", "types", "plugins", "filter")),
-    ("Shell", ("completion",)),
+    ("Recordings and figures", ("record", "replay", "log", "bench")),
+    ("What there is", ("inspect", "doc", "types", "plugins", "filter", "completion")),
+    ("Other machines and programs", ("at", "router", "certs", "foxglove", "import", "export")),
+    ("Short for others", ("act", "con", "deact", "dis")),
 )
-"""Every other command of aiorts stands below "More"."""
+"""Commands of aiorts, and of the plugins that come with it, in the order in which the help has them."""
+_DAILY: Final = frozenset(
+    (
+        *("demo", "new", "doctor", "help", "run", "check", "graph", "ls", "cat", "top", "print", "vlog", "conf"),
+        *("connect", "activate", "stop", "record", "replay", "log", "bench"),
+    )
+)
+"""What the first screen names, whatever plugin offers it."""
 
 
-def write_sections(formatter: click.HelpFormatter, commands: Mapping[str, tuple[str, str]]) -> None:
-    """The commands of aiorts (name -> target and one line of help) in sections."""
-    placed = {name for _, names in _SECTIONS for name in names}
-    sections = (*_SECTIONS, ("More", tuple(name for name in commands if name not in placed)))
-    width = max(map(len, commands), default=0)
-    for title, names in sections:
-        rows = [(name.ljust(width), commands[name][1]) for name in names if name in commands]
+def write_sections(formatter: click.HelpFormatter, lines: Mapping[str, str], *, daily: bool) -> set[str]:
+    """The commands among `lines` (name -> its sentence) that have a section, or the daily ones of them; their names."""
+    placed = {name for _, names in _SECTIONS for name in names if name in lines}
+    width = max(map(len, placed), default=0)
+    for title, names in _SECTIONS:
+        rows = [(name.ljust(width), lines[name]) for name in names if name in placed and (name in _DAILY or not daily)]
         if rows:
             with formatter.section(title):
                 formatter.write_dl(rows)
+    return placed
 
 
 class HelpfulGroup(click.Group):

@@ -19,8 +19,8 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "howto": (
         "How to",
         (
-            *("choose-policy", "records", "slow-reader", "quality-of-service", "convert", "synchronize", "camera"),
-            *("real-time", "supervise", "deploy", "ros-bag", "openrtm-files"),
+            *("run-system", "choose-policy", "records", "slow-reader", "quality-of-service", "convert"),
+            *("synchronize", "camera", "real-time", "supervise", "deploy", "ros-bag", "openrtm-files"),
             *("missed-deadline", "functions", "services", "goals", "state-machines", "composites"),
             *(
                 "dynamic-ports",
@@ -57,7 +57,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "explanation": (
         "Explanation",
-        ("architecture", "model", "policies", "delivery", "links", "limits", "measured", "releases"),
+        ("architecture", "model", "policies", "delivery", "links", "limits", "measured", "stability", "releases"),
     ),
     "coming-from": (
         "Coming from",

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from functools import cache
 from typing import Final, NamedTuple
 
 from aiorts.guide.contents import Page, pages
+from aiorts.guide.newcomers import ASKED
+from aiorts.tiers import tier_of_page
 
 _WORD: Final = re.compile(r"[a-z0-9]+(?:[-_.][a-z0-9]+)*")
 _HEADING: Final = re.compile(r"^#{1,4} ")
@@ -37,7 +40,25 @@ _COMMON: Final = frozenset(
             "how",
             "i",
         ),
-        *("if", "in", "is", "it", "its", "my", "not", "of", "on", "or", "that", "the", "this", "to", "use", "using"),
+        *(
+            "if",
+            "in",
+            "is",
+            "it",
+            "its",
+            "my",
+            "not",
+            "of",
+            "on",
+            "or",
+            "that",
+            "the",
+            "there",
+            "this",
+            "to",
+            "use",
+            "using",
+        ),
         *("want", "was", "were", "what", "when", "where", "which", "who", "why", "will", "with"),
     )
 )
@@ -60,35 +81,63 @@ def search(question: str) -> list[Hit]:
     """The best place of each page that has words of the question, best first.
 
     A place is what stands below one heading. Words in headings weigh more, and a place that has half of the words
-    counts a quarter of what it would with all of them.
+    counts a quarter of what it would with all of them. A page that newcomers ask for by half of the words or more, as
+    `newcomers` has it, comes before all others.
     """
-    wanted = {_stem(word) for word in _WORD.findall(question.lower())}
-    wanted = wanted - _COMMON or wanted
-    hits = [max(found, key=lambda hit: hit.score) for one in pages() if (found := _hits(one, wanted))]
-    return sorted(hits, key=lambda hit: -hit.score)
+    wanted = _wanted(question)
+    asked = {one.name: share for one in pages() if (share := _asked(one, wanted)) >= 0.5}
+    found = [hits for one in pages() if (hits := _hits(one, wanted, asked=one.name in asked))]
+    best = [max(hits, key=lambda hit: hit.score) for hits in found]
+    return sorted(best, key=lambda hit: (-asked.get(hit.page.name, 0.0), -hit.score))
 
 
-def _hits(one: Page, wanted: set[str]) -> list[Hit]:
-    lines = one.text.splitlines()
+def _wanted(question: str) -> set[str]:
+    """The words that count of a question, without their endings."""
+    words = _WORD.findall(question.lower())
+    return {_stem(word) for word in words if word not in _COMMON} or {_stem(word) for word in words}
+
+
+def _asked(one: Page, wanted: set[str]) -> float:
+    """The share of the question that is words by which newcomers ask for this page."""
+    phrases = [_wanted(phrase) for phrase in ASKED.get(one.name, ())]
+    return len({word for phrase in phrases if phrase <= wanted for word in phrase}) / len(wanted) if wanted else 0.0
+
+
+def _hits(one: Page, wanted: set[str], *, asked: bool) -> list[Hit]:
     in_title = _words(f"{one.title} {one.name}")
-    hits, heading, place, fenced = [], one.title, list[str](), False
-    for line in [*lines[1:], "# "]:
+    hits: list[Hit] = []
+    for heading, in_heading, text, in_text in _places(one):
+        counts = {
+            word: min(in_text[word], _MOST) + _IN_TITLE * (word in in_title) + _IN_HEADING * (word in in_heading)
+            for word in wanted
+        }
+        found = [count for count in counts.values() if count]
+        if any(word in in_text or word in in_heading for word in wanted) or (asked and not hits):
+            hits.append(Hit(one, heading, _excerpt(text, wanted), sum(found) * (len(found) / len(wanted)) ** 2))
+    return hits
+
+
+class _Place(NamedTuple):
+    heading: str
+    in_heading: list[str]
+    text: list[str]
+    in_text: Counter[str]
+
+
+@cache
+def _places(one: Page) -> list[_Place]:
+    """What stands below each heading of a page; the line of its tier is no answer to anything."""
+    tier = tier_of_page(one.name)
+    lines = [line for line in one.text.splitlines()[1:] if tier is None or line != tier.note]
+    places, heading, text, fenced = [], one.title, list[str](), False
+    for line in [*lines, "# "]:
         fenced ^= line.startswith("```")
         if fenced or not _HEADING.match(line):
-            place.append(line)
+            text.append(line)
             continue
-        counts = dict.fromkeys(wanted, 0.0)
-        for text in place:
-            for word in _words(text):
-                if word in counts:
-                    counts[word] = min(counts[word] + 1, _MOST)
-        for word in counts:
-            counts[word] += _IN_TITLE * (word in in_title) + _IN_HEADING * (word in _words(heading))
-        found = [count for count in counts.values() if count]
-        if found and any(word in _words(" ".join([heading, *place])) for word in wanted):
-            hits.append(Hit(one, heading, _excerpt(place, wanted), sum(found) * (len(found) / len(wanted)) ** 2))
-        heading, place = line.lstrip("# "), []
-    return hits
+        places.append(_Place(heading, _words(heading), text, Counter(word for each in text for word in _words(each))))
+        heading, text = line.lstrip("# "), []
+    return places
 
 
 def _excerpt(place: list[str], wanted: set[str]) -> str:

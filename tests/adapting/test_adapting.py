@@ -253,6 +253,7 @@ async def test_a_hook_is_told_that_it_would_wait_for_itself() -> None:
         assert list(kernel.components) == ["a", "b"]
 
 
+@pytest.mark.slow
 async def test_a_caller_that_is_cancelled_leaves_all_of_it_or_nothing() -> None:
     for turns in range(12):
         async with Kernel() as kernel:
@@ -431,6 +432,7 @@ async def test_included_repeated_and_composite_readers_have_theirs(file: Path) -
         assert (await kernel.apply(wanted(load(file)), dry_run=True)).plan.empty
 
 
+@pytest.mark.slow(kept_by="test_a_file_has_the_filter_in_check_graph_plan_and_run_and_is_saved_with_it")
 async def test_a_program_and_a_file_agree_on_every_pair_of_ports(file: Path) -> None:
     outs = ("metres", "pose", "three", "some")
     ins = (

@@ -72,12 +72,13 @@ async def test_leaks_coroutine():
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked_for", ["task or clean_loop", "test"])
 def test_guard_finds_each_kind_of_leak_and_no_other(asked_for: str, tmp_path: Path) -> None:
     tests, ours = tmp_path / "tests", Path(__file__).parents[1]
     tests.mkdir()
     shutil.copy(ours.parent / "pyproject.toml", tmp_path)
-    for name in ("conftest.py", "campaign.py", "tiers.py", "SLOW.txt"):
+    for name in ("conftest.py", "campaign.py", "tiers.py"):
         shutil.copy(ours / name, tests)
     (tests / "test_under_guard.py").write_text(TESTS_UNDER_GUARD)
     (tests / "pytest.ini").write_text("[pytest]\nfilterwarnings = error\naddopts = -p no:cacheprovider\n")

@@ -31,6 +31,7 @@ finally:
 """
 
 
+@pytest.mark.slow(kept_by="architecture/test_forbidden.py::test_no_file_needs_a_module_that_only_posix_has")
 @pytest.mark.row(8)
 def test_example_runs_without_posix_only_modules() -> None:
     arguments = ["run", "examples/roomba/system.toml", "--set", "imu.speed=200"]
@@ -46,6 +47,7 @@ def test_example_runs_without_posix_only_modules() -> None:
     assert "heading verified" in done.stdout.splitlines()[-1]
 
 
+@pytest.mark.slow(kept_by="architecture/test_forbidden.py::test_no_file_needs_a_module_that_only_posix_has")
 @pytest.mark.row(8)
 def test_every_module_can_be_imported_without_posix_only_modules() -> None:
     """Also those that no run of the example uses, such as the check of plugins and the benches."""

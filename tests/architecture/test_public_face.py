@@ -57,6 +57,7 @@ def test_every_public_name_that_is_imported_is_exported(module: str) -> None:
 _HEAVY = {"numpy", "uvloop", "zenoh", "msgpack", "click", "json", "pathlib", "tomllib", "typing_extensions", "decimal"}
 
 
+@pytest.mark.slow(kept_by="cli/test_run.py::test_help_and_version_are_fast_and_load_no_system")
 @pytest.mark.parametrize(
     ("program", "allowed"),
     [

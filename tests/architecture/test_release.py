@@ -84,6 +84,9 @@ def contents(wheel: Path) -> dict[str, int]:
         return {entry.filename: entry.CRC for entry in archive.infolist()}
 
 
+@pytest.mark.slow(
+    kept_by="architecture/test_wheel.py::test_what_is_installed_needs_a_python_of_today_and_five_packages"
+)
 def test_the_source_distribution_makes_the_wheel_that_the_sources_make(
     wheel: Path, sources: Path, tmp_path: Path
 ) -> None:
@@ -92,6 +95,9 @@ def test_the_source_distribution_makes_the_wheel_that_the_sources_make(
     assert contents(built) == contents(wheel)
 
 
+@pytest.mark.slow(
+    kept_by="architecture/test_wheel.py::test_what_is_installed_needs_a_python_of_today_and_five_packages"
+)
 def test_the_source_distribution_has_every_source_and_no_cache(sources: Path, unpacked: Path) -> None:
     def files(folder: Path) -> set[str]:
         return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
@@ -101,6 +107,9 @@ def test_the_source_distribution_has_every_source_and_no_cache(sources: Path, un
     assert files(unpacked) == files(sources) - caches | {"PKG-INFO"}
 
 
+@pytest.mark.slow(
+    kept_by="architecture/test_wheel.py::test_what_is_installed_needs_a_python_of_today_and_five_packages"
+)
 def test_the_tests_of_the_source_distribution_are_collected(unpacked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the code that stands beside them."""
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(unpacked), str(unpacked / "plugins")]))
@@ -113,6 +122,9 @@ def test_the_tests_of_the_source_distribution_are_collected(unpacked: Path, monk
     assert re.search(r"\d{4} tests collected|\d{4}/\d{4} tests collected", said), said[-2000:]
 
 
+@pytest.mark.slow(
+    kept_by="architecture/test_wheel.py::test_what_is_installed_needs_a_python_of_today_and_five_packages"
+)
 def test_the_wheel_has_the_guide_the_types_and_the_licence_and_nothing_of_others(wheel: Path) -> None:
     names = set(contents(wheel))
     assert {f"aiorts/guide/pages/{page.relative_to(FOLDER)}" for page in FOLDER.rglob("*") if page.is_file()} <= names
@@ -125,6 +137,9 @@ def test_the_wheel_has_the_guide_the_types_and_the_licence_and_nothing_of_others
     assert metadata(wheel)["License-Expression"] == "Apache-2.0"
 
 
+@pytest.mark.slow(
+    kept_by="architecture/test_wheel.py::test_what_is_installed_needs_a_python_of_today_and_five_packages"
+)
 def test_the_source_distribution_says_whose_the_recording_is(unpacked: Path) -> None:
     assert "not covered by its licence" in (unpacked / "examples/roomba/NOTICE").read_text(encoding="utf-8")
 
@@ -157,6 +172,9 @@ def as_wheel(name: str, folder: Path) -> list[str]:
     return [one for one in found.requires or () if "extra ==" not in one]
 
 
+@pytest.mark.slow(
+    kept_by="architecture/test_wheel.py::test_what_is_installed_needs_a_python_of_today_and_five_packages"
+)
 def test_it_installs_without_a_network_from_a_folder_of_wheels(
     wheel: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

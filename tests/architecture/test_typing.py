@@ -20,6 +20,7 @@ def run(*command: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
 
 
+@pytest.mark.slow(kept_by="test_package_says_that_it_is_typed")
 @pytest.mark.row(6)
 @pytest.mark.skipif(importlib.util.find_spec("mypy") is None, reason="mypy is not installed")
 def test_mypy_strict_accepts_the_interface_and_flags_exactly_its_misuses() -> None:
@@ -29,6 +30,7 @@ def test_mypy_strict_accepts_the_interface_and_flags_exactly_its_misuses() -> No
     assert done.stdout.count("error:") == len(flagged), done.stdout  # none elsewhere
 
 
+@pytest.mark.slow(kept_by="test_package_says_that_it_is_typed")
 @pytest.mark.row(6)
 @pytest.mark.skipif(importlib.util.find_spec("pyright") is None, reason="pyright is not installed")
 def test_pyright_accepts_the_interface_and_flags_exactly_its_misuses() -> None:

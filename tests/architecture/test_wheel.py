@@ -74,6 +74,7 @@ def elsewhere(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return scripts
 
 
+@pytest.mark.slow(kept_by="test_what_is_installed_needs_a_python_of_today_and_five_packages")
 def test_wheel_holds_package_and_plugins_and_nothing_else(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     tops = {name.split("/")[0] for name in names}
@@ -107,6 +108,7 @@ def test_what_is_installed_needs_a_python_of_today_and_five_packages() -> None:
     assert (command.name, command.load()) == ("aiorts", main)
 
 
+@pytest.mark.slow(kept_by="test_what_is_installed_needs_a_python_of_today_and_five_packages")
 @pytest.mark.row(2, 3)
 def test_installed_wheel_runs_elsewhere(elsewhere: Path, tmp_path: Path) -> None:
     code = "import aiorts, aiorts_flexi, aiorts_log; print(aiorts.__file__, aiorts_flexi.__file__, aiorts_log.__file__)"
@@ -116,6 +118,7 @@ def test_installed_wheel_runs_elsewhere(elsewhere: Path, tmp_path: Path) -> None
     assert "run" in run(elsewhere / "aiorts", "--help", cwd=tmp_path)
 
 
+@pytest.mark.slow(kept_by="test_what_is_installed_needs_a_python_of_today_and_five_packages")
 def test_installed_wheel_offers_its_extensions(elsewhere: Path, tmp_path: Path) -> None:
     code = (
         "from importlib.metadata import entry_points\n"
@@ -124,6 +127,7 @@ def test_installed_wheel_offers_its_extensions(elsewhere: Path, tmp_path: Path) 
     assert {"FlexiDump", "FlexiFilter"} <= set(run(elsewhere / "python", "-I", "-c", code, cwd=tmp_path).split())
 
 
+@pytest.mark.slow(kept_by="test_what_is_installed_needs_a_python_of_today_and_five_packages")
 def test_installed_wheel_shows_and_saves_its_demo(elsewhere: Path, tmp_path: Path) -> None:
     assert "the same 301 values" in run(elsewhere / "aiorts", "demo", cwd=tmp_path)
     run(elsewhere / "aiorts", "demo", "--save", "motor", cwd=tmp_path)

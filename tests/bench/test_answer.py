@@ -113,6 +113,7 @@ def test_each_pair_of_rates_has_its_sentence_at_the_end() -> None:
     assert all("take new/new" in line for line in lines[2:])
 
 
+@pytest.mark.slow(kept_by="test_slow_reader_is_told_to_take_the_newest_and_where_the_age_comes_from")
 @pytest.mark.parametrize(("producer", "consumer"), [(40, 20), (1000, 100)])
 def test_bench_push_ends_with_the_answer(producer: int, consumer: int) -> None:
     words = [

@@ -23,6 +23,7 @@ def bench(*words: str) -> Result:
     return CliRunner().invoke(cli.bench, list(words))
 
 
+@pytest.mark.slow(kept_by="bench/test_compare.py::test_what_is_no_document_is_refused")
 def test_json_is_one_document_of_schema_2() -> None:
     result = bench("push", *TINY, "--json")
     assert result.exit_code == 0, result.output
@@ -37,6 +38,7 @@ def test_json_is_one_document_of_schema_2() -> None:
         assert len(figure["rounds"]) == 4
 
 
+@pytest.mark.slow(kept_by="bench/test_plot.py::test_rows_are_drawn_for_each_loop_beside_the_figures")
 def test_table_markdown_output_and_plot(tmp_path: Path) -> None:
     out, drawing = tmp_path / "table.md", tmp_path / "plot.html"
     result = bench("push", *TINY, "--markdown", "-o", str(out), "--plot", str(drawing))
@@ -46,6 +48,7 @@ def test_table_markdown_output_and_plot(tmp_path: Path) -> None:
     assert "subscription" in bench("push", *TINY).stdout
 
 
+@pytest.mark.slow(kept_by="bench/test_compare.py::test_small_shift_is_no_change")
 def test_compare_with_itself_says_so(tmp_path: Path) -> None:
     old = tmp_path / "old.json"
     assert bench("push", *TINY, "--json", "-o", str(old)).exit_code == 0
@@ -82,6 +85,7 @@ def offered(case: Case) -> Bench:
     return Bench("own", "Own.", report)
 
 
+@pytest.mark.slow(kept_by="bench/test_results.py::test_a_missed_aim_is_written_and_a_fault_is_the_end")
 def test_broken_promise_is_status_1_and_a_missed_aim_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
     def torn(count: int) -> Reading:
         return Reading.timed(count, 10, Ledger(written=2, delivered=1, received=1))
@@ -97,6 +101,7 @@ def test_broken_promise_is_status_1_and_a_missed_aim_is_not(monkeypatch: pytest.
     assert (missed.exit_code, " NO" in missed.stdout) == (0, True)
 
 
+@pytest.mark.slow(kept_by="bench/test_results.py::test_all_benches_of_aiorts_have_a_part")
 def test_bench_of_a_plugin_is_listed_and_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "fake_bench-1.0.dist-info"
     folder.mkdir()
@@ -124,6 +129,7 @@ def test_bench_of_a_plugin_is_listed_and_runs(tmp_path: Path, monkeypatch: pytes
     assert json.loads(result.stdout)["rows"][0]["measures"]["cost"]["median"] == 1000.0
 
 
+@pytest.mark.slow(kept_by="bench/test_case.py::test_ratio_is_taken_round_by_round")
 def test_rounds_are_interleaved_in_a_turning_order_with_the_collector_held() -> None:
     order: list[str] = []
 
@@ -141,6 +147,7 @@ def test_rounds_are_interleaved_in_a_turning_order_with_the_collector_held() -> 
     assert gc.get_freeze_count() == 0
 
 
+@pytest.mark.slow(kept_by="bench/test_case.py::test_ratio_is_taken_round_by_round")
 def test_collector_is_restored_when_a_case_fails() -> None:
     def run(count: int) -> Reading:
         raise ZeroDivisionError

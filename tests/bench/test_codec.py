@@ -15,6 +15,7 @@ from plugin_dists import project
 CODEC = "from aiorts.wire import MsgpackCodec\nclass Same(MsgpackCodec):\n    '''Ours under another name.'''\n"
 
 
+@pytest.mark.slow(kept_by="cli/test_filter_frames.py::test_a_codec_of_a_plugin_is_used")
 @pytest.mark.row(54)
 def test_a_codec_of_a_plugin_stands_beside_ours_and_a_broken_one_is_left_out(tmp_path: Path) -> None:
     modules = {"sames": CODEC, "brokens": "import no_such_module"}

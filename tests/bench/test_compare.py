@@ -53,6 +53,7 @@ def changed(old: Report, new: Report) -> list[str]:
     return [change.row for change in compare(json.loads(json.dumps(old.plain())), new.plain()).changes]
 
 
+@pytest.mark.slow(kept_by="test_small_shift_is_no_change")
 @pytest.mark.parametrize("slower", [0.5, 1.0, 2.0])
 def test_equal_runs_have_no_change_even_on_a_slower_machine(slower: float) -> None:
     pairs = [changed(document(seed), document(seed + 20_000, machine=slower)) for seed in range(200)]
@@ -133,6 +134,7 @@ def test_percentile_changes_when_the_rank_test_says_so() -> None:
     assert [changed(latencies(seed, 1), latencies(seed + 100, 1)) for seed in range(50)] == [[]] * 50
 
 
+@pytest.mark.slow(kept_by="first")
 @given(st.lists(st.floats(1, 10), min_size=4, max_size=9), st.floats(0.2, 5))
 def test_shift_is_antisymmetric_and_scales(values: list[float], factor: float) -> None:
     there = shift(values, [factor * value for value in values])

@@ -58,6 +58,7 @@ def test_ticks_run_and_skipped_that_are_not_all_that_were_due_are_a_fault() -> N
     assert "the context counted 7" in reading_of(counted).faults[0]
 
 
+@pytest.mark.slow(kept_by="test_rate_error_forgives_one_late_tick_at_the_end")
 @given(st.lists(st.integers(0, 40_000), min_size=40, max_size=120), st.sampled_from([1.0, 1.0001, 1.002, 0.999]))
 def test_rate_error_is_the_drift_and_not_the_lateness_of_single_ticks(late: list[int], factor: float) -> None:
     # A context that calls its own drifting moments due is found out: the nominal period is the measure.
@@ -86,6 +87,7 @@ def tiny(cases: tuple[Case, ...], *names: str) -> dict[str, Row]:
     return {row.case.name: row for row in measure(chosen, loop="asyncio", rounds=1, scale=0.4)}
 
 
+@pytest.mark.slow(kept_by="test_ticks_run_and_skipped_that_are_not_all_that_were_due_are_a_fault")
 def test_rows_of_the_loop_run_every_tick_that_was_due() -> None:
     rows = tiny(context.loop_cases(), "asyncio.sleep", "periodic, 1", "periodic, 10", "event", "external")
     assert {name: row.faults for name, row in rows.items() if row.faults} == {}
@@ -94,6 +96,7 @@ def test_rows_of_the_loop_run_every_tick_that_was_due() -> None:
         assert {"executed", "interval p99", "rate error", "deviation 99 %"} <= set(row.figures)
 
 
+@pytest.mark.slow(kept_by="test_lateness_and_periods")
 def test_rows_of_a_real_time_context_stand_beside_the_bare_system_call() -> None:
     rows = tiny(
         context.thread_cases(None),

@@ -38,6 +38,7 @@ def test_a_periodic_connector_pushes_at_the_rate_of_its_reader_unless_another_is
         assert ({one.push_rate for _, one in planned.loads}, planned.fixed["push-rate"]) == ({200.0}, "200")
 
 
+@pytest.mark.slow(kept_by="bench/test_case.py::test_broken_ledger_is_a_fault")
 @pytest.mark.parametrize(
     "one",
     [
@@ -63,6 +64,7 @@ def test_ledger_of_a_real_round_balances(one: Load, loop: str) -> None:
     assert set(row.figures) >= {"rate", "offered", "latency p50", "age p50", "cpu"}
 
 
+@pytest.mark.slow(kept_by="test_only_periodic_has_a_push_rate")
 def test_reader_with_a_rate_takes_no_more_than_that() -> None:
     one = Load("flush", consumer_rate=200.0, producer_rate=2000.0)
     (row,) = measure((load.case("x", one, {}),), loop="asyncio", rounds=1, scale=1.0)

@@ -32,6 +32,7 @@ def test_every_row_of_an_isolated_component_has_an_aim_and_a_baseline_that_is_th
     assert without == [name for name in found if "Zenoh" not in name]
 
 
+@pytest.mark.slow(kept_by="test_every_row_of_an_isolated_component_has_an_aim_and_a_baseline_that_is_there")
 def test_bench_isolation_shows_its_rows_and_leaves_no_process() -> None:
     result = CliRunner().invoke(cli.bench, [*TINY, "--no-peers"])
     assert result.exit_code == 0, result.output
@@ -40,6 +41,7 @@ def test_bench_isolation_shows_its_rows_and_leaves_no_process() -> None:
         os.waitpid(-1, os.WNOHANG)
 
 
+@pytest.mark.slow(kept_by="test_every_row_of_an_isolated_component_has_an_aim_and_a_baseline_that_is_there")
 @pytest.mark.skipif(find_spec("zenoh") is None, reason="Zenoh is not installed: pip install aiorts[bench]")
 def test_bench_isolation_beside_zenoh() -> None:
     # In a process of its own: Zenoh keeps descriptors until the end of the process.

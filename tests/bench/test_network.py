@@ -32,6 +32,7 @@ def test_another_way_has_rows_of_its_own() -> None:
     assert {aim.baseline for case in other for aim in case.aims} <= {case.name for case in other}
 
 
+@pytest.mark.slow(kept_by="test_every_row_of_a_link_has_an_aim_and_a_baseline_that_is_there")
 def test_bench_network_shows_its_rows() -> None:
     # In a process of its own: Zenoh keeps descriptors until the end of the process.
     words = [sys.executable, "-m", "aiorts", "bench", *TINY]

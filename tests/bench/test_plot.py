@@ -78,6 +78,7 @@ def test_long_name_is_wrapped_and_not_clipped() -> None:
     assert max(map(len, parts)) <= 70
 
 
+@pytest.mark.slow(kept_by="test_every_line_has_its_points_its_band_and_its_name")
 @given(st.lists(st.floats(1e-6, 1e12), min_size=1, max_size=20), st.booleans())
 def test_axis_holds_all_values(values: list[float], log: bool) -> None:
     axis = chart.Axis.of(values, log)
@@ -99,6 +100,7 @@ def test_name_of_the_file_is_checked_before_anything_is_measured(
         plot.check(tmp_path / "plot.png")
 
 
+@pytest.mark.slow(kept_by="test_rows_are_drawn_for_each_loop_beside_the_figures")
 @pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="matplotlib is not installed")
 @pytest.mark.parametrize("rates", ["200", "200,1000"], ids=["rows", "lines"])
 def test_png_is_one(tmp_path: Path, rates: str) -> None:

@@ -40,6 +40,7 @@ def test_work_of_an_unknown_amount_has_no_bar(monkeypatch: pytest.MonkeyPatch) -
     assert worked(monkeypatch, Screen(), 0) == ""
 
 
+@pytest.mark.slow(kept_by="test_a_bar_on_a_terminal_says_how_much_is_done")
 def test_a_bench_counts_each_case_of_each_round(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = Screen()
     monkeypatch.setattr(sys, "stderr", screen)

@@ -65,6 +65,7 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     return command
 
 
+@pytest.mark.slow
 def test_every_part_has_a_table_its_machine_and_its_command(run: Any) -> None:
     done = run("--quick")
     assert done.code == 0
@@ -75,6 +76,7 @@ def test_every_part_has_a_table_its_machine_and_its_command(run: Any) -> None:
         assert "| mine |" in part
 
 
+@pytest.mark.slow
 def test_only_measures_a_part_and_keeps_the_others(run: Any) -> None:
     before = parts_of(run().text)
     after = parts_of(run("--quick", "--only", "two").text)

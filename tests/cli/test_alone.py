@@ -270,6 +270,7 @@ def test_a_bad_rate_is_refused(folder: Path) -> None:
     assert "--rate" in done.stderr
 
 
+@pytest.mark.slow(kept_by="test_a_generator_is_as_fast_as_it_is_read")
 def test_it_waits_for_its_reader_and_ends_quietly_when_that_goes(folder: Path) -> None:
     command = [sys.executable, "-m", "aiorts", "run", "parts.py:ramp", "--set", "upto=1000000000"]
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
@@ -281,6 +282,7 @@ def test_it_waits_for_its_reader_and_ends_quietly_when_that_goes(folder: Path) -
         assert (lines, process.stderr.read(), process.wait(20)) == ([0, 1, 2], b"", 128 + 13)
 
 
+@pytest.mark.slow(kept_by="test_count_and_quiet_end_and_silence_it")
 def test_without_standard_output_it_runs_all_the_same(folder: Path) -> None:
     command = f"{sys.executable} -m aiorts run parts.py:Fast >&-"
     done = subprocess.run(["sh", "-c", command], cwd=folder, capture_output=True, timeout=30, env=dict(os.environ))
@@ -334,6 +336,7 @@ class Many(Component):
 '''
 
 
+@pytest.mark.slow
 @pytest.mark.row(123)
 def test_run_feeds_ports_that_a_parameter_makes(folder: Path) -> None:
     (folder / "parts.py").write_text(PERIODICAL)
@@ -354,6 +357,7 @@ def test_run_feeds_one_that_takes_data_from_a_file_or_a_pipe_as_the_filter_does(
     assert "W-UNFED" not in as_run.stderr
 
 
+@pytest.mark.slow(kept_by="test_as_a_filter_too")
 def test_run_passes_every_line_of_a_pipe_and_ends_with_it(folder: Path) -> None:
     command = [sys.executable, "-m", "aiorts", "run", "parts.py:Echo"]
     lines = "".join(f"{n}\n" for n in range(5000))
@@ -391,6 +395,7 @@ def test_an_input_without_a_line_does_not_end_one_with_a_rate(folder: Path, stdi
     assert (done.returncode, done.stdout) == (0, "")
 
 
+@pytest.mark.slow(kept_by="cli/test_run.py::test_it_ends_when_the_source_has_finished_and_all_was_taken")
 @pytest.mark.parametrize("command", [["run", "more.py:First"], ["more.py:First"], ["run", "more.py:Ticking"]])
 def test_one_that_has_finished_ends_it_though_nobody_closes_the_pipe(folder: Path, command: list[str]) -> None:
     (folder / "more.py").write_text(PERIODICAL)
@@ -406,6 +411,7 @@ def test_one_that_has_finished_ends_it_though_nobody_closes_the_pipe(folder: Pat
     assert done.stdout == "three cycles\n" if "Ticking" in command[-1] else data(done.stdout) == [7]
 
 
+@pytest.mark.slow(kept_by="test_one_that_fails_ends_with_3")
 def test_one_alone_that_failed_long_ago_is_told_once(folder: Path) -> None:
     (folder / "more.py").write_text(PERIODICAL)
     words = [sys.executable, "-m", "aiorts", "run", "more.py:Refusing", "--speed", "10000"]
@@ -414,6 +420,7 @@ def test_one_alone_that_failed_long_ago_is_told_once(folder: Path) -> None:
     assert (done.returncode, done.stderr) == (3, said)
 
 
+@pytest.mark.slow(kept_by="test_one_that_takes_data_is_fed_as_before_or_periodically")
 def test_null_is_no_input_and_one_with_a_rate_runs_all_the_same(folder: Path) -> None:
     (folder / "more.py").write_text(PERIODICAL)
     words = [sys.executable, "-m", "aiorts", "run", "more.py:Ticking"]

@@ -110,6 +110,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
 
 
+@pytest.mark.slow(kept_by="test_a_wrong_command_line_is_one_line_and_status_2")
 @pytest.mark.fault("F17")
 @settings(max_examples=cases(10_000), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @example(("plugins", ["--limit", "nan"]))
@@ -161,6 +162,7 @@ def test_a_wrong_command_line_is_one_line_and_status_2(arguments: list[str]) -> 
     assert err.startswith("aiorts: E-")
 
 
+@pytest.mark.slow(kept_by="cli/test_check.py::test_json_is_one_object_for_each_file")
 @pytest.mark.fault("F18")
 @settings(max_examples=cases(1_000), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
@@ -195,6 +197,7 @@ for arguments in {}:
 """
 
 
+@pytest.mark.slow(kept_by="test_a_wrong_command_line_is_one_line_and_status_2")
 @pytest.mark.fault("F14")
 def test_commands_work_in_any_surroundings(tmp_path: Path) -> None:
     """All in one process, whose surroundings they are."""
@@ -219,6 +222,7 @@ def test_commands_work_in_any_surroundings(tmp_path: Path) -> None:
         assert len(text) > 100 or "arm.py:日" in arguments
 
 
+@pytest.mark.slow(kept_by="test_a_wrong_command_line_is_one_line_and_status_2")
 @pytest.mark.fault("F14")
 def test_an_argument_that_is_no_text_is_shown_by_number() -> None:
     done = subprocess.run(
@@ -229,6 +233,7 @@ def test_an_argument_that_is_no_text_is_shown_by_number() -> None:
     assert b"\x1b" not in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F12")
 @pytest.mark.parametrize("command", ["types", "plugins"])
 def test_a_full_disk_is_one_line(command: str) -> None:

@@ -157,6 +157,7 @@ def test_what_a_component_file_prints_is_no_part_of_the_findings(
     assert printed.err == "hello\n"
 
 
+@pytest.mark.slow
 def test_a_folder_of_plugins_can_be_named(write: Callable[..., str], tmp_path: Path, capsys: Out) -> None:
     other = tmp_path / "other"
     other.mkdir()
@@ -222,6 +223,7 @@ def test_a_file_that_is_none_ends_every_command_with_one_line(
         assert len(lines[0]) <= LONGEST
 
 
+@pytest.mark.slow(kept_by="system/test_check.py::test_an_unknown_type_names_the_nearest_and_what_is_installed")
 @pytest.mark.fault("F04")
 @pytest.mark.parametrize("command", ["check", "run"])
 def test_an_unknown_type_is_refused_at_once_with_the_nearest_and_the_installed(
@@ -240,6 +242,7 @@ def test_an_unknown_type_is_refused_at_once_with_the_nearest_and_the_installed(
         assert took < 10  # a second where nobody else works
 
 
+@pytest.mark.slow(kept_by="test_a_file_that_is_none_ends_every_command_with_one_line")
 def test_strange_surroundings_are_no_reason_to_fail(write: Callable[..., str], tmp_path: Path) -> None:
     name = write(WRONG.replace("lenght", '"länge"'))
     for extra in (
@@ -252,6 +255,7 @@ def test_strange_surroundings_are_no_reason_to_fail(write: Callable[..., str], t
         assert "E-CONNECT" in done.stdout
 
 
+@pytest.mark.slow(kept_by="cli/test_demo.py::test_a_reader_that_has_seen_enough_ends_it_quietly")
 @pytest.mark.fault("F11")
 def test_a_reader_that_has_gone_is_no_error(write: Callable[..., str], tmp_path: Path) -> None:
     name = write("schema = 1\n" + "".join(f"k{n} = 1\n" for n in range(3000)))

@@ -43,6 +43,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow(kept_by="test_plan_compares_a_file_with_itself")
 def test_a_system_runs_with_its_variables(folder: Path) -> None:
     for arguments, count in (((), 2), (("--var", "count=5"), 5), (("--var", "count=5", "--set", "counter.count=4"), 4)):
         done = here(folder, "run", "system.toml", "--simulate", *arguments)
@@ -50,6 +51,7 @@ def test_a_system_runs_with_its_variables(folder: Path) -> None:
         assert f"wrote {count} in periodic" in done.stdout
 
 
+@pytest.mark.slow
 def test_another_port_takes_the_place_of_one(folder: Path) -> None:
     for arguments, end in (((), "first"), (("--remap", "first.numbers=second.numbers"), "second")):
         drawn = here(folder, "graph", "system.toml", *arguments).stdout.splitlines()
@@ -119,6 +121,7 @@ def test_a_profile_is_made_of_the_system_with_its_variables(folder: Path) -> Non
     assert done.stdout.count("<rts:Components ") == 3
 
 
+@pytest.mark.slow
 def test_a_page_of_a_system_has_the_types_of_included_files(folder: Path) -> None:
     (folder / "sinks").mkdir()
     (folder / "sinks.toml").rename(folder / "sinks" / "sinks.toml")

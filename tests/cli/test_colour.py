@@ -71,6 +71,7 @@ def test_what_is_no_message_of_aiorts_stays_as_it_is() -> None:
     assert painted("   ^^^") == "\x1b[32m   ^^^\x1b[0m"
 
 
+@pytest.mark.slow(kept_by="test_elsewhere_only_where_it_is_asked_for_and_never_in_json")
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
 @pytest.mark.parametrize("wanted", [True, False])
 def test_a_failure_on_a_terminal_has_its_code_in_colour(folder: Path, wanted: bool) -> None:

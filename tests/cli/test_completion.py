@@ -53,6 +53,7 @@ def bash(path: str, script: str, *words: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("words", "offered", "not_offered"),
     [
@@ -97,6 +98,7 @@ def ask(shell: str, path: str, before: tuple[str, ...], word: str) -> list[str]:
     return done.stdout.splitlines()
 
 
+@pytest.mark.slow(kept_by="test_names_are_completed_without_importing_what_has_them")
 def test_zsh_gets_commands_with_their_line_of_help(path: str) -> None:
     answer = ask("zsh", path, (), "doct")
     assert answer[:2] == ["plain", "doctor"]
@@ -104,6 +106,7 @@ def test_zsh_gets_commands_with_their_line_of_help(path: str) -> None:
     assert ask("zsh", path, ("flexifilter", "-o"), "TimedULongS")[:2] == ["plain", "TimedULongSeq"]
 
 
+@pytest.mark.slow(kept_by="test_names_are_completed_without_importing_what_has_them")
 def test_fish_gets_commands_with_their_line_of_help(path: str) -> None:
     answer = "\n".join(ask("fish", path, (), "doc"))
     assert "doctor" in answer
@@ -111,16 +114,19 @@ def test_fish_gets_commands_with_their_line_of_help(path: str) -> None:
     assert any("TimedULongSeq" in line for line in ask("fish", path, ("flexifilter", "-o"), "TimedULongS"))
 
 
+@pytest.mark.slow(kept_by="test_names_are_completed_without_importing_what_has_them")
 def test_system_files_are_completed_by_the_shell(path: str) -> None:
     assert ask("bash", path, ("run",), "examples/he") == ["file,examples/he"]
     assert ask("bash", path, ("inspect",), "examples/he") == ["file,examples/he"]
 
 
+@pytest.mark.slow(kept_by="test_names_are_completed_without_importing_what_has_them")
 def test_what_cannot_be_completed_says_nothing(path: str) -> None:
     assert ask("bash", path, ("no_such_command",), "x") == []
     assert "".join(ask("bash", path, ("inspect", "NoSuch"), "--zz")) == ""
 
 
+@pytest.mark.slow(kept_by="test_names_are_completed_without_importing_what_has_them")
 def test_it_answers_fast(path: str) -> None:
     """Aim 0.5 s on a machine of its own; here a bound that a loaded one keeps, on the better of two."""
     took = []

@@ -34,6 +34,7 @@ def start(environment: dict[str, str]) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.slow(kept_by="test_the_chart_shows_both_and_stays_within_its_width")
 @pytest.mark.fault("F14")
 def test_it_runs_without_a_terminal_and_in_any_surroundings(tmp_path: Path) -> None:
     began = time.monotonic()
@@ -59,6 +60,7 @@ def test_it_runs_without_a_terminal_and_in_any_surroundings(tmp_path: Path) -> N
     assert time.monotonic() - began < 40  # it ends within 5 s on a machine of its own
 
 
+@pytest.mark.slow(kept_by="test_the_chart_shows_both_and_stays_within_its_width")
 def test_its_source_is_a_program_that_runs(tmp_path: Path) -> None:
     source = here("demo", "--source")
     assert (source.returncode, source.stderr) == (0, "")
@@ -68,6 +70,7 @@ def test_its_source_is_a_program_that_runs(tmp_path: Path) -> None:
     assert len(done.stdout.splitlines()) >= 10
 
 
+@pytest.mark.slow(kept_by="test_nothing_is_overwritten")
 def test_what_it_saves_runs_and_passes_its_tests(tmp_path: Path) -> None:
     saved = here(tmp_path, "demo", "--save", "my motor/first")
     assert (saved.returncode, saved.stderr) == (0, "")
@@ -119,6 +122,7 @@ def test_where_nothing_can_be_written_is_one_line(
     assert said.startswith("aiorts: E-")
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("F11")
 def test_a_reader_that_has_seen_enough_ends_it_quietly() -> None:
     done = subprocess.run(

@@ -110,6 +110,7 @@ def test_a_page_of_a_system_has_its_drawing_and_its_types(
         assert part in page
 
 
+@pytest.mark.slow(kept_by="test_a_page_of_a_system_has_its_drawing_and_its_types")
 def test_a_type_of_a_plugin_that_lies_beside_the_system_is_described(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

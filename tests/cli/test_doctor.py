@@ -33,6 +33,7 @@ def by_name(done: subprocess.CompletedProcess[str]) -> dict[str, dict[str, str]]
     return {one["what"]: one for one in found}
 
 
+@pytest.mark.slow(kept_by="first")
 def test_it_looks_at_everything_and_measures_the_timer() -> None:
     done = doctor()
     assert (done.returncode, done.stderr) == (0, "")
@@ -48,6 +49,7 @@ def test_it_looks_at_everything_and_measures_the_timer() -> None:
         assert 'pip install "aiorts[bench]"' in found["extra bench"]["remedy"]
 
 
+@pytest.mark.slow(kept_by="test_it_looks_at_everything_and_measures_the_timer")
 def test_privileges_that_are_denied_say_how_to_get_them() -> None:
     libc = ctypes.CDLL(None)
 
@@ -67,6 +69,7 @@ def test_privileges_that_are_denied_say_how_to_get_them() -> None:
     assert found["files"]["verdict"] == "note"
 
 
+@pytest.mark.slow(kept_by="test_it_looks_at_everything_and_measures_the_timer")
 @pytest.mark.fault("F16")
 def test_problems_make_the_exit_status_1(tmp_path: Path) -> None:
     broken = tmp_path / "plugin"
@@ -82,6 +85,7 @@ def test_problems_make_the_exit_status_1(tmp_path: Path) -> None:
     assert "1 problem, " in told.stdout
 
 
+@pytest.mark.slow(kept_by="test_it_looks_at_everything_and_measures_the_timer")
 @pytest.mark.fault("F14")
 def test_an_encoding_without_other_letters_is_a_note() -> None:
     """On a terminal: what is piped is UTF-8 whatever the encoding is."""

@@ -112,7 +112,7 @@ def test_the_table_is_what_scripts_may_rely_on() -> None:
 
 
 def test_help_shows_the_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command(["help"]) == 0
+    assert run_command(["help", "commands"]) == 0
     shown = " ".join(capsys.readouterr().out.partition("Exit status:")[2].split())
     assert shown == " ".join(f"{number} {meaning}" for number, meaning in exits.TABLE)
 
@@ -179,6 +179,7 @@ def test_a_filter_keeps_to_it(folder: Path, lines: str, status: int) -> None:
     assert (done.returncode, "2}" in done.stdout) == (status, True)
 
 
+@pytest.mark.slow
 def test_a_recording_that_is_damaged_or_differs_is_a_failure(folder: Path) -> None:
     for name, value in (("one", "1"), ("two", "2")):
         made = here(folder, "flexilogger", "-p", "TimedLong", "-l", f"{name}.mcap", stdin=f"{value}\n" * 100)
@@ -193,6 +194,7 @@ def test_a_recording_that_is_damaged_or_differs_is_a_failure(folder: Path) -> No
     assert here(folder, "log", "convert", "one.mcap", "one.csv").returncode == exits.REFUSED
 
 
+@pytest.mark.slow
 def test_a_component_that_waits_to_be_helped_when_the_time_is_over_has_ended_in_error(folder: Path) -> None:
     table = '[components.source.supervision]\nrestart = "{}"\nbackoff = 20.0\n[components.double]'
     for action in ("reset", "restart"):
@@ -330,6 +332,7 @@ def test_a_failure_in_the_last_moments_counts(tmp_path: Path, name: str, status:
         assert ("aiorts: E-" in done.stderr or "fault" in done.stderr) is (name != "Asked"), done.stderr
 
 
+@pytest.mark.slow
 def test_a_failure_in_the_last_moments_of_a_thread_counts(folder: Path) -> None:
     (folder / "last.py").write_text(LAST)
     for name, status in ("Deactivated", exits.FAILED), ("Asking", exits.IN_ERROR):
@@ -384,6 +387,7 @@ def test_a_run_whose_source_goes_for_good_before_all_is_started_ends(tmp_path: P
     assert "nobody has ended it" not in ended.stderr
 
 
+@pytest.mark.slow
 def test_no_command_returns_a_number_of_its_own() -> None:
     """In functions that click calls, and in what ends the process, a status is a name of the table."""
     faults = []

@@ -69,6 +69,7 @@ def test_what_may_have_been_meant_is_never_what_was_typed(tmp_path: Path) -> Non
         assert said.count("did you mean") <= 1, (command, said)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [("run", "system.toml"), ("flexiconst", "-p", "TimedLong", "-c", "1", "--count", "1")]
 )
@@ -111,6 +112,7 @@ def test_what_is_wrong_with_a_file_is_said_at_once(tmp_path: Path, text: str, sa
     assert said in (check.stdout + check.stderr)
 
 
+@pytest.mark.slow(kept_by="cli/test_clock.py::test_the_clock_of_the_file_is_taken_and_the_command_line_wins")
 def test_a_slow_clock_loses_no_sample_at_the_end(tmp_path: Path) -> None:
     (tmp_path / "parts.py").write_text(PARTS)
     (tmp_path / "system.toml").write_text(TWO.format(kind="periodic", rate=2.0, sink="Sink"))
@@ -118,6 +120,7 @@ def test_a_slow_clock_loses_no_sample_at_the_end(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout.split()) == (0, ["0", "1", "2"]), done.stderr
 
 
+@pytest.mark.slow(kept_by="cli/test_exits.py::test_a_failure_in_the_last_moments_counts")
 def test_samples_lost_at_the_end_are_a_failure(tmp_path: Path) -> None:
     (tmp_path / "parts.py").write_text(PARTS)
     (tmp_path / "system.toml").write_text(TWO.format(kind="periodic", rate=100.0, sink="Deaf"))
@@ -126,6 +129,7 @@ def test_samples_lost_at_the_end_are_a_failure(tmp_path: Path) -> None:
     assert "E-UNREAD" in done.stderr
 
 
+@pytest.mark.slow(kept_by="test_what_is_wrong_with_a_file_is_said_at_once")
 def test_a_process_that_goes_on_after_a_run_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "parts.py").write_text(PARTS)
     (tmp_path / "system.toml").write_text(TWO.format(kind="periodic", rate=100.0, sink="Sink"))

@@ -34,6 +34,7 @@ def lines(text: str) -> list[object]:
     return [json.loads(line)["data"] for line in text.splitlines()]
 
 
+@pytest.mark.slow(kept_by="test_good_lines_go_through_and_a_bad_one_makes_the_exit_status_1")
 def test_three_filters_in_a_pipe_print_five_lines() -> None:
     command = f"{sys.executable} -m aiorts"
     pipe = (
@@ -131,6 +132,7 @@ def test_good_lines_go_through_and_a_bad_one_makes_the_exit_status_1() -> None:
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow(kept_by="test_good_lines_go_through_and_a_bad_one_makes_the_exit_status_1")
 def test_a_hundred_thousand_lines_go_through_and_none_is_lost() -> None:
     stdin = "".join(f'{{"data": {number}}}\n' for number in range(100_000))
     done = aiorts("flexifilter", "-i", "TimedDouble", "-o", "TimedLong", "-m", "0>1>0", stdin=stdin)
@@ -161,6 +163,7 @@ def test_at_the_end_of_input_what_is_left_is_processed_and_components_are_deacti
     assert "2 samples were not shown" in done.stderr  # which it says when it is deactivated
 
 
+@pytest.mark.slow(kept_by="test_at_the_end_of_input_what_is_left_is_processed_and_components_are_deactivated")
 def test_a_terminal_is_told_what_is_awaited() -> None:
     leader, follower = os.openpty()
     process = subprocess.Popen(

@@ -43,6 +43,7 @@ def test_frames_are_as_they_are_written_down() -> None:
     assert framed("in", b"abc") == b"\x02\x00\x00\x00\x03inabc"
 
 
+@pytest.mark.slow(kept_by="test_what_a_filter_writes_is_what_the_next_one_reads")
 def test_every_frame_of_many_arrives_in_order_in_any_pieces() -> None:
     done = here(*DUMP, "--codec", "msgpack", stdin=frames(*range(20_000)))
     assert done.returncode == 0
@@ -102,6 +103,7 @@ def test_a_codec_of_a_plugin_is_used(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, b"42\n", b"")
 
 
+@pytest.mark.slow(kept_by="test_a_bad_frame_is_one_line_and_counted_and_the_good_ones_are_processed")
 def test_a_codec_that_fails_ends_the_filter_and_nothing_hangs(tmp_path: Path) -> None:
     text = "class Broken:\n    def encode(self, *any): raise OverflowError('no')\n    decode = encode\n"
     project(tmp_path, "broken", {"broken_codec": text}, {"codecs/broken": "broken_codec:Broken"})
@@ -112,6 +114,7 @@ def test_a_codec_that_fails_ends_the_filter_and_nothing_hangs(tmp_path: Path) ->
         assert b"Traceback" not in done.stderr
 
 
+@pytest.mark.slow(kept_by="test_frames_are_as_they_are_written_down")
 @pytest.mark.skipif(sys.platform == "win32", reason="terminals are POSIX")
 def test_a_terminal_gets_no_binary_frames() -> None:
     ours, theirs = pty.openpty()
@@ -130,6 +133,7 @@ def test_a_terminal_gets_no_binary_frames() -> None:
     assert b"binary frames are nothing for a terminal; redirect standard output" in done.stderr
 
 
+@pytest.mark.slow(kept_by="cli/test_demo.py::test_a_reader_that_has_seen_enough_ends_it_quietly")
 @pytest.mark.fault("F11")
 def test_a_reader_that_goes_ends_the_writer_quietly() -> None:
     writer = subprocess.Popen(

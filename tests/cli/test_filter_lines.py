@@ -63,6 +63,7 @@ GOOD: list[tuple[bytes, str]] = [
 ]
 
 
+@pytest.mark.slow(kept_by="wire/test_lines.py::test_a_bad_line_says_what_is_wrong")
 def test_whatever_a_line_is_it_goes_through_or_is_one_line_of_error_and_neither_takes_long() -> None:
     lines, bad, good = [], {}, []
     for number in range(max(len(BAD), len(GOOD))):
@@ -87,6 +88,7 @@ def test_whatever_a_line_is_it_goes_through_or_is_one_line_of_error_and_neither_
         assert line.isprintable()
 
 
+@pytest.mark.slow(kept_by="test_of_ten_thousand_lines_one_in_a_hundred_is_bad_and_all_others_are_processed")
 def test_lines_that_are_bad_for_one_reason_are_folded_and_all_are_counted() -> None:
     lines = [b'{"data": "x"}' if number % 4 else b"nix" for number in range(1, 20_001)]
     status, out, err = aiorts(*THROUGH, stdin=b"\n".join(lines))
@@ -131,6 +133,7 @@ def test_several_ports_in_and_out_are_told_apart_by_their_names() -> None:
     assert "there are input0, input1" in line
 
 
+@pytest.mark.slow
 def test_the_lines_of_one_filter_are_what_another_reads() -> None:
     """Records, bytes, enumerations and numbers that are none, through filters that change nothing."""
     kinds = ["RangeData", "GPSData", "TimedOctetSeq", "TimedDoubleSeq", "CameraImage"]

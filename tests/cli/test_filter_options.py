@@ -119,6 +119,7 @@ def test_an_option_given_twice_is_refused_and_none_of_it_forgotten(
     assert f"--{'port' if options[2] == '-p' else 'verbosity'}: given 2 times; give it once" in capsys.readouterr().err
 
 
+@pytest.mark.slow(kept_by="flexi/test_originals.py::test_types_of_any_module_can_be_used")
 @pytest.mark.row(64)
 @pytest.mark.parametrize(("where", "flag"), [("path", "--type-mod"), ("here", "-m")])
 def test_types_of_a_module_of_the_user_can_be_used(tmp_path: Path, where: str, flag: str) -> None:
@@ -143,6 +144,7 @@ def test_types_of_a_module_of_the_user_can_be_used(tmp_path: Path, where: str, f
     assert (shown.returncode, json.loads(shown.stdout)["data"]) == (0, 25.0)
 
 
+@pytest.mark.slow(kept_by="test_without_verbosity_nothing_is_said_of_the_ports")
 @pytest.mark.row(64)
 @pytest.mark.parametrize("name", sorted(SIX))
 def test_each_of_the_six_takes_type_modules_and_a_verbosity(tmp_path: Path, name: str) -> None:
@@ -160,6 +162,7 @@ def test_without_verbosity_nothing_is_said_of_the_ports() -> None:
     assert "ports: " not in done.stderr
 
 
+@pytest.mark.slow(kept_by="cli/test_plugins_commands.py::test_a_module_of_types_that_cannot_be_had_is_one_line")
 @pytest.mark.fault("F05")
 @pytest.mark.parametrize(
     ("text", "said"),
@@ -181,6 +184,7 @@ def test_a_type_module_that_cannot_be_had_is_one_line(tmp_path: Path, text: str 
     assert said in line
 
 
+@pytest.mark.slow
 def test_a_module_of_the_current_folder_takes_no_place_of_pythons_own(tmp_path: Path) -> None:
     (tmp_path / "wave.py").write_text("raise RuntimeError('not this one')")
     (tmp_path / "mytypes.py").write_text(f"import wave\n{TYPES}")  # which nobody has imported before

@@ -40,6 +40,7 @@ def test_a_selection_counts_for_the_lines_after_it(order: str) -> None:
     assert "E-SELECT" in err[0]
 
 
+@pytest.mark.slow
 def test_each_line_makes_a_sum_with_the_last_of_the_others() -> None:
     stdin = "".join(line(f"input{number % 2}", number) for number in range(1, 2001))
     status, values, err = ran("flexiadd", "-p", "TimedLong:2", stdin=stdin)
@@ -47,6 +48,7 @@ def test_each_line_makes_a_sum_with_the_last_of_the_others() -> None:
     assert values == ["1", *(str(number * 2 - 1) for number in range(2, 2001))]
 
 
+@pytest.mark.slow(kept_by="test_sums_of_all_wait_for_partners_that_come_much_later")
 def test_a_hundred_thousand_lines_of_two_ports_in_runs_stay_fast() -> None:
     stdin = "".join(line(f"input{number // 1000 % 2}", number) for number in range(50_000))
     began = time.monotonic()

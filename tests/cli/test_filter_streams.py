@@ -56,6 +56,7 @@ def ended(command: str, keep: list[int] | None = None, **streams: int) -> Ended:
     return Ended(process.returncode, said, complained, used.ru_utime + used.ru_stime)
 
 
+@pytest.mark.slow(kept_by="cli/test_demo.py::test_a_reader_that_has_seen_enough_ends_it_quietly")
 @pytest.mark.fault("F11")
 @pytest.mark.parametrize("command", [f"yes 1 | {DUMP}", f"yes 1 | {FILTER}", CONST], ids=["dump", "filter", "const"])
 def test_a_reader_that_takes_one_line_ends_it_quietly_and_soon(command: str) -> None:
@@ -78,6 +79,7 @@ def starting() -> float:
     return min(ended(DUMP).cpu for _ in range(2))
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F12")
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize(
@@ -108,6 +110,7 @@ def test_whatever_its_streams_are_it_ends_with_the_right_status_and_no_busy_loop
     assert found.cpu - starting < 1.0
 
 
+@pytest.mark.slow(kept_by="cli/test_demo.py::test_a_reader_that_has_seen_enough_ends_it_quietly")
 @pytest.mark.fault("F12")
 def test_a_closed_output_ends_a_source_that_would_run_for_ever() -> None:
     found = ended(f"{COMMAND} flexiconst -p TimedLong -c 1 -r 50 --for 20 >&-")
@@ -154,6 +157,7 @@ def test_a_recording_is_not_printed_to_a_closed_output(tmp_path: Path) -> None:
     assert found.err.startswith("aiorts: E-OUTPUT: standard output is closed")
 
 
+@pytest.mark.slow(kept_by="system/test_pipes.py::test_input_of_every_kind_comes_to_its_end")
 @pytest.mark.fault("F12")
 def test_a_silent_input_costs_nothing_until_its_end_and_is_no_terminal(starting: float) -> None:
     reading, writing = os.pipe()
@@ -166,6 +170,7 @@ def test_a_silent_input_costs_nothing_until_its_end_and_is_no_terminal(starting:
     assert found.cpu - starting < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F12")
 def test_a_terminal_that_is_hung_up_is_the_end_of_input() -> None:
     leader, follower = os.openpty()
@@ -234,6 +239,7 @@ members = ["dump"]
 """
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F13")
 @pytest.mark.parametrize(
     "way", ["", 'full = "block"\ntimeout = inf'] if CAMPAIGN else ['full = "block"\ntimeout = inf'], ids=len
@@ -269,6 +275,7 @@ def test_who_reads_a_dump_and_stalls_delays_no_other_component(way: str, tmp_pat
     assert float(late) - 0.01 < 0.05  # 0.1 ms on a machine that is free
 
 
+@pytest.mark.slow(kept_by="system/test_pipes.py::test_input_of_every_kind_comes_to_its_end")
 @pytest.mark.fault("F11")
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("codec", [(), ("--codec", "msgpack")], ids=["lines", "frames"])

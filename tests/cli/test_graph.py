@@ -34,6 +34,7 @@ def test_the_end_of_the_file_name_says_the_form(tmp_path: Path, capsys: Out) -> 
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F15")
 def test_a_file_that_cannot_be_written_is_one_line_and_what_was_there_stays(tmp_path: Path, capsys: Out) -> None:
     for target in (tmp_path / "no" / "x.svg", tmp_path):

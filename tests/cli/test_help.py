@@ -7,15 +7,21 @@ import subprocess
 import sys
 import time
 import tomllib
+from importlib.metadata import entry_points
+from pathlib import Path
 
+import click
 import pytest
 from test_layers import ROOT, sources
 
 import aiorts
+import aiorts.cli.app
 import aiorts.errors
 from aiorts.cli.app import run_command
 from aiorts.cli.console.codes import CODES
 from aiorts.errors import AiortsError, MissingExtra
+from aiorts.guide import pages
+from aiorts.tiers import EXPERIMENTAL, LATTER, PROVISIONAL, tier_of_command
 from run_parts import here
 
 PRINTED = re.compile(r'"(?:aiorts: )?([EWN]-[A-Z][A-Z-]*)[":]')
@@ -38,6 +44,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
     return status, said.out, said.err
 
 
+@pytest.mark.slow
 def test_every_code_that_can_be_printed_is_explained_and_nothing_else() -> None:
     found = printed_codes()
     assert "E-LINE" in found
@@ -90,11 +97,83 @@ def test_the_first_screen(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = run(capsys)
     assert (status, out) == (2, "")
     assert err == run(capsys, "--help")[1]
-    for word in ("Begin:", "demo", "Systems:", "run", "inspect", "doctor", "flexifilter", "Components, as filters:"):
-        assert word in err
     assert run(capsys, "help")[1] == err
 
 
+def test_the_first_screen_has_the_daily_commands_on_sixty_lines_whatever_plugins_there_are(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    offered = "".join(f'part{n} = "x:y"\n' for n in range(200))
+    groups = "".join(f'[project.entry-points."aiorts.{kind}"]\n{offered}' for kind in ("components", "commands"))
+    (tmp_path / "pyproject.toml").write_text(f'[project]\nname = "many"\n{groups}')
+    monkeypatch.setenv("COLUMNS", "100")
+    for arguments in (("--help",), ("--plugins", str(tmp_path), "--help")):
+        lines = run(capsys, *arguments)[1].splitlines()
+        assert 40 < len(lines) <= 60
+        assert max(map(len, lines)) <= 100
+        named = [line.split()[0] for line in lines if re.match(r"  [a-z]+  +[A-Z]", line)]
+        daily = ["run", "check", "ls", "cat", "conf", "connect", "top", "print", "record", "log", "bench"]
+        assert [name for name in daily if name not in named] == []
+        assert len(set(named)) == len(named) < 25
+
+
+def test_every_command_has_its_sentence_in_the_list_of_all_and_in_its_own_help(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("AIORTS_PLUGINS", raising=False)
+    monkeypatch.setenv("COLUMNS", "100")
+    root = aiorts.cli.app.aiorts
+    listed = run(capsys, "help", "commands")[1]
+    sentences = dict(re.findall(r"^  ([a-z]+) +([A-Z].*\.)$", listed, re.MULTILINE))
+    context = click.Context(root, info_name="aiorts")
+    names = [name for name in root.list_commands(context) if not name.startswith("flexi")]
+    assert sorted(sentences) == sorted(names)
+    assert [name for name, line in sentences.items() if line.startswith("Of ")] == []
+    waiting, without = [(name, root, context) for name in names], []
+    while waiting:
+        name, group, parent = waiting.pop()
+        command = group.get_command(parent, name)
+        assert command is not None
+        context = click.Context(command, parent=parent, info_name=name)
+        if not re.match(r"[A-Z].*?[.:](\s|$)", (command.help or "").strip(), re.DOTALL):
+            without.append(context.command_path)
+        if isinstance(command, click.Group):
+            waiting += [(below, command, context) for below in command.list_commands(context)]
+    assert without == []
+
+
+def test_the_help_of_run_leads_with_its_options(capsys: pytest.CaptureFixture[str]) -> None:
+    said = run(capsys, "run", "--help")[1]
+    before = said.partition("\nOptions:")[0]
+    assert len(before.splitlines()) <= 8
+    assert "aiorts help run-system" in before
+    assert run(capsys, "help", "run-system")[0] == 0
+
+
+def test_a_command_says_that_it_is_not_stable_in_one_line_of_its_help(capsys: pytest.CaptureFixture[str]) -> None:
+    said = {
+        name: run(capsys, name, "--help")[1] for name in (*PROVISIONAL.commands, *EXPERIMENTAL.commands, "run", "log")
+    }
+    for name, text in said.items():
+        found = re.findall(r"^  (Provisional|Experimental): .*`aiorts help stability`\)\.$", text, re.MULTILINE)
+        tier = tier_of_command(name)
+        assert found == ([] if tier is None else [tier.name]), name
+
+
+def test_what_the_tiers_name_exists_and_whatever_reaches_a_running_kernel_is_provisional_at_most() -> None:
+    root = aiorts.cli.app.aiorts
+    names = set(root.list_commands(click.Context(root)))
+    for tier in LATTER:
+        assert sorted(tier.commands - names) == []
+        assert sorted(tier.pages - {page.name for page in pages()}) == []
+    live = {name for name, (target, _) in root.own.items() if target.startswith("aiorts.cli.commands.live.")}
+    assert sorted(live - PROVISIONAL.commands - EXPERIMENTAL.commands) == []
+    plugins = {one.name: one.value for one in entry_points(group="aiorts.commands")}
+    of_experimental = ("aiorts_zenoh", "aiorts_openrtm", "aiorts_foxglove")
+    assert {name for name, value in plugins.items() if value.startswith(of_experimental)} <= EXPERIMENTAL.commands
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [["-m", "aiorts"], ["-c", "import sys; from aiorts.cli import main; sys.exit(main())"]]
 )
@@ -166,6 +245,7 @@ def test_a_missing_extra_says_which_command_installs_it() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_help_comes_at_once() -> None:
     """Nothing heavy is imported for the first screen: a generous bound, and what must not be there."""
     code = "import sys; from aiorts.cli.app import run_command; run_command(['--help']); print(*sys.modules)"

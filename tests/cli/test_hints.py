@@ -95,6 +95,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow(kept_by="test_a_transformer_that_nothing_is_connected_to_is_not_waited_for")
 @pytest.mark.parametrize("way", ["--for", "SIGINT", "SIGTERM"])
 def test_the_end_costs_few_cycles_where_each_takes_longer_than_its_period(folder: Path, way: str) -> None:
     """It took 20 cycles more: each turn of the loop on the way to the end ran one of them."""
@@ -186,6 +187,7 @@ def test_the_warning_of_lost_samples_is_shown_whole_however_long_the_names_are(f
     )
 
 
+@pytest.mark.slow(kept_by="test_samples_that_a_reader_passed_over_unawares_are_told")
 @pytest.mark.parametrize(("name", "told"), [("newest", True), ("every", False)])
 def test_a_filter_tells_of_every_sample_it_passed_over(folder: Path, name: str, told: bool) -> None:
     numbers = "".join(f"{number}\n" for number in range(100))
@@ -204,6 +206,7 @@ def test_a_filter_tells_of_every_sample_it_passed_over(folder: Path, name: str, 
     assert (done.stdout.count("\n") == 100) is not told
 
 
+@pytest.mark.slow(kept_by="testing/test_rig.py::test_an_await_that_is_missing_is_raised_with_hook_line_and_remedy")
 @pytest.mark.parametrize(
     ("name", "said"),
     [
@@ -218,6 +221,7 @@ def test_a_missing_await_is_told_with_component_line_and_remedy(folder: Path, na
     assert line.startswith(f"aiorts: E-AWAIT: {name.lower()}.on_execute: {said}")
 
 
+@pytest.mark.slow(kept_by="test_a_system_in_which_nothing_runs_is_an_error")
 def test_a_component_alone_without_data_says_how_it_gets_some(folder: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "aiorts", "run", "parts.py:Newest"],

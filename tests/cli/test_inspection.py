@@ -291,6 +291,7 @@ def test_an_error_is_json_as_well_when_json_was_asked_for(
 # -- types -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_type_is_listed_with_a_line_that_is_read_back(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = aiorts(capsys, "types", "--json")
     assert (status, err) == (0, "")

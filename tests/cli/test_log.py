@@ -54,6 +54,7 @@ def test_any_other_level_is_refused(text: str) -> None:
         levels_of(Options(log_level=text))
 
 
+@pytest.mark.slow
 def test_a_component_says_what_its_own_level_admits(folder: Path) -> None:
     done = here(folder, "run", *SIMULATED, "--log-level", "error,sink=info")
     assert done.stderr == "aiorts: info: sink: ready\n"
@@ -95,6 +96,7 @@ def test_a_run_that_fails_before_it_begins_is_json_too(folder: Path, arguments: 
     assert line["code"].startswith("E-")
 
 
+@pytest.mark.slow(kept_by="test_the_file_has_every_line_and_standard_error_what_is_wrong")
 def test_in_virtual_time_two_logs_are_the_same_bytes(folder: Path) -> None:
     logs = []
     for name in ("a.log", "b.log"):
@@ -117,6 +119,7 @@ def test_the_file_has_every_line_and_standard_error_what_is_wrong(folder: Path) 
     assert len(lines) == 6
 
 
+@pytest.mark.slow(kept_by="test_a_file_that_somebody_else_has_locked_without_a_name_is_refused_all_the_same")
 @pytest.mark.fault("F15")
 def test_the_second_run_on_a_log_file_says_which_process_has_it(folder: Path) -> None:
     arguments = ("system.toml", "--log-file", "run.log")
@@ -134,6 +137,7 @@ def test_the_second_run_on_a_log_file_says_which_process_has_it(folder: Path) ->
     assert aiorts(folder, "run", *arguments, "--for", "0.1").returncode == 0
 
 
+@pytest.mark.slow(kept_by="test_a_file_that_somebody_else_has_locked_without_a_name_is_refused_all_the_same")
 @pytest.mark.fault("F15")
 def test_many_who_begin_at_once_leave_one_with_the_file(folder: Path) -> None:
     processes = [begun(folder, "system.toml", "--log-file", "run.log", "--for", "1.5") for _ in range(3)]
@@ -143,6 +147,7 @@ def test_many_who_begin_at_once_leave_one_with_the_file(folder: Path) -> None:
     assert sum(f"process {holder.pid} writes to it" in errors for errors in ended) == 2
 
 
+@pytest.mark.slow(kept_by="test_lines_that_were_lost_are_counted_once_there_is_room")
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk_is_said_once_and_the_run_goes_on(folder: Path) -> None:
     done = here(folder, "run", "parts.py:Talker", "--rate", "50", "--for", "0.5", "--log-file", "/dev/full")
@@ -193,6 +198,7 @@ def test_nobody_is_kept_from_a_device_or_waits_for_a_pipe(folder: Path) -> None:
     assert "a pipe without a reader" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_component_in_error_is_named_again_at_the_end_when_that_was_long_ago(folder: Path) -> None:
     arguments = ("system.toml", "--set", "sink.limit=3", "--simulate", "--for")
     soon = here(folder, "run", *arguments, "0.5").stderr.splitlines()

@@ -45,6 +45,7 @@ def ran(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-m", *words], cwd=folder, capture_output=True, text=True, timeout=100)
 
 
+@pytest.mark.slow(kept_by="test_its_system_is_without_a_fault")
 @pytest.mark.parametrize("name", WORDS)
 def test_it_passes_its_test_and_is_clean(tmp_path: Path, name: str) -> None:
     folder = made(tmp_path, name)
@@ -69,6 +70,7 @@ def test_its_system_is_without_a_fault(tmp_path: Path, name: str) -> None:
     assert [one for one in check(folder / "system.toml") if one.severity == "error"] == []
 
 
+@pytest.mark.slow(kept_by="test_its_system_is_without_a_fault")
 def test_its_system_runs_at_once(tmp_path: Path) -> None:
     folder = made(tmp_path, "ports")
     done = ran(tmp_path, "aiorts", "run", str(folder / "system.toml"), "--simulate", "--for", "1")

@@ -127,10 +127,14 @@ async def test_a_kernel_names_the_class_that_cannot_be_constructed_and_keeps_the
 # -- plugins of a folder -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_help_lists_what_the_environment_names_and_finds_functions(folder: Path) -> None:
     (folder / "p").mkdir()
     (folder / "p" / "parts.py").write_text(PARTS)
-    for done in (here(folder, "--help", AIORTS_PLUGINS="p"), here(folder, "--plugins", "p", "--help")):
+    for done in (
+        here(folder, "help", "commands", AIORTS_PLUGINS="p"),
+        here(folder, "--plugins", "p", "help", "commands"),
+    ):
         assert done.returncode == 0
         listed = done.stdout.split("Components, as filters:")[1].replace(",", " ").split()
         assert {"lowpass", "scale", "half", "third"} <= set(listed)
@@ -182,6 +186,7 @@ def test_a_plugin_s_error_names_its_own_file_and_keeps_cause_and_remedy(folder: 
     assert f"{deep}/lp.py" in done.stderr
 
 
+@pytest.mark.slow
 @given(
     st.lists(
         st.one_of(

@@ -36,6 +36,7 @@ def write(folder: Path, module: str, text: str, name: str) -> None:
     (folder / "pyproject.toml").write_text(f'[project]\nname = "{module}"\n{groups}\n{name} = "{module}:Good"\n')
 
 
+@pytest.mark.slow(kept_by="first")
 def test_what_is_installed_is_listed_and_nothing_imported() -> None:
     done = aiorts("plugins")
     assert (done.returncode, done.stderr) == (0, "")
@@ -47,6 +48,7 @@ def test_what_is_installed_is_listed_and_nothing_imported() -> None:
     ).items()
 
 
+@pytest.mark.slow(kept_by="extensions/test_loading.py::test_a_broken_plugin_is_named_and_the_others_work")
 @pytest.mark.fault("F05")
 def test_each_kind_of_broken_plugin_is_named_and_all_else_works(tmp_path: Path) -> None:
     for name, (text, _) in BROKEN.items():
@@ -63,6 +65,7 @@ def test_each_kind_of_broken_plugin_is_named_and_all_else_works(tmp_path: Path) 
     assert verdicts["aiorts.contexts:EventContext"] == "ok"
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F05")
 def test_a_folder_that_cannot_be_read_is_a_line_and_the_rest_is_listed(tmp_path: Path) -> None:
     done = aiorts("plugins", "--plugins", str(tmp_path / "none"))
@@ -71,6 +74,9 @@ def test_a_folder_that_cannot_be_read_is_a_line_and_the_rest_is_listed(tmp_path:
     assert done.stderr.startswith("aiorts: E-PLUGIN: folder ")
 
 
+@pytest.mark.slow(
+    kept_by="system/test_check.py::test_what_keeps_a_module_from_being_imported_is_said_once_with_the_line_of_the_field"
+)
 def test_one_fault_of_several_extensions_is_told_once(tmp_path: Path) -> None:
     bad = "from aiorts.types import record\n@record\nclass Bad:\n    level: float | str = 0.0\n"
     write(tmp_path / "one", "plug_one", bad + GOOD, "First")

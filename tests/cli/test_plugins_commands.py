@@ -50,6 +50,7 @@ def greets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return project(folder, "greets", {"greets": COMMAND + COMPONENT}, {**entries, "components/Good": "greets:Good"})
 
 
+@pytest.mark.slow(kept_by="test_inspect_sees_the_folders_named_for_every_command")
 def test_a_folder_named_for_all_commands_or_in_the_environment_is_seen_by_each(greets: Path, tmp_path: Path) -> None:
     for done in (
         aiorts("--plugins", str(greets), "hello", "--times", "2"),
@@ -82,10 +83,12 @@ def test_a_folder_that_is_not_there_is_refused_where_it_is_typed_and_reported_wh
 def test_help_names_commands_of_plugins_and_components_without_importing_them(greets: Path) -> None:
     (greets / "greets.py").rename(greets / "away.py")
     try:
-        done = here("--plugins", str(greets), "--help")
+        first = here("--plugins", str(greets), "--help")
+        done = here("--plugins", str(greets), "help", "commands")
     finally:
         (greets / "away.py").rename(greets / "greets.py")
-    assert (done.returncode, done.stderr) == (0, "")
+    assert (first.returncode, first.stderr) == (done.returncode, done.stderr) == (0, "")
+    assert "Commands of other plugins: hello, " in first.stdout
     assert f"hello       Of folder {greets}"[:20] in done.stdout
     assert "two words" not in done.stdout
     assert "log         Recordings: " in done.stdout
@@ -93,6 +96,7 @@ def test_help_names_commands_of_plugins_and_components_without_importing_them(gr
     assert "flexiselect" in done.stdout
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("name", "status", "expected"),
     [
@@ -107,6 +111,7 @@ def test_a_command_of_a_plugin_ends_as_it_wants(greets: Path, name: str, status:
     assert (done.returncode, done.stdout, done.stderr) == (status, "", expected)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("F05")
 def test_a_command_that_fails_is_one_line_and_its_traceback_is_there_on_demand(greets: Path) -> None:
     done = here("--plugins", str(greets), "fails")
@@ -131,6 +136,7 @@ def test_aiorts_own_commands_come_first_and_the_clash_is_reported(greets: Path) 
     assert any("command 'two words': such a name cannot be typed" in fault for fault in faults)
 
 
+@pytest.mark.slow(kept_by="control/test_live_files.py::test_filter_reaches_a_component_with_the_name_of_a_command")
 def test_a_component_with_the_name_of_a_command_is_reached_as_a_filter_and_the_clash_is_named(tmp_path: Path) -> None:
     part = "from aiorts import Component\nclass Ls(Component):\n    '''Not the command.'''\n"
     folder = str(project(tmp_path / "part", "part", {"part": part}, {"components/Ls": "part:Ls"}))
@@ -158,7 +164,7 @@ def test_nothing_that_is_listed_commands_the_terminal(tmp_path: Path) -> None:
         f'[project]\nname = "odd"\n[project.entry-points."aiorts.components"]\n"{odd}" = "x\\u001b:y"\n"Ünï" = "x:y"\n'
         f'[project.entry-points."aiorts.{odd}"]\n"x" = "x:y"\n'
     )
-    for arguments in (("plugins",), ("plugins", "--json"), ("--help",)):
+    for arguments in (("plugins",), ("plugins", "--json"), ("--help",), ("help", "commands")):
         done = here("--plugins", str(tmp_path), *arguments)
         assert not [c for c in done.stdout + done.stderr if not c.isprintable() and c != "\n"]
     listed = here("--plugins", str(tmp_path), "plugins")
@@ -166,6 +172,9 @@ def test_nothing_that_is_listed_commands_the_terminal(tmp_path: Path) -> None:
     assert "Ünï" in listed.stdout
 
 
+@pytest.mark.slow(
+    kept_by="extensions/test_finders.py::test_a_type_is_imported_when_its_name_is_asked_for_and_no_other_is"
+)
 @pytest.mark.row(64)
 def test_a_type_of_a_plugin_is_used_by_its_name_alone(tmp_path: Path) -> None:
     text = "from aiorts.types import record\n@record\nclass DepthOfPlugin:\n    tm: int = 0\n    below: float = 0.0\n"
@@ -179,6 +188,7 @@ def test_a_type_of_a_plugin_is_used_by_its_name_alone(tmp_path: Path) -> None:
     assert "did you mean DepthOfPlugin" in mistyped.stderr
 
 
+@pytest.mark.slow(kept_by="test_a_module_of_types_that_cannot_be_had_is_one_line")
 @pytest.mark.row(64)
 @pytest.mark.parametrize("way", ["depths", "./depths.py"])
 def test_a_module_of_types_is_named_on_the_command_line(tmp_path: Path, way: str) -> None:
@@ -227,6 +237,7 @@ def test_inspect_sees_the_folders_named_for_every_command(greets: Path) -> None:
         assert f"folder {greets}" in done.stdout
 
 
+@pytest.mark.slow(kept_by="test_inspect_sees_the_folders_named_for_every_command")
 def test_doctor_sees_the_folders_named_for_every_command(tmp_path: Path) -> None:
     (tmp_path / "pyproject.toml").write_text("[project\n")
     assert str(tmp_path) in here("--plugins", str(tmp_path), "doctor").stdout

@@ -58,6 +58,7 @@ def aiorts(site: Path, *arguments: str, stdin: str = "") -> subprocess.Completed
     )
 
 
+@pytest.mark.slow(kept_by="extensions/test_loading.py::test_a_broken_plugin_is_named_and_the_others_work")
 def test_each_of_nine_is_named_with_its_distribution_and_file_and_all_others_are_in_order(site: Path) -> None:
     done = aiorts(site, "plugins", "--check", "--limit", "3", "--json")
     assert done.returncode == 1
@@ -72,6 +73,7 @@ def test_each_of_nine_is_named_with_its_distribution_and_file_and_all_others_are
     assert "component 'Good' is offered twice, by " in done.stderr
 
 
+@pytest.mark.slow(kept_by="cli/test_plugins.py::test_what_is_installed_is_listed_and_nothing_imported")
 def test_the_list_and_the_table_need_no_import(site: Path) -> None:
     done = aiorts(site, "plugins")
     assert "hello" not in done.stdout
@@ -82,6 +84,7 @@ def test_the_list_and_the_table_need_no_import(site: Path) -> None:
     assert all("offered twice" in line for line in done.stderr.splitlines())
 
 
+@pytest.mark.slow(kept_by="test_help_takes_half_a_second_at_the_most")
 def test_help_is_fast_beside_all_of_them(site: Path) -> None:
     for _ in range(3):
         began = _seconds_of_children()
@@ -109,11 +112,15 @@ def test_help_takes_half_a_second_at_the_most(site: Path) -> None:
     assert sorted(took)[94] <= 0.5
 
 
+@pytest.mark.slow(kept_by="test_help_takes_half_a_second_at_the_most")
 def test_a_component_beside_them_runs(site: Path) -> None:
     done = aiorts(site, "fine", "--for", "0.1")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
+@pytest.mark.slow(
+    kept_by="cli/test_plugins_commands.py::test_a_command_that_fails_is_one_line_and_its_traceback_is_there_on_demand"
+)
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
@@ -132,6 +139,9 @@ def test_a_broken_command_is_one_line(site: Path, name: str, expected: str) -> N
     assert expected in done.stderr or "..." in done.stderr
 
 
+@pytest.mark.slow(
+    kept_by="extensions/test_loading.py::test_an_import_that_never_ends_is_left_behind_and_the_loop_goes_on"
+)
 def test_the_check_ends_what_an_import_has_started(tmp_path: Path) -> None:
     """A child of the import holds its streams open; neither it nor its parent outlive the check."""
     pid = tmp_path / "pid"

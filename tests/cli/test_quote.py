@@ -52,6 +52,7 @@ def test_a_long_line_is_cut_round_the_place(place: int) -> None:
     assert line.endswith("...") == (place < 9_900)
 
 
+@pytest.mark.slow(kept_by="test_the_mark_stands_under_the_mistake")
 @settings(max_examples=cases(10_000))
 @example("\udcff", 0, 1, 20, "ascii")
 @example("日" * 100, 50, 2, 21, "utf-8")

@@ -175,6 +175,7 @@ SOURCE_AND_SINK = """
 """
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("loop", ["auto", "asyncio", "uvloop"])
 def test_it_ends_when_the_source_has_finished_and_all_was_taken(write: Callable[[str], Path], loop: str) -> None:
     done = here("run", write(SOURCE_AND_SINK), "--loop", loop, "--set", "counter.count=10")
@@ -186,6 +187,7 @@ def test_it_ends_at_the_status_that_a_component_asks_for(write: Callable[[str], 
     assert (done.returncode, done.stderr) == (7, "")
 
 
+@pytest.mark.slow(kept_by="cli/test_clock.py::test_the_clock_of_the_file_is_taken_and_the_command_line_wins")
 def test_it_ends_after_its_duration_in_virtual_time_too(write: Callable[[str], Path]) -> None:
     path = write(one("Ready"))
     begun = time.monotonic()
@@ -350,6 +352,7 @@ def test_a_bad_command_line_is_one_line_and_status_2(arguments: list[str]) -> No
     only_line(done)
 
 
+@pytest.mark.slow(kept_by="cli/test_signals.py::test_a_signal_ends_it_in_order_within_five_seconds")
 @pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
 @pytest.mark.parametrize(("loop", "number", "status"), [("asyncio", "SIGINT", 130), ("uvloop", "SIGTERM", 143)])
 def test_a_signal_ends_it_in_order(write: Callable[[str], Path], loop: str, number: str, status: int) -> None:
@@ -359,6 +362,7 @@ def test_a_signal_ends_it_in_order(write: Callable[[str], Path], loop: str, numb
     assert (process.returncode, out, errors) == (status, "stopped\n", "")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
 @pytest.mark.fault("F09")
 @pytest.mark.parametrize("kind", ["Blocked", "Stubborn"])
@@ -377,6 +381,7 @@ def test_the_second_signal_ends_it_at_once_also_when_the_loop_is_blocked(
     assert "Traceback" not in errors
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
 @pytest.mark.fault("F09")
 def test_it_is_gone_within_five_seconds_whatever_is_left(write: Callable[[str], Path]) -> None:
@@ -416,6 +421,7 @@ FLOOD = """
 """
 
 
+@pytest.mark.slow(kept_by="cli/test_demo.py::test_a_reader_that_has_seen_enough_ends_it_quietly")
 @pytest.mark.skipif(sys.platform == "win32", reason="no POSIX pipes")
 @pytest.mark.fault("F11")
 def test_a_reader_that_goes_away_ends_it_quietly(write: Callable[[str], Path]) -> None:
@@ -437,6 +443,7 @@ def test_a_reader_that_goes_away_ends_it_quietly(write: Callable[[str], Path]) -
         assert process.stderr.read() == ""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.fault("F12")
 @pytest.mark.parametrize("flush", ["", ", flush=True"])
@@ -459,6 +466,7 @@ def test_a_full_disk_is_said_and_a_failure(write: Callable[[str], Path], flush: 
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
 @pytest.mark.fault("F12")
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-"])

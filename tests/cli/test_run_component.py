@@ -15,6 +15,7 @@ def folder(tmp_path: Path) -> Path:
     return folder_of(tmp_path)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -36,6 +36,9 @@ def system(folder: Path, kind: str, context: str, more: str = "") -> Path:
     return path
 
 
+@pytest.mark.slow(
+    kept_by="supervision/test_blocking_hooks.py::test_an_initialization_that_hangs_is_ended_in_time_and_leaves_nothing"
+)
 @pytest.mark.parametrize("how", [("--simulate",), ("--speed", "100")])
 @pytest.mark.parametrize("alone", [False, True])
 def test_a_component_that_is_never_initialised_is_told_of(tmp_path: Path, alone: bool, how: tuple[str, ...]) -> None:
@@ -47,6 +50,7 @@ def test_a_component_that_is_never_initialised_is_told_of(tmp_path: Path, alone:
     assert done.returncode == 1
 
 
+@pytest.mark.slow(kept_by="supervision/test_readiness.py::test_who_is_missing_is_named_with_the_reason")
 @pytest.mark.parametrize("alone", [False, True])
 def test_a_component_that_is_never_active_is_told_of(tmp_path: Path, alone: bool) -> None:
     path = system(tmp_path, "Begun", 'kind = "event"')
@@ -55,6 +59,9 @@ def test_a_component_that_is_never_active_is_told_of(tmp_path: Path, alone: bool
     assert done.returncode == 1
 
 
+@pytest.mark.slow(
+    kept_by="supervision/test_blocking_hooks.py::test_a_hook_that_hangs_already_is_held_to_a_deadline_that_comes_later"
+)
 @pytest.mark.parametrize(
     ("context", "more"),
     [

@@ -139,6 +139,7 @@ LINES = [
 ]
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("how", [("--simulate",), ("--speed", "5")])
 def test_one_file_with_every_table_does_what_each_says(folder: Path, how: tuple[str, ...]) -> None:
     done = aiorts(folder, "run", "system.toml", *how)
@@ -147,6 +148,7 @@ def test_one_file_with_every_table_does_what_each_says(folder: Path, how: tuple[
     assert done.stderr.count("ValueError: too warm") == 1
 
 
+@pytest.mark.slow
 def test_another_set_and_another_value_from_the_command_line(folder: Path) -> None:
     sets = ("--set", "one.active=soft", "--set", "two.gain=1", "--set", "two.fails=0")
     done = here(folder, "run", "system.toml", "--simulate", *sets)
@@ -176,6 +178,7 @@ def test_a_composite_that_stops_as_a_whole_goes_on_when_its_member_was_helped(fo
     assert done.stderr.count("ValueError: too warm") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="timerfd")
 def test_what_blocks_the_loop_is_named_and_may_end_the_process(folder: Path) -> None:
     done = aiorts(folder, "run", "blocked.toml")
@@ -189,6 +192,7 @@ def test_what_blocks_the_loop_is_named_and_may_end_the_process(folder: Path) -> 
     assert "it.on_execute (parts.py:" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="systemd")
 def test_systemd_is_told_when_it_asks(folder: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ours:
@@ -213,6 +217,7 @@ def test_systemd_is_told_when_it_asks(folder: Path) -> None:
     assert any("starting" in text for text in told[: ready[0]])
 
 
+@pytest.mark.slow(kept_by="test_one_file_with_every_table_does_what_each_says")
 def test_nothing_of_it_in_simulated_time(folder: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ours:
         ours.bind(str(folder / "notify"))

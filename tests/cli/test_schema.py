@@ -13,6 +13,7 @@ from aiorts.cli.app import run_command
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow(kept_by="first")
 def test_it_is_a_schema_in_strict_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(["schema"]) == 0
     printed = capsys.readouterr()
@@ -25,6 +26,7 @@ def test_it_is_a_schema_in_strict_json(capsys: pytest.CaptureFixture[str]) -> No
     assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
 
 
+@pytest.mark.slow
 def test_with_a_file_it_has_the_types_of_its_folders(capsys: pytest.CaptureFixture[str]) -> None:
     def types() -> set[str]:
         schema = json.loads(capsys.readouterr().out)

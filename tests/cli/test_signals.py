@@ -31,6 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder_of(tmp_path_factory.mktemp("signals"))
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("F10")
 @pytest.mark.parametrize(
     ("target", "name", "status"),
@@ -79,6 +80,7 @@ def test_a_signal_while_the_command_is_imported_ends_it_with_its_status(
     assert (process.returncode, "Traceback" in errors) == (status, False)
 
 
+@pytest.mark.slow(kept_by="test_a_signal_ends_it_in_order_within_five_seconds")
 @pytest.mark.fault("F10")
 def test_a_hangup_is_ignored_under_nohup(folder: Path) -> None:
     process = started(folder, "system.toml", preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
@@ -90,6 +92,7 @@ def test_a_hangup_is_ignored_under_nohup(folder: Path) -> None:
     assert process.returncode == 143
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F10")
 @pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGHUP", 129)])
 def test_the_second_of_any_kind_ends_it_at_once(folder: Path, name: str, status: int) -> None:
@@ -104,6 +107,7 @@ def test_the_second_of_any_kind_ends_it_at_once(folder: Path, name: str, status:
     assert process.returncode == status
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("F10")
 @pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
 def test_usr1_prints_state_and_stacks_and_the_run_goes_on(folder: Path, loop: str) -> None:
@@ -136,6 +140,7 @@ def test_usr1_prints_state_and_stacks_and_the_run_goes_on(folder: Path, loop: st
     assert any(line.endswith("is MainThread") for line in lines)
 
 
+@pytest.mark.slow(kept_by="test_usr1_prints_state_and_stacks_and_the_run_goes_on")
 @pytest.mark.fault("F10")
 def test_usr1_tells_who_blocks_the_loop(folder: Path) -> None:
     process = started(folder, "parts.py:Blocked")
@@ -149,6 +154,7 @@ def test_usr1_tells_who_blocks_the_loop(folder: Path) -> None:
     assert "Traceback" not in errors
 
 
+@pytest.mark.slow(kept_by="test_usr1_prints_state_and_stacks_and_the_run_goes_on")
 @pytest.mark.fault("F10")
 def test_usr1_shows_the_stack_even_where_nothing_of_python_can_run(folder: Path) -> None:
     process = started(folder, "parts.py:BlockedInC")
@@ -166,6 +172,7 @@ def test_usr1_shows_the_stack_even_where_nothing_of_python_can_run(folder: Path)
     assert "aiorts: component blockedinc" in errors
 
 
+@pytest.mark.slow(kept_by="test_usr1_prints_state_and_stacks_and_the_run_goes_on")
 @pytest.mark.fault("F10")
 def test_usr1_tells_of_a_filter_too() -> None:
     process = subprocess.Popen(
@@ -218,6 +225,7 @@ def interrupted(folder: Path, seconds: float, times: int) -> tuple[int, str, flo
     return process.returncode, unwatched(errors), time.monotonic() - at
 
 
+@pytest.mark.slow(kept_by="test_a_signal_while_the_command_is_imported_ends_it_with_its_status")
 @pytest.mark.fault("F09")
 @pytest.mark.parametrize("times", [1, 2])
 @pytest.mark.timeout(time_limit(900))
@@ -242,6 +250,7 @@ def is_starting(seconds: float, status: int, errors: str) -> bool:
     return seconds < START and status in (1, -signal.SIGINT) and ours is None
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F09")
 @pytest.mark.parametrize("times", [1, 2])
 def test_an_interrupt_in_a_blocked_hook_ends_it(folder: Path, times: int) -> None:
@@ -263,6 +272,7 @@ def test_an_interrupt_in_a_blocked_hook_ends_it(folder: Path, times: int) -> Non
     assert text == "" or text.endswith("\n")
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F09")
 def test_an_interrupt_while_a_plugin_is_imported_ends_it_at_once(folder: Path) -> None:
     (folder / "endless.py").write_text(

@@ -26,6 +26,7 @@ def folder(tmp_path: Path) -> Path:
     return folder_of(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F16")
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize(
@@ -62,6 +63,7 @@ def test_it_works_or_says_in_a_line_why_not(folder: Path, command: str, home: st
     assert done.stderr == ""
 
 
+@pytest.mark.slow(kept_by="test_arguments_that_are_no_text_are_one_line")
 @pytest.mark.fault("F16")
 def test_a_component_by_file_from_a_deleted_folder_is_one_line(folder: Path) -> None:
     gone = folder / "gone"
@@ -80,6 +82,7 @@ def test_a_component_by_file_from_a_deleted_folder_is_one_line(folder: Path) -> 
         gone.mkdir()
 
 
+@pytest.mark.slow(kept_by="cli/test_quote.py::test_what_the_stream_cannot_write_is_measured_as_it_is_shown")
 @pytest.mark.fault("F14")
 @pytest.mark.parametrize(
     "env",
@@ -109,6 +112,7 @@ def test_what_cannot_be_shown_is_escaped(folder: Path, env: dict[str, str]) -> N
     assert help_text.returncode == 0
 
 
+@pytest.mark.slow(kept_by="test_arguments_that_are_no_text_are_one_line")
 @pytest.mark.fault("F14")
 def test_an_argument_of_a_process_that_is_no_text_is_one_line(folder: Path) -> None:
     done = subprocess.run(
@@ -133,6 +137,7 @@ def test_arguments_that_are_no_text_are_one_line(folder: Path, argument: bytes) 
     assert done.stderr.count(b"\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G01")
 @pytest.mark.parametrize("limit", [6, 12, 20, 26, 30, 64])
 @pytest.mark.parametrize("command", ["run", "filter"])
@@ -166,6 +171,7 @@ class Counter(Component):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G01")
 def test_a_component_that_opens_too_much_is_told_and_named(folder: Path) -> None:
     (folder / "opens.py").write_text(OPENS)

@@ -43,6 +43,7 @@ def shown(text: str) -> list[str]:
     return [*lines, line]
 
 
+@pytest.mark.slow(kept_by="test_the_line_leaves_room_for_the_cursor_and_tells_as_much_as_fits")
 def test_the_line_tells_how_it_goes_and_is_gone_in_the_end(folder: Path) -> None:
     with Terminal(folder, "system.toml", env=QUIET) as terminal:
         terminal.wait_for("2 active")
@@ -58,6 +59,7 @@ def test_the_line_tells_how_it_goes_and_is_gone_in_the_end(folder: Path) -> None
     assert all(len(line) < 100 for line in lines)
 
 
+@pytest.mark.slow(kept_by="test_the_line_leaves_room_for_the_cursor_and_tells_as_much_as_fits")
 def test_lines_of_the_log_and_of_components_stand_alone(folder: Path) -> None:
     arguments = ("system.toml", "--set", "sink.limit=20", "--for", "3")
     with Terminal(folder, *arguments, env=QUIET) as terminal:
@@ -70,6 +72,7 @@ def test_lines_of_the_log_and_of_components_stand_alone(folder: Path) -> None:
     ]
 
 
+@pytest.mark.slow(kept_by="test_the_line_leaves_room_for_the_cursor_and_tells_as_much_as_fits")
 def test_it_says_that_the_loop_is_held_up(folder: Path) -> None:
     with Terminal(folder, "parts.py:Blocked", "--quiet", env=QUIET) as terminal:
         terminal.wait_for("loop held up for 1 s")
@@ -79,6 +82,7 @@ def test_it_says_that_the_loop_is_held_up(folder: Path) -> None:
     assert shown(terminal.text)[-1] == ""
 
 
+@pytest.mark.slow(kept_by="test_the_line_leaves_room_for_the_cursor_and_tells_as_much_as_fits")
 @pytest.mark.fault("F14")
 @pytest.mark.parametrize(
     ("env", "arguments"),
@@ -99,6 +103,7 @@ def test_no_line_where_it_cannot_be_or_is_not_wanted(
     assert terminal.text == "ready\r\nstopped in event\r\n"
 
 
+@pytest.mark.slow(kept_by="test_the_line_leaves_room_for_the_cursor_and_tells_as_much_as_fits")
 @pytest.mark.fault("F14")
 def test_no_color_has_the_line_too_for_it_has_none(folder: Path) -> None:
     with Terminal(folder, "parts.py:Sink", "--for", "0.6", env={"NO_COLOR": "1", "COLUMNS": "20"}) as terminal:
@@ -125,6 +130,7 @@ def test_the_line_leaves_room_for_the_cursor_and_tells_as_much_as_fits(
         assert line == "  ".join(parts)
 
 
+@pytest.mark.slow(kept_by="cli/test_run.py::test_debug_shows_the_traceback")
 def test_debug_opens_the_debugger_where_a_component_failed_and_the_run_goes_on(folder: Path) -> None:
     arguments = ("system.toml", "--set", "sink.limit=3", "--debug", "--log-level", "warning", "--for", "3")
     with Terminal(folder, *arguments, stdin=True, env=QUIET) as terminal:
@@ -141,6 +147,7 @@ def test_debug_opens_the_debugger_where_a_component_failed_and_the_run_goes_on(f
     assert "wrote" in terminal.text  # the counter went on and was deactivated
 
 
+@pytest.mark.slow(kept_by="cli/test_run.py::test_debug_shows_the_traceback")
 def test_the_debugger_is_for_components_that_cannot_be_made_too(folder: Path) -> None:
     (folder / "unmade.py").write_text(
         "from aiorts import Component\nclass Unmade(Component):\n    def on_initialize(self):\n        1 / 0\n"
@@ -155,6 +162,7 @@ def test_the_debugger_is_for_components_that_cannot_be_made_too(folder: Path) ->
     assert "(Pdb)" not in terminal.text
 
 
+@pytest.mark.slow(kept_by="test_the_line_leaves_room_for_the_cursor_and_tells_as_much_as_fits")
 def test_a_process_ended_in_the_debugger_gives_the_terminal_back(folder: Path) -> None:
     import termios
 
@@ -169,6 +177,7 @@ def test_a_process_ended_in_the_debugger_gives_the_terminal_back(folder: Path) -
         assert termios.tcgetattr(terminal._ours)[:4] == before[:4]
 
 
+@pytest.mark.slow(kept_by="test_the_line_leaves_room_for_the_cursor_and_tells_as_much_as_fits")
 def test_a_terminal_that_was_stopped_holds_up_nothing(folder: Path) -> None:
     with Terminal(folder, "system.toml", env=QUIET) as terminal:
         terminal.wait_for("2 active")

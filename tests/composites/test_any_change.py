@@ -167,6 +167,7 @@ def check(pairs: dict[str, Composite], parts: dict[str, Watched]) -> None:
             assert (part.state == "active") is (name == "a") or part.refuses or part.state == "error"
 
 
+@pytest.mark.slow(kept_by="composites/test_shared_context.py::test_members_come_and_go_between_two_cycles_and_go_home")
 @settings(
     max_examples=ORDERS,
     deadline=None,

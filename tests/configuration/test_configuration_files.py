@@ -295,6 +295,7 @@ asyncio.run(main())
 """
 
 
+@pytest.mark.slow(kept_by="test_a_file_that_is_none_is_refused")
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in the file system")
 def test_a_pipe_that_nobody_writes_into_is_refused_and_the_interpreter_ends(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo")
@@ -442,6 +443,7 @@ async def test_a_link_stays_a_link(tmp_path: Path) -> None:
         assert "stiff" in real.read_text()
 
 
+@pytest.mark.slow(kept_by="test_a_disk_that_fails_leaves_the_old_file")
 def test_a_process_that_is_killed_while_it_saves_leaves_a_whole_file(tmp_path: Path) -> None:
     path = tmp_path / "conf.toml"
     code = (
@@ -507,6 +509,7 @@ names = st.from_regex(r"[A-Za-z0-9-][A-Za-z0-9_-]{0,6}", fullmatch=True).filter(
 )
 
 
+@pytest.mark.slow(kept_by="test_changes_made_while_running_survive_the_kernel")
 @settings(max_examples=150, deadline=None)
 @given(
     st.fixed_dictionaries({}, optional=VALUES),
@@ -527,6 +530,7 @@ def test_any_configuration_is_read_back_as_it_was_written(
     assert document_text({"one": again}, {"one": declared}) == text
 
 
+@pytest.mark.slow
 @settings(max_examples=200)
 @given(st.text(alphabet="[]{}.=\"'\\#\n ab1,", max_size=40))
 def test_lines_are_found_in_any_toml_and_none_hangs(text: str) -> None:

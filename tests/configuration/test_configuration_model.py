@@ -186,6 +186,7 @@ steps = st.lists(
 )
 
 
+@pytest.mark.slow(kept_by="kernel/test_configuring.py::test_sets_are_declared_added_changed_activated_and_removed")
 @pytest.mark.row(72, 75, 76)
 @pytest.mark.fault("B22")
 @settings(max_examples=cases(5000), deadline=None, suppress_health_check=[HealthCheck.too_slow])

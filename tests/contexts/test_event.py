@@ -111,6 +111,7 @@ def test_a_hook_that_waits_for_data_in_a_loop_of_its_own_gets_it() -> None:
     assert simulate(main) == 111
 
 
+@pytest.mark.slow(kept_by="test_triggers_during_a_run_lead_to_one_more_run")
 @pytest.mark.row(28)
 @pytest.mark.fault("C11")
 def test_a_hundred_thousand_triggers_are_one_cause_and_cost_no_memory() -> None:
@@ -235,6 +236,7 @@ class Echo(Component):
         await self.output.write(TimedLong(sample.tm, (sample.data + 1) % 1000))
 
 
+@pytest.mark.slow(kept_by="test_after_each_cycle_with_work_left_the_loop_gets_a_turn")
 @pytest.mark.row(28)
 @pytest.mark.anyio
 @pytest.mark.parametrize("contexts", [1, 2])

@@ -139,6 +139,7 @@ STEPS = st.lists(
 )
 
 
+@pytest.mark.slow(kept_by="test_a_member_without_data_runs_so_often_and_data_puts_the_next_run_off")
 @settings(max_examples=cases(5_000), deadline=None)
 @given(STEPS, st.integers(0, 1_000_000))
 def test_any_members_run_as_in_a_model(steps: list[tuple[str, int]], seed: int) -> None:

@@ -29,6 +29,7 @@ def ticks_of(rate: float, seconds: float, **options: object) -> tuple[Ticker, Pe
     return simulate(main)
 
 
+@pytest.mark.slow(kept_by="testing/test_rig.py::test_ticks_of_a_rate_do_not_drift")
 @pytest.mark.row(24)
 @pytest.mark.parametrize(("rate", "seconds"), [(500.0, 60.0), (333.3, 60.0), (1 / 3, 900.0), (0.001, 5e4), (1e4, 1.0)])
 def test_a_periodic_context_ticks_at_start_plus_n_over_rate_exactly(rate: float, seconds: float) -> None:
@@ -40,6 +41,7 @@ def test_a_periodic_context_ticks_at_start_plus_n_over_rate_exactly(rate: float,
     assert dict(context.statistics.lateness_histogram) == {1: context.ticks}
 
 
+@pytest.mark.slow(kept_by="test_an_execution_of_three_periods_is_an_overrun_each_time_and_never_a_burst")
 @pytest.mark.row(24)
 def test_hooks_that_take_random_times_neither_change_the_rate_nor_make_it_drift() -> None:
     dice = random.Random(5)
@@ -54,6 +56,7 @@ def test_hooks_that_take_random_times_neither_change_the_rate_nor_make_it_drift(
     assert on_grid > len(ticker.begun) // 2
 
 
+@pytest.mark.slow(kept_by="test_in_real_time_too_periods_do_not_follow_the_wall_clock")
 @pytest.mark.row(24)
 def test_in_real_time_ticks_run_and_skipped_make_up_the_rate() -> None:
     async def main() -> tuple[int, float, int]:
@@ -209,6 +212,7 @@ def test_every_member_updates_its_state_after_every_member_has_executed() -> Non
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.fault("C03")
 def test_a_saturating_context_does_not_starve_the_others() -> None:
     async def main() -> tuple[list[int], int]:
@@ -277,6 +281,9 @@ def test_a_member_that_waits_holds_up_its_own_context_and_no_other() -> None:
     assert len(other) >= 1050
 
 
+@pytest.mark.slow(
+    kept_by="contexts/test_schedule.py::test_whatever_the_cycles_take_every_tick_is_run_or_counted_as_skipped"
+)
 @pytest.mark.row(24)
 def test_a_thousand_random_schedules_all_keep_their_rate() -> None:
     dice = random.Random(11)

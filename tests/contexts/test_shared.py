@@ -86,6 +86,7 @@ class Fragile(Component):
         return found
 
 
+@pytest.mark.slow
 @pytest.mark.row(19)
 @pytest.mark.fault("C08")
 def test_a_component_in_two_contexts_is_never_entered_twice_at_once() -> None:
@@ -158,6 +159,7 @@ def test_a_hook_that_stops_another_context_of_its_component_does_not_wait_for_it
     simulate(main)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("C08")
 def test_a_context_stopped_while_its_members_run_ends_in_order_within_a_second() -> None:
     async def main() -> float:
@@ -245,6 +247,7 @@ class Storm(RuleBasedStateMachine):
             assert member.inside == 0
 
 
+@pytest.mark.slow(kept_by="test_requests_that_ask_for_each_other_in_hooks_do_not_starve_the_loop")
 @pytest.mark.row(10, 34)
 @pytest.mark.fault("C09")
 def test_a_storm_of_requests_from_eight_tasks_leads_to_no_impossible_state() -> None:

@@ -44,6 +44,9 @@ asyncio.run(main())
 STOPPED = 10.0 if CAMPAIGN else 2.0
 
 
+@pytest.mark.slow(
+    kept_by="contexts/test_schedule.py::test_a_tick_that_begins_when_newer_ones_are_due_gives_way_to_the_newest"
+)
 @pytest.mark.fault("C05")
 @pytest.mark.row(32)
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs SIGSTOP")

@@ -41,6 +41,7 @@ class Reader(Component):
     inp = InPort(TimedLong)
 
 
+@pytest.mark.slow(kept_by="test_ticks_counted_one_by_one_neither_drift_nor_get_lost")
 @pytest.mark.fault("C13")
 @pytest.mark.campaign
 @pytest.mark.parametrize("chunk", range(CHUNKS))

@@ -96,6 +96,7 @@ async def test_all_hooks_of_the_context_run_in_one_thread_of_its_own_and_the_oth
     assert len({thread for _, thread in plain.threads + other.threads}) == 2
 
 
+@pytest.mark.slow(kept_by="test_all_hooks_of_the_context_run_in_one_thread_of_its_own_and_the_others_on_the_loop")
 async def test_a_hook_that_blocks_its_thread_does_not_hold_up_the_loop() -> None:
     async with Kernel() as kernel:
         blocker = await kernel.add(Plain("blocker", lambda: time.sleep(0.4)))
@@ -106,6 +107,7 @@ async def test_a_hook_that_blocks_its_thread_does_not_hold_up_the_loop() -> None
         assert len(ticker.begun) >= 20
 
 
+@pytest.mark.slow(kept_by="first")
 async def test_blocking_reads_and_writes_cross_between_thread_and_loop() -> None:
     async with Kernel() as kernel:
         device, sender, reader = (
@@ -270,6 +272,9 @@ async def test_a_context_without_a_rate_can_be_given_one_up_to_its_own_ceiling()
         assert context.rate == 15_000.0
 
 
+@pytest.mark.slow(
+    kept_by="supervision/test_blocking_hooks.py::test_a_start_is_bounded_where_an_activation_hangs_in_a_thread"
+)
 @pytest.mark.parametrize("virtual", [False, True])
 def test_a_hook_that_never_returns_is_left_behind_and_the_kernel_closes(virtual: bool) -> None:
     release = threading.Event()
@@ -300,6 +305,9 @@ def void(_: object) -> None:
     """Forget a result: a hook returns nothing."""
 
 
+@pytest.mark.slow(
+    kept_by="supervision/test_blocking_hooks.py::test_a_start_is_bounded_where_an_activation_hangs_in_a_thread"
+)
 def test_an_activation_that_never_returns_does_not_hang_the_one_who_started_the_context() -> None:
     release = threading.Event()
 

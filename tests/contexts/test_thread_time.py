@@ -167,6 +167,7 @@ def test_without_a_rate_hooks_that_wait_for_nothing_do_not_freeze_virtual_time()
     assert simulate(main) == 100
 
 
+@pytest.mark.slow
 async def test_on_a_scaled_clock_periods_and_time_outs_are_scaled() -> None:
     class Impatient(Component):
         input = InPort(TimedLong)

@@ -70,6 +70,7 @@ async def said(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int,
     return status, out, err
 
 
+@pytest.mark.slow(kept_by="test_a_dry_run_says_all_and_does_nothing")
 @pytest.mark.row(110)
 async def test_what_runs_is_compared_with_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     system, other, saved = (tmp_path / f"{name}.toml" for name in ("system", "other", "saved"))
@@ -98,6 +99,7 @@ async def test_a_dry_run_says_all_and_does_nothing(capsys: pytest.CaptureFixture
         assert await said(capsys, "plan", tmp_path / "system.toml", "--live", "unit") == (0, "", "")
 
 
+@pytest.mark.slow(kept_by="test_a_dry_run_says_all_and_does_nothing")
 @pytest.mark.row(108, 109)
 async def test_the_system_of_a_file_is_made_of_what_runs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     system, other = tmp_path / "system.toml", tmp_path / "other.toml"
@@ -140,6 +142,7 @@ async def test_what_fails_leaves_all_as_it_was(capsys: pytest.CaptureFixture[str
         assert await said(capsys, "plan", tmp_path / "system.toml", "--live", "unit") == (0, "", "")
 
 
+@pytest.mark.slow(kept_by="test_a_dry_run_says_all_and_does_nothing")
 @pytest.mark.row(108)
 async def test_what_does_worse_is_taken_back_with_the_figure(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
@@ -160,6 +163,7 @@ async def test_what_does_worse_is_taken_back_with_the_figure(
         assert await said(capsys, "plan", tmp_path / "system.toml", "--live", "unit") == (0, "", "")
 
 
+@pytest.mark.slow(kept_by="test_a_dry_run_says_all_and_does_nothing")
 async def test_what_cannot_be_done_is_refused_with_status_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     system = tmp_path / "system.toml"
     async with built(tmp_path):

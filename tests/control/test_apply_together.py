@@ -54,6 +54,7 @@ async def together(*asked: tuple[str, Path]) -> Outcome:
     return await asyncio.to_thread(work)
 
 
+@pytest.mark.slow
 async def test_all_are_changed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     async with two(tmp_path) as made:
         other = tmp_path / "other.toml"
@@ -65,6 +66,7 @@ async def test_all_are_changed(capsys: pytest.CaptureFixture[str], tmp_path: Pat
         assert (status, json.loads(out)["kept"]) == (0, {"one": [], "two": []})
 
 
+@pytest.mark.slow
 async def test_none_is_changed_where_one_refuses_the_plan(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     async with two(tmp_path) as made:
         (tmp_path / "clock.toml").write_text(SYSTEM + '[clock]\nkind = "simulated"\n')
@@ -98,6 +100,7 @@ async def test_what_was_changed_is_taken_back_where_a_step_fails_in_another(tmp_
         assert one.connectors == connectors
 
 
+@pytest.mark.slow
 async def test_a_kernel_whose_coordinator_is_gone_takes_its_change_back(tmp_path: Path) -> None:
     async with two(tmp_path) as (one, _):
         made = parts(tmp_path / "other.toml")
@@ -129,6 +132,7 @@ LASTING = SYSTEM.replace('kind = "event"', 'kind = "periodic"\nrate = 10.0').rep
 MORE = OTHER.replace('kind = "event"', 'kind = "periodic"\nrate = 10.0').replace("activate = false\n", "")
 
 
+@pytest.mark.slow(kept_by="test_what_was_changed_is_taken_back_where_a_step_fails_in_another")
 @pytest.mark.parametrize("when", ["before it is changed", "before all are told to keep it"])
 def test_a_kernel_that_is_killed_is_named_with_what_was_kept(when: str, tmp_path: Path) -> None:
     system, other = tmp_path / "system.toml", tmp_path / "other.toml"

@@ -16,6 +16,7 @@ from control_parts import WAIT, entry_of, running, until
 SYSTEM = Path(__file__).parents[2] / "examples/pid/system.toml"
 
 
+@pytest.mark.slow(kept_by="control/test_socket.py::test_who_may_only_look_is_denied")
 @pytest.mark.parametrize("place", ["option", "file"])
 def test_a_run_that_may_only_be_looked_at(place: str, tmp_path: Path) -> None:
     words = ["--control=view", str(SYSTEM)]
@@ -30,6 +31,7 @@ def test_a_run_that_may_only_be_looked_at(place: str, tmp_path: Path) -> None:
             client.call("stop", WAIT)
 
 
+@pytest.mark.slow(kept_by="control/test_socket.py::test_who_may_only_look_is_denied")
 def test_a_run_that_is_not_to_be_reached_has_no_socket() -> None:
     words = [sys.executable, "-m", "aiorts", "run", "--control=off", "--for", "0.2", str(SYSTEM)]
     with subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as process:
@@ -38,6 +40,7 @@ def test_a_run_that_is_not_to_be_reached_has_no_socket() -> None:
         assert process.wait(WAIT) == 0
 
 
+@pytest.mark.slow(kept_by="architecture/test_layers.py::test_a_microkernel_runs_components_with_no_service_loaded")
 def test_a_kernel_of_a_program_imports_nothing_of_it_unless_asked() -> None:
     code = (
         "import asyncio, sys\nfrom aiorts import Kernel\n"

@@ -41,6 +41,7 @@ async def test_lines_are_carried_out_in_order_and_each_sees_what_the_others_did(
         assert len(kernel.connectors) == 1
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("lines", "status", "text", "step"),
     [

@@ -115,6 +115,7 @@ async def robots() -> AsyncIterator[Kernel]:
         yield kernel
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("words", "result"),
     [
@@ -139,6 +140,7 @@ async def test_arguments_are_read_by_the_types_of_the_interface(
         assert (status, json.loads(text)) == (0, result)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("words", "status", "text"),
     [

@@ -44,6 +44,7 @@ async def test_parameters_are_in_force_when_conf_returns_read_by_their_types(
         assert (status, " ".join(text.split())) == (0, "unit/counter0 set fast of default, fast step 9.0 fast: 9.0")
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("words", "status", "text"),
     [
@@ -83,6 +84,7 @@ async def test_what_a_validator_refuses_is_not_in_force(capsys: pytest.CaptureFi
         assert dict(checked.configuration.values) == {"low": 5.0, "high": 6.0}
 
 
+@pytest.mark.slow
 async def test_a_configuration_is_dumped_and_loaded(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = str(tmp_path / "robot.toml")
     async with controlled() as kernel:
@@ -142,6 +144,7 @@ async def test_with_adapt_a_filter_is_put_between_and_shown(capsys: pytest.Captu
         assert (status, "through" in text) == (0, False), text
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("words", "status", "text"),
     [

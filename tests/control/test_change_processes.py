@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from control_parts import WAIT, running, until
 
 SYSTEM = """
@@ -94,6 +96,7 @@ def counts() -> dict[str, int]:
     return found
 
 
+@pytest.mark.slow(kept_by="control/test_change.py::test_connectors_are_made_with_options_and_ended")
 def test_a_run_is_changed_by_commands(tmp_path: Path) -> None:
     with running("plant", system(tmp_path)) as process:
         aiorts("conf", "source0", "step=5")
@@ -106,6 +109,7 @@ def test_a_run_is_changed_by_commands(tmp_path: Path) -> None:
         assert process.wait(WAIT) == 0
 
 
+@pytest.mark.slow(kept_by="control/test_change.py::test_parameters_are_in_force_when_conf_returns_read_by_their_types")
 def test_a_member_of_a_thread_is_changed_too(tmp_path: Path) -> None:
     with running("plant", system(tmp_path, "thread")):
         aiorts("conf", "source0", "--add", "fast", "fast.step=9", "--activate", "fast")
@@ -114,6 +118,7 @@ def test_a_member_of_a_thread_is_changed_too(tmp_path: Path) -> None:
         assert json.loads(aiorts("ctx", "--json"))["kernels"][0]["contexts"][0]["rate"] == 100.0
 
 
+@pytest.mark.slow(kept_by="control/test_calls.py::test_the_end_of_the_session_cancels_a_call")
 def test_calls_and_goals_of_clients_that_are_killed_end(tmp_path: Path) -> None:
     with running("plant", system(tmp_path)):
         for words in (("call", "server0.serving.hang", "--timeout", "50"), ("goal", "server0.serving.work")):

@@ -57,6 +57,7 @@ def test_what_a_client_used_counts_for_its_next_connection_and_few_are_known() -
     assert clients.connect("anna", Right.VIEW) is first  # it is connected
 
 
+@pytest.mark.slow(kept_by="test_a_client_has_its_connections_and_those_who_look_leave_some")
 async def test_who_looks_leaves_connections_and_descriptors_to_who_operates() -> None:
     async with controlled("kept") as kernel:
         control = kernel.service(Control)
@@ -88,6 +89,7 @@ async def test_who_looks_leaves_connections_and_descriptors_to_who_operates() ->
         assert await with_client("kept", lambda client: client.call("names"))
 
 
+@pytest.mark.slow(kept_by="test_a_client_has_its_connections_and_those_who_look_leave_some")
 @pytest.mark.parametrize("mode", ["on", "view"])
 async def test_a_process_that_takes_all_it_can_is_told_so_and_others_are_served(mode: str) -> None:
     async with controlled("hogged", mode=mode):

@@ -184,6 +184,7 @@ async def test_the_first_bytes_of_a_file_are_in_no_message_of_a_kernel(tmp_path:
             assert "{secret" not in said
 
 
+@pytest.mark.slow(kept_by="test_who_operates_names_files_below_the_folder_of_the_run")
 async def test_no_operation_opens_a_file_that_its_arguments_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -39,6 +39,7 @@ def filtered(*words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_a_filter_takes_the_samples_of_another_by_the_name_of_its_kernel() -> None:
     with source("src"):
         run = filtered("flexidump", "-p", "TimedDouble", "--connect", "src.output", "--count", "3")
@@ -46,6 +47,7 @@ def test_a_filter_takes_the_samples_of_another_by_the_name_of_its_kernel() -> No
     assert [line.split()[-1] for line in run.stdout.splitlines()] == ["1.0"] * 3
 
 
+@pytest.mark.slow(kept_by="test_what_does_not_run_is_absent")
 def test_it_ends_with_its_source() -> None:
     with source("ends", *SOURCE, "--count", "100"):
         run = filtered("flexidump", "-p", "TimedDouble", "--connect", "ends.output")
@@ -53,6 +55,7 @@ def test_it_ends_with_its_source() -> None:
     assert run.stdout
 
 
+@pytest.mark.slow(kept_by="test_what_does_not_run_is_absent")
 def test_a_source_that_is_killed_is_told() -> None:
     with source("killed") as process:
         dump = subprocess.Popen(
@@ -73,6 +76,7 @@ def test_a_source_that_is_killed_is_told() -> None:
     assert "killed: has ended" in told
 
 
+@pytest.mark.slow(kept_by="test_what_does_not_run_is_absent")
 def test_another_type_is_refused_before_anything_runs() -> None:
     with source("other"):
         run = filtered("flexidump", "-p", "TimedLong", "--connect", "other.output")

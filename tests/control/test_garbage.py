@@ -66,6 +66,7 @@ def lost(kernel: Kernel) -> int:
     return sum(one.written - one.delivered - one.buffered for one in counts)
 
 
+@pytest.mark.slow(kept_by="sessions/test_protocol.py::test_a_wrong_frame_ends_its_own_session_with_the_reason")
 @pytest.mark.fault("E21")
 @pytest.mark.timeout(time_limit(300))
 @pytest.mark.anyio
@@ -86,6 +87,7 @@ async def test_a_hundred_garbage_clients_cost_the_system_no_sample_and_others_at
     assert cycles > 25 * SECONDS  # of 100 a second
 
 
+@pytest.mark.slow
 @pytest.mark.fault("E21")
 @pytest.mark.anyio
 @pytest.mark.parametrize("seconds", [0.2, SECONDS / 4])
@@ -101,6 +103,7 @@ async def test_one_client_that_floods_is_bounded(seconds: float) -> None:
         assert lost(kernel) == 0
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("E22")
 @pytest.mark.anyio
 @pytest.mark.parametrize("sessions", [50, 1000])

@@ -16,7 +16,10 @@ import pytest
 from aiorts.types import TimedDouble
 from control_parts import WAIT, Counter, controlled
 
-pytestmark = pytest.mark.anyio
+pytestmark = [
+    pytest.mark.anyio,
+    pytest.mark.slow(kept_by="sessions/test_session.py::test_what_waits_is_kept_in_order_or_missing"),
+]
 READERS = {
     "print": ("print", "src/quick.out"),
     "filter": ("flexidump", "-p", "TimedDouble", "--connect", "src/quick.out"),

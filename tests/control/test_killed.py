@@ -41,6 +41,7 @@ while True:
 """
 
 
+@pytest.mark.slow(kept_by="control/test_socket.py::test_what_a_killed_kernel_left_is_removed_by_the_next_reader")
 @pytest.mark.timeout(time_limit(1200))
 @pytest.mark.anyio
 async def test_clients_that_are_killed_at_any_moment_leave_nothing() -> None:
@@ -65,6 +66,7 @@ async def test_clients_that_are_killed_at_any_moment_leave_nothing() -> None:
         assert {one["level"] for one in levels.values()} != {"debug"}
 
 
+@pytest.mark.slow(kept_by="control/test_socket.py::test_what_a_killed_kernel_left_is_removed_by_the_next_reader")
 @pytest.mark.timeout(time_limit(1200))
 def test_kernels_that_are_killed_at_any_moment_leave_nothing_to_the_next_reader(runtime: str) -> None:
     chosen = random.Random(17)
@@ -89,6 +91,7 @@ TOOLS = (
 )
 
 
+@pytest.mark.slow(kept_by="control/test_samples.py::test_what_a_session_injects_by_ends_with_it")
 @pytest.mark.timeout(time_limit(1200))
 @pytest.mark.anyio
 async def test_readers_and_writers_that_are_killed_at_any_moment_leave_exact_ledgers(runtime: str) -> None:
@@ -126,6 +129,7 @@ async def test_readers_and_writers_that_are_killed_at_any_moment_leave_exact_led
     assert os.listdir(Path(runtime, "aiorts")) == []
 
 
+@pytest.mark.slow(kept_by="control/test_filters.py::test_what_does_not_run_is_absent")
 @pytest.mark.timeout(time_limit(1200))
 def test_a_source_that_is_killed_at_any_moment_is_told_by_its_readers(runtime: str) -> None:
     chosen = random.Random(19)
@@ -177,6 +181,7 @@ def _all_stopped(pid: int) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.slow(kept_by="control/test_socket.py::test_what_a_killed_kernel_left_is_removed_by_the_next_reader")
 def test_a_process_that_is_stopped_delays_nobody_else_and_is_named() -> None:
     with running("stopped", SYSTEM) as stopped, running("alive", SYSTEM):
         stopped.send_signal(signal.SIGSTOP)

@@ -7,8 +7,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import pytest
+
 from aiorts.cli.app import aiorts
 from control_parts import WAIT, running
+
+pytestmark = pytest.mark.slow
 
 LIVE = tuple(name for name, (target, _) in aiorts.own.items() if target.startswith("aiorts.cli.commands.live."))
 HEAVY = ("asyncio", "numpy", "uvloop", "anyio", "aiorts.kernel.microkernel", "aiorts.system", "aiorts.types")

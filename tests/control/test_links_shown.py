@@ -23,6 +23,7 @@ class Sink(Component):
     inp = InPort(TimedLong)
 
 
+@pytest.mark.slow
 async def test_the_ledger_from_end_to_end_is_asked_for_at_either_end(capsys: pytest.CaptureFixture[str]) -> None:
     station = Kernel("station", services={"links": {}, "control": {"name": "station", "mode": "on"}})
     robot = Kernel("robot", services={"control": {"name": "robot", "mode": "on"}})
@@ -54,6 +55,7 @@ async def test_where_the_other_kernel_is_gone_it_says_so(capsys: pytest.CaptureF
         assert (status, "--both-ends is for listing" in text) == (2, True), text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [("robot-1/source.out", "station-2/sink.inp"), ("sink.inp", "source.out")])
 async def test_con_makes_a_link_between_ports_of_two_kernels(
     capsys: pytest.CaptureFixture[str], words: tuple[str, ...]

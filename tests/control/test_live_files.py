@@ -32,6 +32,7 @@ async def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, st
     return status, *capsys.readouterr()
 
 
+@pytest.mark.slow(kept_by="test_a_drawing_of_what_runs_has_composites_and_says_what_was_dropped")
 async def test_graph_draws_what_runs_with_states_and_rates(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     svg = tmp_path / "live.svg"
     async with controlled() as kernel:
@@ -80,6 +81,7 @@ async def test_check_tells_what_failed_is_lost_and_never_runs(capsys: pytest.Cap
         assert check_running(kernel.profile(), "unit/")[0].severity == "error"
 
 
+@pytest.mark.slow
 async def test_inspect_shows_a_component_that_runs_with_values_in_force(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled() as kernel:
         await kernel.components["counter0"].configuration.change("default", {"step": 2.5})

@@ -160,6 +160,7 @@ async def test_who_may_only_look_is_denied(capsys: pytest.CaptureFixture[str]) -
         assert (status, text.startswith("aiorts: E-DENIED: deactivate: needs the right 'operate'")) == (4, True)
 
 
+@pytest.mark.slow(kept_by="test_who_may_only_look_is_denied")
 @pytest.mark.fault("F19")
 def test_a_stopped_kernel_gives_no_answer_and_delays_nobody_else(capsys: pytest.CaptureFixture[str]) -> None:
     with running("stopped", str(SYSTEM)) as process, running("alive", str(SYSTEM)):

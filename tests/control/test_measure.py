@@ -22,6 +22,7 @@ from control_parts import WAIT, Counter, Reader, controlled, entry_of, with_clie
 pytestmark = pytest.mark.anyio
 
 
+@pytest.mark.slow
 async def test_counters_are_those_of_the_kernel() -> None:
     async with controlled("counts") as kernel:
         await kernel.sleep(0.05)

@@ -109,6 +109,7 @@ def said(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [one.message for one in caplog.records if "the link to its operator is lost" in one.message]
 
 
+@pytest.mark.slow(kept_by="first")
 def test_each_does_what_it_says_when_the_client_is_killed(hold: Hold, caplog: pytest.LogCaptureFixture) -> None:
     async def main() -> None:
         async with three() as kernel:
@@ -124,6 +125,7 @@ def test_each_does_what_it_says_when_the_client_is_killed(hold: Hold, caplog: py
     assert all("the operator [process" in text for text in own)
 
 
+@pytest.mark.slow(kept_by="first")
 def test_who_ends_in_order_is_not_lost(
     hold: Hold, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -142,6 +144,7 @@ def test_who_ends_in_order_is_not_lost(
     assert said(caplog) == []
 
 
+@pytest.mark.slow
 def test_one_of_the_same_name_that_comes_later_has_no_operator(hold: Hold, caplog: pytest.LogCaptureFixture) -> None:
     async def main() -> None:
         async with three() as kernel:
@@ -158,6 +161,7 @@ def test_one_of_the_same_name_that_comes_later_has_no_operator(hold: Hold, caplo
     assert not any(text.startswith("stops: ") for text in said(caplog))
 
 
+@pytest.mark.slow(kept_by="first")
 def test_the_operator_is_who_has_changed_it_last(hold: Hold) -> None:
     async def main() -> None:
         async with three() as kernel:
@@ -171,6 +175,7 @@ def test_the_operator_is_who_has_changed_it_last(hold: Hold) -> None:
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(("kind", "after"), [(SlowStops, "inactive"), (SlowFails, "error"), (Slow, "active")])
 def test_an_activation_that_is_under_way_when_the_client_is_killed(hold: Hold, kind: type[Slow], after: str) -> None:
     async def main() -> None:
@@ -193,6 +198,7 @@ def test_an_activation_that_is_under_way_when_the_client_is_killed(hold: Hold, k
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("own_schedule", [False, True])
 def test_who_operates_a_composite_operates_its_members(hold: Hold, own_schedule: bool) -> None:
     async def main() -> None:
@@ -210,6 +216,7 @@ def test_who_operates_a_composite_operates_its_members(hold: Hold, own_schedule:
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="test_an_activation_that_is_under_way_when_the_client_is_killed")
 def test_a_second_member_whose_turn_is_still_to_come_when_the_client_is_killed(hold: Hold) -> None:
     async def main() -> None:
         async with Kernel(services={"control": {"name": "unit"}}) as kernel:
@@ -231,6 +238,7 @@ def test_a_second_member_whose_turn_is_still_to_come_when_the_client_is_killed(h
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="test_who_operates_a_composite_operates_its_members")
 def test_who_starts_a_context_with_members_operates_them(hold: Hold) -> None:
     async def main() -> None:
         async with Kernel(services={"control": {"name": "unit"}}) as kernel:
@@ -319,6 +327,7 @@ def test_check_refuses_another_word_and_names_the_near_one(tmp_path: Path) -> No
     assert "unknown on_link_lost 'deactivated'; did you mean 'deactivate'?" in found[0].message
 
 
+@pytest.mark.slow(kept_by="first")
 def test_what_the_file_says_is_done_when_the_client_is_killed(hold: Hold, tmp_path: Path) -> None:
     async def main() -> None:
         async with Kernel(services={"control": {"name": "unit"}}) as kernel:
@@ -349,6 +358,7 @@ def test_what_the_file_says_is_saved_planned_and_changed(tmp_path: Path) -> None
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="first")
 def test_what_the_file_says_holds_for_newer_code_and_for_another_type(hold: Hold, tmp_path: Path) -> None:
     async def main() -> None:
         async with Kernel(services={"control": {"name": "unit"}}) as kernel:
@@ -384,6 +394,7 @@ def test_what_the_file_says_holds_for_the_instance_that_a_restart_makes(tmp_path
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="first")
 def test_who_has_loaded_a_configuration_operates_what_is_in_it(hold: Hold, tmp_path: Path) -> None:
     async def main() -> None:
         async with three() as kernel:
@@ -414,6 +425,7 @@ async def of_file(file: Path) -> AsyncIterator[Kernel]:
         yield kernel
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("how", ["apply", "change"])
 def test_who_has_had_a_plan_carried_out_operates_what_it_changed(hold: Hold, tmp_path: Path, how: str) -> None:
     async def main() -> None:
@@ -433,6 +445,7 @@ def test_who_has_had_a_plan_carried_out_operates_what_it_changed(hold: Hold, tmp
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="test_who_has_had_a_plan_carried_out_operates_what_it_changed")
 def test_a_plan_that_is_carried_out_when_the_client_is_killed(hold: Hold, tmp_path: Path) -> None:
     async def main() -> None:
         running, changed = a_file(tmp_path), a_file(tmp_path, "next")

@@ -42,6 +42,7 @@ async def test_contexts_start_change_and_stop(capsys: pytest.CaptureFixture[str]
         assert kernel.contexts["loop"].profile.members == ("counter0", "reader0")
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("words", "status", "text"),
     [
@@ -178,6 +179,7 @@ class Sink(Component):
 """
 
 
+@pytest.mark.slow(kept_by="reload/test_health.py::test_new_code_that_does_worse_is_taken_back_with_the_figure")
 async def test_code_that_does_worse_in_its_window_is_taken_back(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

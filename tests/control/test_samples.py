@@ -45,6 +45,7 @@ async def until(condition: Any) -> None:
             await asyncio.sleep(0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.row(114)
 async def test_every_sample_comes_in_order_and_the_system_does_not_know() -> None:
     async with controlled("tapped") as kernel:
@@ -60,6 +61,7 @@ async def test_every_sample_comes_in_order_and_the_system_does_not_know() -> Non
     assert stream.missed == 0
 
 
+@pytest.mark.slow(kept_by="first")
 async def test_what_a_reader_is_too_slow_for_is_counted_and_holds_nobody_up() -> None:
     async with controlled("lossy") as kernel:
         counter = await kernel.create(Counter, "quick")
@@ -233,6 +235,7 @@ async def test_only_out_ports_can_be_tapped(port: str, says: str) -> None:
             await with_client("refused", lambda client: client.stream("tap", port=port))
 
 
+@pytest.mark.slow
 def test_a_tap_changes_nothing_in_simulated_time() -> None:
     async def run(*, watched: bool) -> str:
         async with controlled("still", rate=1000.0) as kernel:
@@ -275,6 +278,7 @@ async def test_a_file_is_checked_as_a_whole_before_the_first_write_and_a_pipe_by
                 assert (status, json.loads(said)) == (0, {"written": 99, "refused": 0, "dropped": {}})
 
 
+@pytest.mark.slow
 async def test_some_fields_and_some_samples_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled(rate=200.0):
         words = ("print", "counter0.out", "--fields", "data,tm", "--count", "3")
@@ -289,6 +293,7 @@ async def test_some_fields_and_some_samples_are_printed(capsys: pytest.CaptureFi
         assert (await commanded(capsys, "print", "counter0.out.data", "--fields", "tm"))[0] == 2
 
 
+@pytest.mark.slow(kept_by="test_a_burst_without_a_turn_of_the_loop_is_counted")
 async def test_what_a_slow_client_has_not_taken_at_the_end_is_sent_or_counted() -> None:
     async with controlled("last") as kernel:
         out = kernel.components["counter0"].add_port("large", OutPort(TimedOctetSeq))

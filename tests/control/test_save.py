@@ -110,6 +110,7 @@ async def test_connectors_of_tools_are_not_in_it() -> None:
         assert await with_client("unit", use) == SYSTEM
 
 
+@pytest.mark.slow(kept_by="test_what_runs_is_printed_or_written")
 async def test_a_thousand_components_and_two_thousand_connectors_are_saved() -> None:
     async with saveable(count=1000):
         text = (await with_client("unit", lambda client: client.call("save", WAIT, folder="/")))["text"]

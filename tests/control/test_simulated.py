@@ -14,6 +14,8 @@ from aiorts.sessions import Client
 from aiorts.testing import simulate
 from control_parts import WAIT, Counter, Reader, entry_of, running
 
+pytestmark = pytest.mark.slow
+
 SYSTEM = str(Path(__file__).parents[2] / "examples/pid/system.toml")
 
 

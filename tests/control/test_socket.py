@@ -93,6 +93,7 @@ async def test_what_a_killed_kernel_left_is_removed_by_the_next_reader() -> None
     assert entries() == ()
 
 
+@pytest.mark.slow
 def test_a_client_holds_no_simulated_time_and_changes_no_result() -> None:
     asked = 0
 

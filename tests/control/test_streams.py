@@ -42,6 +42,7 @@ async def test_only_the_kinds_that_are_asked_for() -> None:
             assert (await asyncio.to_thread(stream.next, WAIT))["event"]["component"] == "other"
 
 
+@pytest.mark.slow(kept_by="test_events_come_in_order_without_a_gap")
 async def test_a_reader_that_is_too_slow_is_told_how_much_is_missing() -> None:
     """The client reads nothing until far more has happened than the socket and the queue hold."""
     async with controlled("slow") as kernel:

@@ -70,6 +70,7 @@ def test_a_row_says_what_it_does_and_its_arguments_come_back_from_their_plain_fo
         assert row.result.__doc__
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("right", list(Right), ids=lambda right: right.value)
 @pytest.mark.anyio
 async def test_each_row_is_denied_without_its_right_and_for_another_kernel(

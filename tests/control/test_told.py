@@ -83,12 +83,14 @@ async def test_rates_of_a_port_of_two_kernels_are_told_with_the_candidates(capsy
         )
 
 
+@pytest.mark.slow
 async def test_a_field_that_is_not_there_is_told_with_those_that_are(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled():
         status, text = await commanded(capsys, "print", "counter0.out.dat", "--count", "1")
         assert (status, text) == (2, "aiorts: E-RECORD: the samples have no 'dat'; there are tm, data\n")
 
 
+@pytest.mark.slow
 async def test_an_event_has_its_own_fields_only(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled() as kernel:
         watching = asyncio.ensure_future(commanded(capsys, "watch", "--kind", "StateChanged", "--count", "1", "--json"))
@@ -156,6 +158,7 @@ def test_a_silent_kernel_that_is_named_is_said_not_to_answer(word: str) -> None:
         some(changing=False).all(word)
 
 
+@pytest.mark.slow
 def test_each_command_with_an_operation_that_changes_something_asks_for_sure_names() -> None:
     changing = {row.name for row in OPERATIONS.values() if row.right is not Right.VIEW}
     careless = {}
@@ -168,6 +171,7 @@ def test_each_command_with_an_operation_that_changes_something_asks_for_sure_nam
     assert careless == {"rates": {"measure"}}  # it ends with the command, and is said
 
 
+@pytest.mark.slow(kept_by="test_what_changes_takes_no_name_that_a_silent_kernel_may_have")
 async def test_commands_beside_a_kernel_that_does_not_answer(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled() as kernel:
         claim = Claim("host/mute", "0" * 16)  # it listens, and says nothing

@@ -151,6 +151,7 @@ async def test_without_a_terminal_it_prints(capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().out.count("counter0.out -> reader0.in") == 2
 
 
+@pytest.mark.slow(kept_by="test_without_a_terminal_it_prints")
 @pytest.mark.anyio
 async def test_connectors_that_come_while_it_runs_have_their_ports(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled("come") as kernel:
@@ -235,6 +236,7 @@ async def on_terminal(use: Callable[[Top], None], *words: str) -> None:
     await asyncio.to_thread(work)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.anyio
 async def test_it_fills_the_terminal_and_hears_its_keys() -> None:
     def use(top: Top) -> None:
@@ -263,6 +265,7 @@ async def test_it_fills_the_terminal_and_hears_its_keys() -> None:
         await on_terminal(use)
 
 
+@pytest.mark.slow(kept_by="test_it_fills_the_terminal_and_hears_its_keys")
 @pytest.mark.anyio
 @pytest.mark.parametrize(
     ("how", "status"), [("\x03", 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGINT, 130)]
@@ -277,6 +280,7 @@ async def test_the_terminal_is_what_it_was_after_a_signal(how: Any, status: int)
         await on_terminal(use)
 
 
+@pytest.mark.slow(kept_by="test_keys_are_characters_and_names")
 @pytest.mark.anyio
 async def test_a_terminal_that_goes_away_ends_it() -> None:
     def use(top: Top) -> None:
@@ -290,6 +294,7 @@ async def test_a_terminal_that_goes_away_ends_it() -> None:
         await on_terminal(use)
 
 
+@pytest.mark.slow(kept_by="test_without_a_terminal_it_prints")
 @pytest.mark.anyio
 async def test_a_kernel_that_ends_gets_one_line() -> None:
     kernel = await Kernel(services={"control": {"name": "ends"}}).open()
@@ -305,6 +310,7 @@ async def test_a_kernel_that_ends_gets_one_line() -> None:
     await on_terminal(use)
 
 
+@pytest.mark.slow(kept_by="test_keys_are_characters_and_names")
 @pytest.mark.anyio
 async def test_stopped_with_ctrl_z_the_shell_has_its_terminal() -> None:
     def use(top: Top) -> None:
@@ -342,6 +348,7 @@ members = ["counter0", "reader0"]
 """
 
 
+@pytest.mark.slow(kept_by="control/test_measure.py::test_hz_shows_the_rate_by_the_counter")
 def test_the_rate_is_that_of_the_edge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(control_parts.__file__).parent))
     (tmp_path / "loop.toml").write_text(LOOP)
@@ -356,6 +363,9 @@ def test_the_rate_is_that_of_the_edge(tmp_path: Path, monkeypatch: pytest.Monkey
     assert json.loads(done.stdout.splitlines()[-1])["rate"] == pytest.approx(truth, rel=0.2)
 
 
+@pytest.mark.slow(
+    kept_by="control/test_measure.py::test_in_simulated_time_values_are_not_streamed_and_counters_are_of_its_clock"
+)
 def test_a_simulated_run_with_top_beside_it_records_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -373,6 +383,7 @@ def test_a_simulated_run_with_top_beside_it_records_the_same_bytes(
     assert top.stderr == "aiorts: beside: has ended\n"
 
 
+@pytest.mark.slow(kept_by="control/test_measure.py::test_delay_says_that_it_measures_and_puts_it_back")
 @pytest.mark.anyio
 async def test_a_delay_that_is_killed_leaves_nothing_measured() -> None:
     async with controlled("killed") as kernel:
@@ -392,6 +403,7 @@ async def test_a_delay_that_is_killed_leaves_nothing_measured() -> None:
             process.wait(WAIT)
 
 
+@pytest.mark.slow(kept_by="test_without_a_terminal_it_prints")
 @pytest.mark.anyio
 @pytest.mark.parametrize("command", ["top", "hz counter0.out"])
 async def test_a_reader_that_has_seen_enough_ends_it_without_a_word(command: str) -> None:

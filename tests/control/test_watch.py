@@ -110,6 +110,7 @@ def is_there(component: str) -> bool:
     return run_command(["cat", f"watched/{component}"]) == 0
 
 
+@pytest.mark.slow(kept_by="test_where_nothing_can_be_watched")
 def test_what_is_changed_is_applied_and_a_bad_file_changes_nothing(tmp_path: Path) -> None:
     with watched(tmp_path, "0.3") as one:
         one.write("length = 100", "length = 50")
@@ -136,6 +137,7 @@ def test_what_is_changed_is_applied_and_a_bad_file_changes_nothing(tmp_path: Pat
         assert one.process.wait(WAIT) == 130
 
 
+@pytest.mark.slow(kept_by="test_where_nothing_can_be_watched")
 def test_a_change_that_makes_it_worse_is_taken_back(tmp_path: Path) -> None:
     bad = "class Bad(Ramp):\n    async def on_execute(self) -> None:\n        raise ValueError('no such device')\n"
     (tmp_path / "bad.py").write_text(f"{PARTS}\n{bad}")
@@ -149,6 +151,7 @@ def test_a_change_that_makes_it_worse_is_taken_back(tmp_path: Path) -> None:
         assert run_command(["plan", str(system), "--live", "watched"]) == 0
 
 
+@pytest.mark.slow(kept_by="test_where_nothing_can_be_watched")
 def test_code_that_was_changed_while_no_component_was_of_it_is_the_new_one(tmp_path: Path) -> None:
     (tmp_path / "other.py").write_text(PARTS)
     with watched(tmp_path, "0") as one:
@@ -162,6 +165,7 @@ def test_code_that_was_changed_while_no_component_was_of_it_is_the_new_one(tmp_p
         one.says("- remove other", "+ create other (other.py:Ramp)\n", "done\n")
 
 
+@pytest.mark.slow(kept_by="cli/test_plan.py::test_what_cannot_run_at_all_is_no_plan")
 def test_what_cannot_run_is_told_with_its_place_and_the_code_that_runs_is_not_read_again(tmp_path: Path) -> None:
     with watched(tmp_path, "0") as run:
         run.write('"meter.inp"', '"meter.inq"')
@@ -175,6 +179,7 @@ def test_what_cannot_run_is_told_with_its_place_and_the_code_that_runs_is_not_re
         assert run.said.count("~ reload parts.py:Ramp") == 1
 
 
+@pytest.mark.slow(kept_by="test_where_nothing_can_be_watched")
 def test_of_what_changes_during_a_window_the_newest_is_applied(tmp_path: Path) -> None:
     with watched(tmp_path, "3") as one:
         one.write("length = 100", "length = 1")
@@ -208,6 +213,7 @@ def test_where_nothing_can_be_watched(
     assert why in capsys.readouterr().err
 
 
+@pytest.mark.slow(kept_by="test_where_nothing_can_be_watched")
 @pytest.mark.anyio
 async def test_a_type_whose_file_was_read_anew_for_another_one_is_named_as_before(tmp_path: Path) -> None:
     (tmp_path / "parts.py").write_text(PARTS)

@@ -32,6 +32,7 @@ def run_system(loop: str, seed: str) -> bytes:
     return done.stdout
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(128)
 @pytest.mark.parametrize("each", [False, True], ids=["one on each loop", "two on each"])
 def test_two_processes_on_two_loops_each_give_the_same_bytes(each: bool) -> None:
@@ -69,6 +70,7 @@ class Sink(Component):
         self.total += sample.data
 
 
+@pytest.mark.slow(kept_by="contexts/test_ten_hours.py::test_ticks_counted_one_by_one_neither_drift_nor_get_lost")
 @pytest.mark.row(29, 128)
 def test_an_hour_at_a_hundred_hertz_takes_seconds() -> None:
     async def main(clock: SimulatedClock) -> tuple[int, int, int]:

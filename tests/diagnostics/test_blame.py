@@ -75,6 +75,7 @@ async def held_by(
     pytest.fail(f"{who} was never blamed, but {sorted(set(map(str, seen)))}")
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.anyio
 @pytest.mark.row(202)
 async def test_a_neighbour_that_sleeps_is_named_with_component_hook_and_line() -> None:
@@ -96,6 +97,7 @@ async def test_a_neighbour_that_sleeps_is_named_with_component_hook_and_line() -
         assert statistics.last_blame is not None
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_call_that_holds_the_interpreter_lock_is_named() -> None:
     async with Kernel() as kernel:
@@ -106,6 +108,7 @@ async def test_a_call_that_holds_the_interpreter_lock_is_named() -> None:
         assert blame.held_ns > 5 * MS
 
 
+@pytest.mark.slow(kept_by="test_the_hook_of_a_thread_context_is_named_and_the_loop_is_not")
 @pytest.mark.anyio
 async def test_an_event_context_whose_times_nobody_takes_is_named() -> None:
     async with Kernel() as kernel:
@@ -116,6 +119,7 @@ async def test_an_event_context_whose_times_nobody_takes_is_named() -> None:
         assert (blame.component, blame.hook, blame.line) == ("listener", "on_execute", line_of("sleeps"))
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_code_of_the_application_is_named_by_function_and_line() -> None:
     def poll_the_disk() -> None:
@@ -129,6 +133,7 @@ async def test_code_of_the_application_is_named_by_function_and_line() -> None:
         assert blame.place == f"poll_the_disk (test_blame.py:{line_of('polls')})"
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_task_of_a_component_is_named_with_its_component() -> None:
     class Starter(Component):
@@ -151,6 +156,7 @@ async def test_a_task_of_a_component_is_named_with_its_component() -> None:
         assert "starter, in a task of its own (test_blame.py:" in str(blame)
 
 
+@pytest.mark.slow(kept_by="test_a_neighbour_that_sleeps_is_named_with_component_hook_and_line")
 @pytest.mark.anyio
 async def test_a_hook_of_its_own_that_waits_too_long_is_named_where_it_waits() -> None:
     class Waiter(Component):
@@ -183,6 +189,7 @@ async def test_the_hook_of_a_thread_context_is_named_and_the_loop_is_not() -> No
         assert f"serial.on_execute (test_blame.py:{line_of('sleeps')} in grab)" in blames
 
 
+@pytest.mark.slow(kept_by="test_a_neighbour_that_sleeps_is_named_with_component_hook_and_line")
 @pytest.mark.anyio
 async def test_without_a_timerfd_component_and_hook_are_named_with_the_line_the_hook_begins_at(
     monkeypatch: pytest.MonkeyPatch,
@@ -196,6 +203,7 @@ async def test_without_a_timerfd_component_and_hook_are_named_with_the_line_the_
     assert blame.line == Busy.on_execute.__code__.co_firstlineno
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 @pytest.mark.fault("C07")
 async def test_a_garbage_collection_is_named_and_counted() -> None:
@@ -231,6 +239,7 @@ asyncio.run(main())
 """
 
 
+@pytest.mark.slow(kept_by="diagnostics/test_blame_judge.py::test_a_cycle_40_ms_late_is_blamed_on")
 def test_a_process_that_was_stopped_blames_the_machine() -> None:
     with subprocess.Popen([sys.executable, "-c", STOPPED], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -347,6 +356,7 @@ asyncio.run(main())
 """
 
 
+@pytest.mark.slow(kept_by="test_nothing_of_the_watching_is_left_when_the_last_context_has_stopped")
 def test_the_child_of_a_fork_has_no_part_in_the_watching() -> None:
     done = subprocess.run([sys.executable, "-c", FORKING], capture_output=True, text=True, timeout=30, check=False)
     assert (done.returncode, done.stdout) == (0, "10 True\n"), done.stderr
@@ -369,6 +379,7 @@ print("left", flush=True)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G11")
 def test_an_interpreter_that_ends_with_the_watcher_alive_does_not_hang() -> None:
     for _ in range(2):

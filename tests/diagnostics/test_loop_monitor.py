@@ -82,6 +82,7 @@ async def stalled(how: str, caplog: pytest.LogCaptureFixture) -> tuple[float, lo
     return records[0].created - one.begun, records[0]
 
 
+@pytest.mark.slow
 @pytest.mark.fault("A09")
 @pytest.mark.row(16)
 @pytest.mark.parametrize(
@@ -105,6 +106,7 @@ async def test_what_blocks_the_loop_is_named_within_a_quarter_of_a_second(
     assert best <= 0.25
 
 
+@pytest.mark.slow
 async def test_a_task_and_the_application_are_named_too(caplog: pytest.LogCaptureFixture) -> None:
     class Parent(Component):
         async def on_activated(self) -> None:
@@ -127,6 +129,7 @@ async def test_a_task_and_the_application_are_named_too(caplog: pytest.LogCaptur
         assert "test_a_task_and_the_application" in caplog.text
 
 
+@pytest.mark.slow(kept_by="test_simulated_time_has_no_stalls")
 async def test_an_idle_loop_and_a_busy_one_are_no_stall(caplog: pytest.LogCaptureFixture) -> None:
     async with Kernel() as kernel:
         kernel.watch_loop()
@@ -139,6 +142,7 @@ async def test_an_idle_loop_and_a_busy_one_are_no_stall(caplog: pytest.LogCaptur
     assert "does not turn" not in caplog.text
 
 
+@pytest.mark.slow(kept_by="test_simulated_time_has_no_stalls")
 async def test_woken_late_while_the_loop_waits_for_nothing_it_names_nobody(caplog: pytest.LogCaptureFixture) -> None:
     async with Kernel() as kernel:
         kernel.watch_loop()
@@ -165,6 +169,7 @@ class SlowTyping(io.StringIO):
         return "c\n"
 
 
+@pytest.mark.slow(kept_by="test_simulated_time_has_no_stalls")
 async def test_at_the_prompt_of_a_debugger_it_is_quiet(caplog: pytest.LogCaptureFixture) -> None:
     async with Kernel() as kernel:
         kernel.watch_loop(limit=0.3)
@@ -226,6 +231,7 @@ def child(tmp_path: Path, *args: str) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.fault("A09")
 @pytest.mark.row(17)
 @pytest.mark.parametrize("how", ["spin", "sleep", "logging"])
@@ -243,6 +249,7 @@ def test_after_the_limit_the_process_ends_with_70_for_who_restarts_it(how: str, 
     assert len(told) == (1 if how == "logging" else 2)
 
 
+@pytest.mark.slow(kept_by="test_simulated_time_has_no_stalls")
 def test_a_process_that_was_stopped_is_no_stall_and_is_watched_afterwards(tmp_path: Path) -> None:
     with (
         child(tmp_path, "idle", "0.8", "exit") as idle,

@@ -41,11 +41,13 @@ def test_a_system_is_left_in_simulated_time(seed: int, tmp_path: Path) -> None:
     assert WAYS["with simulated"](system_of(seed), tmp_path / "books") == []
 
 
+@pytest.mark.slow(kept_by="test_a_system_is_left_in_simulated_time")
 @pytest.mark.parametrize("seed", HERE)
 def test_a_system_is_left_in_real_time(seed: int, tmp_path: Path) -> None:
     assert WAYS["with real"](system_of(seed), tmp_path / "books") == []
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(time_limit(3600))
 @pytest.mark.parametrize("way", [way for way in WAYS if not way.startswith("with")])
 def test_a_run_is_ended(way: str, tmp_path: Path) -> None:

@@ -55,6 +55,7 @@ def test_the_container_file_copies_what_there_is_and_lets_signals_through() -> N
     assert any(line.startswith("USER ") for line in lines)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("G12")
 def test_it_is_ready_answers_the_watchdog_and_stops_at_sigterm(tmp_path: Path) -> None:
     address = tmp_path / "notify"

@@ -38,6 +38,7 @@ def test_a_system_says_what_it_verified_and_fails_on_another_result(name: str, e
     assert done.stdout.splitlines()[-1].endswith(f" not verified: expected 7, got {got}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("old", "new"), [("text\n1001", "text\n1000"), ("sh\ntrue", "sh\nfalse")])
 def test_the_commands_of_the_readme_are_compared_with_their_text(tmp_path: Path, old: str, new: str) -> None:
     text = "```sh\necho 1001\n```\n\n```text\n1001\n```\n\n```sh\ntrue\n```\n\n```text\n```\n"

@@ -16,6 +16,8 @@ import pytest
 
 from process_parts import MARK, all_gone, marked, there
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TRIES = 3
 """Whatever else runs on this machine makes ticks late, and never less so."""

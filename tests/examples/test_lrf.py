@@ -69,6 +69,7 @@ headings = st.floats(-3.0, 3.0)
 pose = st.builds(lambda x, y, heading: Pose2D(Point2D(x, y), heading), numbers, numbers, headings)
 
 
+@pytest.mark.slow
 @given(first=pose, other=pose)
 def test_poses_are_found_from_tracks_without_noise(first: Pose2D, other: Pose2D) -> None:
     walked = np.array([0.0, 1.0, 1.0 + 2.0j, -1.0 + 0.5j])
@@ -149,18 +150,21 @@ async def test_a_transform_is_silent_until_its_configuration_set_has_the_pose() 
 # -- in one process ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="test_a_pose_that_is_not_right_is_said_and_ends_with_status_1")
 def test_in_one_process_every_pose_is_right(one_process: str) -> None:
     assert SMOOTH in one_process
     assert [*poses(one_process)] == ["west", "north", "east"]
     assert re.search(r"^on one map: 300 points, [1-5]\.\d+ mm from the middle of the three", one_process, re.MULTILINE)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("change", ["operator.within=0.0001", "operator.within_degrees=0.001"])
 def test_a_pose_that_is_not_right_is_said_and_ends_with_status_1(change: str) -> None:
     done = here("run", str(EXAMPLE / "system.toml"), "--set", change)
     assert (done.returncode, "deg WRONG\n" in done.stdout) == (1, True), done.stdout
 
 
+@pytest.mark.slow(kept_by="test_a_transform_is_silent_until_its_configuration_set_has_the_pose")
 def test_a_range_finder_that_has_lost_its_pose_is_given_it_again(capsys: pytest.CaptureFixture[str]) -> None:
     async def main() -> tuple[int, str]:
         async with Kernel() as kernel:
@@ -175,6 +179,7 @@ def test_a_range_finder_that_has_lost_its_pose_is_given_it_again(capsys: pytest.
     assert "on one map: 60 points" in capsys.readouterr().out
 
 
+@pytest.mark.slow(kept_by="test_a_pose_that_is_not_right_is_said_and_ends_with_status_1")
 def test_the_page_of_the_guide_has_the_picture_that_is_drawn_and_the_poses_that_are_found(one_process: str) -> None:
     done = subprocess.run(
         [sys.executable, str(EXAMPLE / "picture.py")], capture_output=True, text=True, timeout=60, check=True
@@ -190,6 +195,7 @@ def test_the_page_of_the_guide_has_the_picture_that_is_drawn_and_the_poses_that_
 # -- in several --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="test_a_pose_that_is_not_right_is_said_and_ends_with_status_1")
 def test_four_processes_find_the_same_poses(one_process: str) -> None:
     status, said = ran()
     assert (status, SMOOTH in said) == (0, True), said
@@ -197,6 +203,7 @@ def test_four_processes_find_the_same_poses(one_process: str) -> None:
         assert poses(said)[name] == pytest.approx(found, abs=1e-9)
 
 
+@pytest.mark.slow(kept_by="test_a_pose_that_is_not_right_is_said_and_ends_with_status_1")
 @pytest.mark.parametrize("killed", ["north", "station"])
 def test_one_that_is_killed_in_mid_calibration_is_started_again_and_the_poses_are_right(killed: str) -> None:
     status, said = ran("--kill", killed)
@@ -223,6 +230,7 @@ def namespaces() -> None:
     subprocess.run(["ip", "netns", "del", name], check=True, timeout=10)
 
 
+@pytest.mark.slow(kept_by="test_a_pose_that_is_not_right_is_said_and_ends_with_status_1")
 def test_three_hosts_find_the_same_poses(one_process: str, namespaces: None) -> None:
     status, said = ran("--network")
     assert (status, SMOOTH in said) == (0, True), said
@@ -230,6 +238,7 @@ def test_three_hosts_find_the_same_poses(one_process: str, namespaces: None) -> 
         assert poses(said)[name] == pytest.approx(found, abs=1e-9)
 
 
+@pytest.mark.slow(kept_by="test_a_pose_that_is_not_right_is_said_and_ends_with_status_1")
 @pytest.mark.fault("E01")
 def test_one_of_three_hosts_is_killed_in_mid_calibration(namespaces: None) -> None:
     status, said = ran("--network", "--kill", "north")

@@ -61,6 +61,7 @@ def played(capsys: pytest.CaptureFixture[str], file: Path, *changes: str) -> tup
 # -- what is promised --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="test_the_four_are_one_composite_that_runs_in_one_context")
 def test_all_four_runs_are_as_promised_and_shown_in_one_table() -> None:
     status, lines, errors = ran(ROOT, "examples/manipulator/compare.py")
     assert (status, errors) == (0, ""), lines
@@ -69,6 +70,7 @@ def test_all_four_runs_are_as_promised_and_shown_in_one_table() -> None:
     assert "not as promised" not in "".join(lines)
 
 
+@pytest.mark.slow(kept_by="test_one_bit_of_one_answer_is_found")
 def test_the_simulator_says_the_same_every_time(tmp_path: Path) -> None:
     command = ("-m", "aiorts", "run", "sim.toml", "--set")
     first, second = (ran(EXAMPLE, *command, f"judge.record={tmp_path / name}") for name in ("one", "two"))
@@ -77,6 +79,7 @@ def test_the_simulator_says_the_same_every_time(tmp_path: Path) -> None:
     assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
 
 
+@pytest.mark.slow(kept_by="first")
 def test_the_force_settles_and_the_brake_holds(tmp_path: Path) -> None:
     """Read from the recording itself, not from what the judge says of it."""
     assert simulated(f"judge.record={tmp_path / 'run'}")[0] == 0
@@ -111,6 +114,7 @@ def test_one_file_for_robot_and_simulator_is_either_system() -> None:
     assert hardware.contexts["ticks"].members == real.contexts["loop"].members
 
 
+@pytest.mark.slow(kept_by="test_one_file_for_robot_and_simulator_is_either_system")
 def test_one_file_for_robot_and_simulator_runs_as_either() -> None:
     assert simulated(file="robot.toml") == simulated(file="sim.toml")
     real = here(EXAMPLE, "run", "robot.toml", "--var", "sim=false")
@@ -135,6 +139,7 @@ def test_the_four_are_one_composite_that_runs_in_one_context() -> None:
     simulate(main)
 
 
+@pytest.mark.slow
 def test_another_set_takes_effect_while_the_arm_moves() -> None:
     async def main(_clock: object) -> float:
         async with Kernel() as kernel:
@@ -162,6 +167,7 @@ def broken(folder: Path, file: str, old: str, new: str) -> None:
     (folder / file).write_text(text.replace(old, new))
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("file", "old", "new", "said"),
     [
@@ -190,6 +196,7 @@ def test_what_is_broken_is_said_with_status_1(
     assert any(line.startswith("not as promised: ") and said in line for line in lines), lines
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -209,6 +216,7 @@ def test_other_parameters_that_break_a_promise_do_too(
     assert any(line.startswith("not as promised: ") and said in line for line in lines), lines
 
 
+@pytest.mark.slow(kept_by="test_the_force_settles_and_the_brake_holds")
 def test_an_arm_without_a_brake_to_call_is_said(copy: Path) -> None:
     broken(copy, "sim.toml", 'from = "joystick.brake"\nto = "arm.brake"', 'from = "arm.speed"\nto = "arm.encoder"')
     status, lines, errors = simulated(folder=copy)
@@ -217,6 +225,7 @@ def test_an_arm_without_a_brake_to_call_is_said(copy: Path) -> None:
     assert "joystick" in errors
 
 
+@pytest.mark.slow(kept_by="test_the_two_system_files_give_the_controller_the_same_description")
 def test_a_controller_at_another_rate_than_its_own_is_refused(copy: Path) -> None:
     broken(copy, "real.toml", "rate = 500.0", "rate = 400.0")
     status, lines, errors = simulated("judge.patience=0.2", folder=copy, file="real.toml")
@@ -237,6 +246,7 @@ def replayed(capsys: pytest.CaptureFixture[str], folder: Path, lines: list[str])
     return played(capsys, EXAMPLE / "replay.toml", f"tape.path={folder / 'tape'}")
 
 
+@pytest.mark.slow(kept_by="first")
 def test_the_same_inputs_give_the_same_outputs(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, recording: list[str]
 ) -> None:
@@ -260,6 +270,7 @@ def test_nothing_compared_is_not_the_same(capsys: pytest.CaptureFixture[str], tm
     assert (status, said[-1]) == (1, "not as promised: nothing was compared")
 
 
+@pytest.mark.slow(kept_by="test_one_bit_of_one_answer_is_found")
 @pytest.mark.parametrize(
     ("file", "old", "new", "said"),
     [
@@ -286,6 +297,7 @@ def test_the_comparison_of_the_runs_says_what_does_not_hold(
 # -- what it is made of ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="test_the_wall_pushes_and_never_pulls")
 @given(push=numbers, damping=st.floats(20.0, 400.0), mass=st.floats(0.5, 5.0))
 def test_in_free_space_the_damper_moves_as_its_law_says(push: float, damping: float, mass: float) -> None:
     """v(t) = F/D (1 - exp(-D t / M)), within the first order of the period."""
@@ -304,6 +316,7 @@ def test_in_free_space_the_damper_moves_as_its_law_says(push: float, damping: fl
     simulate(main)
 
 
+@pytest.mark.slow(kept_by="test_the_force_settles_and_the_brake_holds")
 @given(speed=numbers, depth=st.floats(-0.01, 0.01), force=st.floats(100.0, 1000.0))
 @example(speed=1.0, depth=0.009765625, force=100.0)
 def test_the_brake_takes_speed_away_and_never_turns_it_round(speed: float, depth: float, force: float) -> None:

@@ -62,6 +62,7 @@ def test_its_cells_build_run_and_change_a_system(monkeypatch: pytest.MonkeyPatch
     assert values[-1] == "<Kernel notebook closed 0 components 0 contexts 0 connectors>"
 
 
+@pytest.mark.slow
 def test_its_kernel_shows_itself_as_a_table(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     kernel = "await kernel.aclose()"
     values = run_changed(monkeypatch, tmp_path, kernel, f"html = kernel._repr_html_(); {kernel}; kernel = html")
@@ -69,6 +70,7 @@ def test_its_kernel_shows_itself_as_a_table(monkeypatch: pytest.MonkeyPatch, tmp
     assert "<td>odometry0</td><td>odometry</td><td>work: active</td>" in values[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "error"),
     [

@@ -81,6 +81,7 @@ def recordings(*aiorts: str | Path, cwd: Path) -> None:
     assert full in run(*aiorts, "types", "battery*", "--json", cwd=cwd)
 
 
+@pytest.mark.slow(kept_by="log/test_declared_types.py::test_every_command_imports_a_module_of_types_that_it_is_told")
 @pytest.mark.row(64)
 @pytest.mark.parametrize(
     "command",
@@ -109,16 +110,19 @@ def test_a_command_that_is_told_the_module_needs_no_plugin(command: list[str], t
     assert "no type" not in told
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(64)
 def test_as_it_lies_there(tmp_path: Path) -> None:
     in_use(sys.executable, "-m", "aiorts", "--plugins", PLUGIN, cwd=tmp_path)
 
 
+@pytest.mark.slow(kept_by="log/test_declared_types.py::test_every_command_imports_a_module_of_types_that_it_is_told")
 @pytest.mark.row(64)
 def test_as_it_lies_there_its_type_is_known_in_recordings(tmp_path: Path) -> None:
     recordings(sys.executable, "-m", "aiorts", "--plugins", PLUGIN, cwd=tmp_path)
 
 
+@pytest.mark.slow(kept_by="test_as_it_lies_there")
 @pytest.mark.row(54)
 def test_its_codec_stands_between_two_filters(tmp_path: Path) -> None:
     aiorts = (sys.executable, "-m", "aiorts", "--plugins", PLUGIN)
@@ -129,6 +133,7 @@ def test_its_codec_stands_between_two_filters(tmp_path: Path) -> None:
     assert (dumped.returncode, dumped.stdout.split(), dumped.stderr) == (0, [b"7", b"7"], b"")
 
 
+@pytest.mark.slow(kept_by="test_as_it_lies_there")
 @pytest.mark.row(64)
 @pytest.mark.skipif(importlib.util.find_spec("hatchling") is None, reason="hatchling is not installed")
 def test_built_and_installed_in_a_new_environment(tmp_path: Path) -> None:
@@ -156,6 +161,7 @@ def test_built_and_installed_in_a_new_environment(tmp_path: Path) -> None:
     assert str(site) in found
 
 
+@pytest.mark.slow(kept_by="test_as_it_lies_there")
 def test_its_own_tests_pass() -> None:
     told = run(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", PLUGIN / "tests")
     assert "passed" in told

@@ -25,6 +25,7 @@ SYSTEMS = [
 ]
 
 
+@pytest.mark.slow(kept_by="log/test_beside.py::test_two_runs_in_virtual_time_are_the_same_to_the_byte")
 @pytest.mark.row(128)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_an_example_is_recorded_and_stays_what_it_is(name: str, tmp_path: Path) -> None:

@@ -43,6 +43,7 @@ async def play(clock: SimulatedClock, path: Path, *changes: str) -> tuple[int, f
     return kernel.exit_status, clock.time()
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(115)
 @pytest.mark.row(116)
 @pytest.mark.parametrize(("speed", "seconds"), [(100.0, 0.19), (1.0, 19.0)])
@@ -54,11 +55,13 @@ def test_replayed_it_gives_the_heading_of_the_robot(
     assert took == pytest.approx(seconds, rel=0.02)
 
 
+@pytest.mark.slow(kept_by="test_replayed_it_gives_the_heading_of_the_robot")
 def test_with_stamps_of_now_it_does_as_well(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, _ = simulate(lambda clock: play(clock, drive, "player.absolute=false"))
     assert (status, capsys.readouterr().out.splitlines()) == (0, [VERIFIED])
 
 
+@pytest.mark.slow(kept_by="test_replayed_it_gives_the_heading_of_the_robot")
 def test_of_another_drive_it_does_not(tmp_path: Path, drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with RecordingReader(drive) as reader, RecordingWriter(tmp_path / "other.mcap") as writer:
         ports = {name: writer.add_port(name, port.type, dict(port.metadata)) for name, port in reader.ports.items()}
@@ -70,6 +73,9 @@ def test_of_another_drive_it_does_not(tmp_path: Path, drive: Path, capsys: pytes
     assert capsys.readouterr().out.startswith("heading not verified: row 1001")
 
 
+@pytest.mark.slow(
+    kept_by="flexi/test_replaying.py::TestDeterminism::test_recorded_replayed_and_recorded_again_is_the_same_to_the_byte"
+)
 @pytest.mark.row(117)
 def test_replayed_and_recorded_again_it_is_the_same_to_the_byte(tmp_path: Path, drive: Path) -> None:
     async def main(clock: SimulatedClock) -> None:
@@ -97,6 +103,7 @@ def test_replayed_and_recorded_again_it_is_the_same_to_the_byte(tmp_path: Path, 
             assert 0 <= after.log_time - again.start - exact < 1
 
 
+@pytest.mark.slow(kept_by="test_replayed_it_gives_the_heading_of_the_robot")
 def test_the_commands_of_its_readme_do_what_they_say(tmp_path: Path) -> None:
     text = (EXAMPLES / "recording" / "README.md").read_text()
     lines = text.partition("```sh\n")[2].partition("```")[0].replace("\\\n", " ").splitlines()

@@ -61,11 +61,13 @@ def test_the_recording_is_the_one_of_the_notice() -> None:
     assert "12997a8" in (SYSTEM.parent / "NOTICE").read_text()
 
 
+@pytest.mark.slow(kept_by="test_the_command_of_the_readme_runs_with_nothing_else_running")
 def test_every_heading_is_verified(capsys: pytest.CaptureFixture[str]) -> None:
     status, said = played(SYSTEM.parent / "imu.txt", capsys)
     assert (status, said) == (0, "heading verified: 1216 of 1216 within 1e-6 rad")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_counters_that_wrap_give_the_same_heading(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], seed: int
@@ -83,6 +85,7 @@ def test_counters_that_wrap_give_the_same_heading(
     assert (status, said) == (0, "heading verified: 1216 of 1216 within 1e-6 rad")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", ROWS_CHANGED)
 @pytest.mark.parametrize("column", [LEFT, RIGHT])
 def test_one_count_changed_anywhere_is_found(
@@ -98,6 +101,7 @@ def test_one_count_changed_anywhere_is_found(
     assert "rad, expected " in said
 
 
+@pytest.mark.slow
 def test_a_heading_changed_in_the_truth_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = list(ROWS)
     rows[700] = changed(rows[700], 14, float(rows[700].split(",")[14]) + 2e-6)
@@ -122,6 +126,7 @@ def command(*arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(4)
 def test_the_command_of_the_readme_runs_with_nothing_else_running() -> None:
     done = command("--set", "imu.speed=200")
@@ -131,6 +136,7 @@ def test_the_command_of_the_readme_runs_with_nothing_else_running() -> None:
     assert done.stderr == ""
 
 
+@pytest.mark.slow(kept_by="test_the_command_of_the_readme_runs_with_nothing_else_running")
 def test_it_gives_the_same_bytes_in_virtual_time() -> None:
     first, second = command("--simulate"), command("--simulate")
     assert first.returncode == second.returncode == 0

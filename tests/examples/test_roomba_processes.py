@@ -33,11 +33,15 @@ def log(name: str, environment: dict[str, str]) -> Path:
     return Path(environment["XDG_RUNTIME_DIR"]) / f"{name}.log"
 
 
+@pytest.mark.slow(
+    kept_by="links/test_kernels.py::test_what_is_written_in_one_kernel_is_read_in_the_other_in_order_and_accounted_for"
+)
 def test_three_processes_verify_the_heading(environment: dict[str, str]) -> None:
     said = played(environment, speed=40, killed=False)
     assert "heading verified: 1216 of 1216 within 1e-6 rad" in said["monitor"], said
 
 
+@pytest.mark.slow(kept_by="links/test_kernels.py::test_a_kernel_that_is_started_anew_goes_on_with_the_loss_counted")
 def test_the_middle_one_is_killed_and_started_anew_and_the_loss_is_said(environment: dict[str, str]) -> None:
     said = played(environment, speed=6, killed=True)
     pattern = r"heading verified: (\d+) of 1216 within 1e-6 rad; (\d+) rows were lost, (.*)"

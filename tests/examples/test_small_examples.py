@@ -70,6 +70,7 @@ def ended(request: pytest.FixtureRequest) -> Ended:
     return outcome
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("command", COMMANDS)
 def test_an_example_runs_by_its_own_command(command: str, ended: Ended) -> None:
     done = ended(command)

@@ -260,6 +260,9 @@ def played(seed: int) -> History:
     return simulate(main)
 
 
+@pytest.mark.slow(
+    kept_by="execution/test_failing_hooks.py::test_whatever_a_hook_raises_is_the_error_of_its_component_alone"
+)
 @pytest.mark.fault("A06")
 def test_hooks_run_quickly_and_hooks_run_with_care_give_the_same_history(monkeypatch: pytest.MonkeyPatch) -> None:
     def careful(driver: TaskDriver) -> None:

@@ -81,6 +81,7 @@ def played(seed: int, debug: bool) -> list[tuple[object, ...]]:
     return simulate(main)
 
 
+@pytest.mark.slow
 @pytest.mark.row(28)
 def test_the_short_way_and_the_long_way_give_the_same_history() -> None:
     for seed in range(cases(2000)):

@@ -197,6 +197,7 @@ def test_hooks_that_nobody_wrote_are_announced_too_and_fail_nothing() -> None:
     simulate(main)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("A02")
 def test_component_that_failed_to_activate_never_executes_and_its_ports_stay_closed() -> None:
     """OpenRTM-aist issue 417: on_execute ran once after a failed on_activated."""
@@ -270,6 +271,7 @@ def log_lines() -> Iterator[list[int]]:
     logger.removeFilter(tally)
 
 
+@pytest.mark.slow(kept_by="test_failures_of_on_aborting_and_on_error_are_chained_to_the_cause_and_change_nothing")
 @pytest.mark.fault("A03")
 @pytest.mark.campaign
 @pytest.mark.parametrize("fail", [fresh, same_again, from_the_last])

@@ -66,6 +66,7 @@ async def start_blocking(kernel: Kernel) -> list[Blocking]:
     return [blocking, again]
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_others_have_a_turn_after_each_cycle_and_timers_too() -> None:
     async with Kernel() as kernel:
@@ -79,6 +80,7 @@ async def test_others_have_a_turn_after_each_cycle_and_timers_too() -> None:
         assert [one.runs - earlier <= 3 for one, earlier in zip(both, before, strict=True)] == [True, True]
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_what_takes_several_turns_costs_few_cycles_where_each_is_long() -> None:
     """A start, a request and a timer take up to eight turns of the loop; none may cost so many whole cycles."""
@@ -91,6 +93,7 @@ async def test_what_takes_several_turns_costs_few_cycles_where_each_is_long() ->
         assert [one.runs - earlier <= 4 for one, earlier in zip(both, before, strict=True)] == [True, True]
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 @pytest.mark.parametrize("asked", ["by the owner", "by request_stop", "from a thread"])
 async def test_a_stop_is_answered_within_two_cycles(asked: str) -> None:
@@ -139,6 +142,7 @@ async def test_cycles_many_periods_long_are_said_though_they_are_few(caplog: pyt
     assert len(warnings_of(caplog)) == 1
 
 
+@pytest.mark.slow
 @simulated
 async def test_overruns_now_and_then_are_not_said(caplog: pytest.LogCaptureFixture) -> None:
     """A burst of late cycles, and one cycle in ten that is late: neither is worth a word."""
@@ -159,6 +163,7 @@ async def test_overruns_now_and_then_are_not_said(caplog: pytest.LogCaptureFixtu
     assert warnings_of(caplog) == []
 
 
+@pytest.mark.slow
 def test_overload_needs_time_ticks_and_a_majority() -> None:
     fast = Overload()
     assert not any(fast.add(tick * 1000, tick, tick) for tick in range(900_000))  # 0.9 s at 1 MHz

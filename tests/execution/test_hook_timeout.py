@@ -157,6 +157,9 @@ def test_neighbour_of_a_stuck_component_has_time_for_its_own_way_out() -> None:
     assert simulate(main)
 
 
+@pytest.mark.slow(
+    kept_by="test_hook_over_its_deadline_is_cancelled_each_half_second_then_abandoned_and_the_neighbour_runs_on"
+)
 @pytest.mark.fault("A06")
 @pytest.mark.fault("A07")
 @pytest.mark.parametrize(("kind", "loop"), [(Stuck, "uvloop"), (StuckInFinally, "asyncio")])
@@ -209,6 +212,7 @@ class Chatter(Component):
             await self.out.write(TimedLong(0, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 @pytest.mark.fault("A11")
 @pytest.mark.parametrize("turns", [5, 25])
@@ -230,6 +234,7 @@ async def test_endless_writes_without_another_await_let_everybody_else_run(anyio
     assert time.monotonic() - began <= 4.6
 
 
+@pytest.mark.slow(kept_by="test_host_that_cancels_every_task_gets_them_all_ended")
 @pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
 def test_loop_that_ends_with_an_open_kernel_stops_its_contexts_in_order(
     loop: str, caplog: pytest.LogCaptureFixture

@@ -123,6 +123,7 @@ def test_request_that_does_not_fit_the_state_is_refused_with_advice(state: str, 
     simulate(main)
 
 
+@pytest.mark.slow
 @pytest.mark.row(5)
 @pytest.mark.anyio
 async def test_components_are_coroutines_that_wait_without_holding_anybody_up(anyio_backend: Any) -> None:

@@ -228,6 +228,7 @@ async def _cancelled_after(turns: int, what: Callable[[], Awaitable[Any]]) -> bo
     return task.cancelled()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["add", "start", "activate", "remove"])
 def test_caller_cancelled_at_any_moment_leaves_a_whole_system_that_goes_on(what: str) -> None:
     async def main(clock: SimulatedClock) -> int:
@@ -302,6 +303,7 @@ def test_host_cancelled_in_the_body_closes_the_kernel_properly_however_often_it_
     simulate(main)
 
 
+@pytest.mark.slow(kept_by="test_host_cancelled_in_the_body_closes_the_kernel_properly_however_often_it_is_cancelled")
 @pytest.mark.anyio
 async def test_anyio_scope_that_is_cancelled_waits_for_the_close_without_a_busy_loop(anyio_backend: Any) -> None:
     import time

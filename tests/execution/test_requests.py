@@ -105,6 +105,7 @@ def test_a_request_that_began_and_did_not_end_in_time_is_told_apart() -> None:
     simulate(main)
 
 
+@pytest.mark.slow(kept_by="test_a_request_that_does_not_begin_in_time_is_withdrawn_and_says_so")
 @pytest.mark.row(34)
 @pytest.mark.anyio
 async def test_the_deadline_of_a_request_goes_by_the_kernels_clock() -> None:

@@ -49,6 +49,7 @@ class Late(Component):
         return [b - a for a, b in zip(self.begun, self.begun[1:], strict=False)]
 
 
+@pytest.mark.slow
 @pytest.mark.fault("C06")
 @pytest.mark.campaign
 async def test_a_starved_processor_costs_ticks_which_are_counted_and_no_state(
@@ -120,6 +121,7 @@ SYSTEM = """
 """
 
 
+@pytest.mark.slow
 @pytest.mark.fault("C07")
 @pytest.mark.campaign
 def test_with_a_million_objects_aiorts_run_does_not_collect_them_again(tmp_path: Path) -> None:
@@ -147,6 +149,7 @@ def _run_with(tmp_path: Path, objects: int, seconds: str) -> tuple[dict[str, int
     return json.loads(done.stdout), done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.fault("C07")
 async def test_an_embedded_kernel_leaves_the_collector_alone_and_reports_its_pauses() -> None:
     frozen, thresholds = gc.get_freeze_count(), gc.get_threshold()
@@ -183,6 +186,7 @@ class Borrower(Component):
         self.done += 1
 
 
+@pytest.mark.slow(kept_by="test_a_second_time_that_calls_wait_is_told_again_and_no_look_is_left_behind")
 @pytest.mark.fault("G10")
 @pytest.mark.timeout(60)
 async def test_a_used_up_pool_of_threads_is_told_once_and_the_loop_is_alive(caplog: pytest.LogCaptureFixture) -> None:
@@ -213,6 +217,7 @@ async def test_a_used_up_pool_of_threads_is_told_once_and_the_loop_is_alive(capl
     assert p99(gaps) <= 60 * MS
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("G10")
 async def test_a_second_time_that_calls_wait_is_told_again_and_no_look_is_left_behind() -> None:
     told: list[ThreadsExhausted] = []

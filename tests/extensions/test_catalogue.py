@@ -89,6 +89,7 @@ def test_an_unknown_kind_is_a_problem_with_a_near_one(site: Path) -> None:
     assert "'aiorts.component': no such kind of plugin; did you mean aiorts.components?" in problem.reason
 
 
+@pytest.mark.slow(kept_by="extensions/test_loading.py::test_a_folder_offers_what_its_pyproject_declares")
 def test_a_plugin_in_a_zip_file_is_one(tmp_path: Path) -> None:
     install(tmp_path / "in", "plug-zip", {"plug_zip": COMPONENT}, {"components/Zipped": "plug_zip:Good"})
     with zipfile.ZipFile(tmp_path / "plug.zip", "w") as archive:
@@ -122,6 +123,7 @@ def test_a_project_that_is_installed_for_editing_and_named_as_a_folder_is_one(si
     assert issubclass(load(found), Component)
 
 
+@pytest.mark.slow
 def test_ten_thousand_entry_points_are_listed_in_a_moment(site: Path) -> None:
     entries = {f"components/Part{number}": "plug_many:Good" for number in range(10_000)}
     install(site, "plug-many", {"plug_many": COMPONENT}, entries)
@@ -253,6 +255,7 @@ def test_a_thousand_other_files_hide_nothing(tmp_path: Path) -> None:
     assert "Good" in names(Catalogue([tmp_path]))
 
 
+@pytest.mark.slow(kept_by="test_an_unknown_kind_is_a_problem_with_a_near_one")
 @settings(max_examples=60, deadline=None)
 @given(st.dictionaries(st.text(min_size=1, max_size=8), st.text(max_size=12), max_size=4))
 def test_any_name_and_target_is_listed_as_it_is_and_loads_or_is_a_plugin_error(entries: dict[str, str]) -> None:
@@ -283,6 +286,7 @@ def load_class_of(catalogue: Catalogue, key: str) -> type[Component]:
     return catalogue.find("components", key).load_class(Component)
 
 
+@pytest.mark.slow
 def test_what_a_project_names_and_is_not_installed_is_told_with_what_to_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -60,6 +60,7 @@ def test_a_module_of_types_is_imported_when_nothing_else_has_the_name(tmp_path: 
         find_type("Handle")
 
 
+@pytest.mark.slow
 @pytest.mark.row(64)
 def test_installed_types_are_found_by_the_types_alone(tmp_path: Path) -> None:
     install(tmp_path, "plug-d", {"plug_d": RECORD.format("DepthD")}, {"types/DepthD": "plug_d:DepthD"})
@@ -150,6 +151,7 @@ def test_a_broken_type_is_an_unknown_one_with_the_reason_and_is_tried_once(
     assert find_type("TimedDouble") is TimedDouble
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F05")
 def test_a_type_whose_import_never_ends_holds_up_who_asks_for_seconds_and_no_longer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -191,6 +193,7 @@ def test_two_types_that_ask_for_each_other_are_refused_without_waiting(tmp_path:
     assert time.monotonic() - began < 4.0  # what waits for itself waits for 5
 
 
+@pytest.mark.slow
 def test_unknown_names_are_cheap(tmp_path: Path) -> None:
     """The packages are listed once, not for each name that somebody mistypes."""
     began = time.perf_counter()
@@ -282,6 +285,7 @@ def test_an_import_that_never_ends_stops_neither_the_loop_nor_the_end_of_the_ker
         stop.set()
 
 
+@pytest.mark.slow(kept_by="test_an_import_that_never_ends_stops_neither_the_loop_nor_the_end_of_the_kernel")
 @pytest.mark.fault("F05")
 def test_a_process_ends_although_an_import_does_not(tmp_path: Path) -> None:
     project(tmp_path, "plug-loop", {"plug_loop": "while True: pass"}, {"components/Loop": "plug_loop:Good"})

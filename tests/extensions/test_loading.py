@@ -177,6 +177,7 @@ def test_an_extension_that_is_no_component_is_refused(tmp_path: Path) -> None:
     asyncio.run(main())
 
 
+@pytest.mark.slow
 def test_two_components_of_one_file_created_together_find_it_whole(tmp_path: Path) -> None:
     text = "import time\nfrom aiorts import Component\nclass Aa(Component): pass\n"
     (tmp_path / "plug_two.py").write_text(f"{text}time.sleep(0.2)\nclass Bb(Component): pass\n")

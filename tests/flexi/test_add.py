@@ -285,6 +285,7 @@ INTEGERS = {
 }
 
 
+@pytest.mark.slow(kept_by="test_a_sum_out_of_range_is_what_was_asked_for")
 @given(st.data(), st.sampled_from(sorted(INTEGERS)), st.sampled_from(["error", "saturate", "wrap"]), st.booleans())
 @settings(max_examples=cases(10_000))
 def test_integer_sums_are_exact_or_what_the_policy_says(data: Any, name: str, overflow: str, sequence: bool) -> None:
@@ -302,6 +303,7 @@ def test_integer_sums_are_exact_or_what_the_policy_says(data: Any, name: str, ov
     assert (made.tolist()[0] if sequence else made) == (total if overflow == "error" else expected)
 
 
+@pytest.mark.slow(kept_by="test_scalars_vectors_and_records_are_added_member_by_member")
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=6))
 @settings(max_examples=cases(5_000))
 def test_float_sums_are_those_of_the_machine_for_scalars_and_sequences_alike(values: list[float]) -> None:
@@ -315,6 +317,7 @@ def test_float_sums_are_those_of_the_machine_for_scalars_and_sequences_alike(val
         assert abs(Fraction(scalar) - exact) <= len(values) * Fraction(2) ** -52 * sum(abs(Fraction(v)) for v in values)
 
 
+@pytest.mark.slow(kept_by="flexi/test_const.py::test_it_keeps_what_components_promise")
 def test_it_keeps_what_components_promise() -> None:
     check_component(add, deterministic=True)
     check_component(lambda: add(wait="all"), deterministic=True)

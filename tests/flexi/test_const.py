@@ -37,6 +37,7 @@ def context(kind: str) -> Context:
     return {"event": EventContext, "slow": lambda: PeriodicContext(rate=0.5), "external": ExternalContext}[kind]()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["event", "slow", "external"])
 @simulated
 async def test_the_rate_is_its_own_whatever_context_runs_it(kind: str) -> None:
@@ -170,6 +171,7 @@ async def test_continuous_is_as_fast_as_the_reader_takes_and_loses_nothing() -> 
         assert const.state is LifecycleState.INACTIVE
 
 
+@pytest.mark.slow(kept_by="test_continuous_is_as_fast_as_the_reader_takes_and_loses_nothing")
 @pytest.mark.parametrize("connected", [True, False])
 @simulated
 async def test_continuous_without_anybody_who_holds_it_back_lets_time_pass(connected: bool) -> None:

@@ -72,6 +72,7 @@ def test_field_paths_choose_what_is_shown() -> None:
     assert line_of("csv", "p", "TimedPose2D", pose) == "p,TimedPose2D,0.000000000,1.0,2.0,3.0"
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("D22")
 @given(st.text(max_size=30))
 @settings(max_examples=cases(5_000))
@@ -180,6 +181,7 @@ async def test_the_rate_limit_shows_some_and_takes_all() -> None:
             assert await lines(11) == [str(number) for number in range(0, 1_001, 100)]
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 @pytest.mark.fault("F13")
 @pytest.mark.skipif(not hasattr(os, "set_blocking"), reason="needs pipes that block")

@@ -131,5 +131,6 @@ async def test_a_bad_spec_is_refused_with_the_place(specs: list[str], said: str)
         assert not kernel.components
 
 
+@pytest.mark.slow
 def test_it_keeps_what_components_promise() -> None:
     check_component(Two, deterministic=True)

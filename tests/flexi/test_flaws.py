@@ -259,6 +259,7 @@ FLAWS: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(123)
 def test_each_flaw_has_tests_that_exist() -> None:
     missing = []
@@ -314,6 +315,7 @@ async def test_who_gets_a_copy_cannot_change_what_another_got(kind: str, params:
             one.values.append(3.0)
 
 
+@pytest.mark.slow(kept_by="flexi/test_filter.py::test_the_time_is_of_the_sources_that_have_sent")
 @given(st.randoms(use_true_random=False), st.sampled_from(["oldest", "newest"]), st.integers(1, 4))
 @settings(max_examples=cases(3_000))
 def test_the_time_of_a_sample_is_of_its_pins_for_as_long_as_it_runs(dice: random.Random, time: str, ports: int) -> None:

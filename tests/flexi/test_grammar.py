@@ -102,6 +102,7 @@ entries = st.builds(
 )
 
 
+@pytest.mark.slow(kept_by="test_a_good_entry_is_read_as_it_says")
 @given(st.lists(entries, min_size=1, max_size=8))
 @settings(max_examples=cases(10_000))
 def test_every_entry_survives_being_written_and_read(made: list[Entry]) -> None:
@@ -187,6 +188,7 @@ def nearly_maps(draw: st.DrawFn) -> str:
     return text
 
 
+@pytest.mark.slow(kept_by="test_the_examples_of_the_language_are_in_it_for_both")
 @pytest.mark.fault("F07")
 @given(nearly_maps() | st.text(alphabet="0123456789>:,+-.eE ax[]", max_size=24))
 @settings(max_examples=cases(5_000))

@@ -143,6 +143,7 @@ def test_what_is_no_literal_is_refused_with_the_place(text: str, place: int) -> 
     assert quoted[len(mark) - 1 : len(mark)] == "".join(c if c.isprintable() else "?" for c in text[place - 1 : place])
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(125)
 @pytest.mark.fault("F08")
 @pytest.mark.parametrize(
@@ -227,6 +228,7 @@ values = st.recursive(
 )
 
 
+@pytest.mark.slow(kept_by="test_a_literal_is_a_sample_of_its_type")
 @given(values)
 @settings(max_examples=cases(5_000))
 def test_what_json_and_python_write_is_read_as_it_was(value: Any) -> None:
@@ -235,6 +237,7 @@ def test_what_json_and_python_write_is_read_as_it_was(value: Any) -> None:
     assert parse_literal(repr(value)) == value
 
 
+@pytest.mark.slow(kept_by="test_what_is_no_literal_is_refused_with_the_place")
 @given(st.text("0123456789+-.eExob_'\"\\[](){},: abfnrtuTFN\n", max_size=20))
 @settings(max_examples=cases(20_000))
 def test_any_text_is_what_python_reads_or_refused_with_a_place(text: str) -> None:

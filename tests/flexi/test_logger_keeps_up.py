@@ -35,6 +35,7 @@ members = ["log"]
 TWICE = 'kind = "periodic"\nrate = 2.0'
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("connection", "context", "keeps_up"),
     [

@@ -75,6 +75,7 @@ async def ticking() -> AsyncIterator[tuple[Kernel, Ticker]]:
 # -- bursts ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="test_what_was_lost_on_the_way_to_the_recorder_is_in_the_file_and_told_once")
 @pytest.mark.fault("B17")
 @pytest.mark.row(115)
 @pytest.mark.parametrize("kind", ["event", "periodic", "thread"])
@@ -126,6 +127,7 @@ class Stuck(LockedFile):
         return super().put(parts)
 
 
+@pytest.mark.slow(kept_by="test_what_was_lost_on_the_way_to_the_recorder_is_in_the_file_and_told_once")
 @pytest.mark.fault("B17")
 @pytest.mark.fault("D05")
 @pytest.mark.anyio
@@ -199,6 +201,7 @@ async def test_time_that_is_simulated_does_not_run_away_from_the_disk(tmp_path: 
     assert [record.data for _, _, record in read(path)] == list(range(2000))
 
 
+@pytest.mark.slow(kept_by="test_time_that_is_simulated_does_not_run_away_from_the_disk")
 @pytest.mark.anyio
 async def test_a_writer_that_may_wait_waits_for_the_disk_and_nothing_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -240,6 +243,7 @@ class Broken(Failing):
     error = 5
 
 
+@pytest.mark.slow(kept_by="log/test_writer.py::test_a_disk_that_fails_ends_the_recording_and_leaves_it_valid")
 @pytest.mark.row(115)
 @pytest.mark.fault("D03")
 @pytest.mark.fault("D04")
@@ -279,6 +283,7 @@ async def test_a_disk_that_fails_stops_the_recording_with_one_error_and_nobody_e
     assert len(told(caplog, logging.ERROR)) == 1
 
 
+@pytest.mark.slow(kept_by="log/test_writer.py::test_a_disk_that_cannot_promise_is_believed_no_more")
 @pytest.mark.fault("D03")
 @pytest.mark.anyio
 async def test_what_fails_when_the_file_is_closed_is_told_once_and_there_is_room_for_another_try(
@@ -362,6 +367,7 @@ class SlowToBegin(LockedFile):
         return super().put(parts)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D05")
 @pytest.mark.anyio
 async def test_a_slow_disk_holds_up_neither_loop_nor_activation(
@@ -386,6 +392,7 @@ async def test_a_slow_disk_holds_up_neither_loop_nor_activation(
     assert 0 < len(stored) < 300
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D05")
 @pytest.mark.anyio
 async def test_what_waits_for_the_disk_is_bounded_in_bytes_as_well(
@@ -411,6 +418,7 @@ async def test_what_waits_for_the_disk_is_bounded_in_bytes_as_well(
         assert reader.count + reader.endings[-1]["dropped"]["input0"] == 90
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D19")
 @pytest.mark.parametrize("what", ["deleted", "renamed", "replaced"])
 @pytest.mark.anyio

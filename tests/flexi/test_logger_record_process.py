@@ -84,6 +84,7 @@ def feed(stream: IO[str] | None, seconds: float, begin: int = 0) -> int:
     return number
 
 
+@pytest.mark.slow(kept_by="flexi/test_recording.py::test_any_mix_of_ports_and_types_is_recorded_each_sample_once")
 @pytest.mark.row(115)
 @pytest.mark.row(123)
 def test_a_filter_records_every_line(tmp_path: Path) -> None:
@@ -104,6 +105,7 @@ def test_a_filter_records_every_line(tmp_path: Path) -> None:
     assert {json.loads(line)["data"] for line in lines} == {1.5}
 
 
+@pytest.mark.slow(kept_by="log/test_writer.py::test_what_was_said_to_be_on_the_disk_is_there_after_a_kill")
 @pytest.mark.row(117)
 @pytest.mark.fault("D01")
 def test_a_filter_that_is_killed_leaves_an_exact_prefix_that_opens_as_it_is(tmp_path: Path) -> None:
@@ -127,6 +129,7 @@ def test_a_filter_that_is_killed_leaves_an_exact_prefix_that_opens_as_it_is(tmp_
     assert max(late) <= 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D20")
 @pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
 def test_a_signal_closes_a_recording_of_which_much_is_buffered(name: str, status: int, tmp_path: Path) -> None:
@@ -145,6 +148,7 @@ def test_a_signal_closes_a_recording_of_which_much_is_buffered(name: str, status
     assert system.data.decode() == SYSTEM
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F09")
 @pytest.mark.parametrize("times", [1, 2])
 def test_ctrl_c_while_recording_leaves_a_valid_log(times: int, tmp_path: Path) -> None:
@@ -165,6 +169,7 @@ def test_ctrl_c_while_recording_leaves_a_valid_log(times: int, tmp_path: Path) -
     assert fed - len(stored) < (400 if times == 1 else fed)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F09")
 @pytest.mark.campaign
 @pytest.mark.timeout(time_limit(1800))
@@ -199,6 +204,7 @@ def test_ctrl_c_at_any_moment_leaves_no_broken_log(tmp_path: Path) -> None:
                 assert reader.clean or times == 2
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F15")
 @pytest.mark.fault("D17")
 def test_a_second_recorder_is_told_who_has_the_file(tmp_path: Path) -> None:
@@ -218,6 +224,7 @@ def test_a_second_recorder_is_told_who_has_the_file(tmp_path: Path) -> None:
     assert len(read(path)) == fed
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D03")
 @pytest.mark.parametrize("limit", [3000, 30_000])
 def test_a_file_that_may_not_grow_makes_the_filter_fail_also_at_its_end(limit: int, tmp_path: Path) -> None:

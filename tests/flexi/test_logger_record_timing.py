@@ -71,6 +71,7 @@ async def lateness(path: Path | None) -> float:
     return ticker.late
 
 
+@pytest.mark.slow
 @pytest.mark.campaign
 @pytest.mark.usefixtures("frozen")
 @pytest.mark.anyio

@@ -47,6 +47,7 @@ def test_a_recorded_name_with_dots_is_told_in_the_form_that_its_replay_has(tmp_p
     assert [one for one in check(system) if one.severity == "error"] == []
 
 
+@pytest.mark.slow(kept_by="test_options_choose_what_is_played")
 @pytest.mark.row(115)
 def test_in_a_pipe_it_prints_what_was_recorded_and_both_ends_are_content(tmp_path: Path) -> None:
     recorded(tmp_path / "run.mcap", [("a", BEGIN + i * MS, TimedDouble(BEGIN + i * MS, i / 2)) for i in range(300)])
@@ -70,6 +71,7 @@ def test_in_a_pipe_it_prints_what_was_recorded_and_both_ends_are_content(tmp_pat
     assert shown.stdout.splitlines() == [f"input0 TimedDouble 1700000000.{i:03d}000000: {i / 2}" for i in range(300)]
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(116)
 @pytest.mark.parametrize(
     ("arguments", "expected"),
@@ -108,6 +110,7 @@ def test_in_a_system_file_the_same_options_say_the_same(options: str, params: di
     assert parse_options(FlexiLogger, options.split()) == params
 
 
+@pytest.mark.slow(kept_by="flexi/test_replaying.py::TestPorts::test_chosen_left_out_and_renamed")
 def test_ports_have_the_names_that_they_are_given(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = steady(tmp_path / "a.mcap", 2)
     status, out, _ = command(capfd, "-l", path, "--speed", "max", "--remap", "a=x", "--remap", "b=y", "-a")
@@ -149,6 +152,9 @@ def test_what_was_typed_wrong_is_status_2(
     assert message in err[0]
 
 
+@pytest.mark.slow(
+    kept_by="flexi/test_replaying.py::TestPorts::test_a_type_that_is_not_known_here_is_refused_by_its_port_and_never_imported"
+)
 @pytest.mark.fault("D12")
 def test_a_type_that_is_not_known_here_is_named_with_what_to_do(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
@@ -163,6 +169,9 @@ def test_a_type_that_is_not_known_here_is_named_with_what_to_do(
     assert (status, [line["data"] for line in out]) == (0, [0, 1])
 
 
+@pytest.mark.slow(
+    kept_by="flexi/test_replaying.py::TestEnd::test_of_one_that_breaks_off_or_is_damaged_everything_whole_is_played_and_then_that_is_told"
+)
 @pytest.mark.parametrize("strict", [False, True])
 def test_a_recording_that_breaks_off_is_played_and_told_and_with_strict_a_failure(
     strict: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]
@@ -177,6 +186,7 @@ def test_a_recording_that_breaks_off_is_played_and_told_and_with_strict_a_failur
     assert len(out) > 900
 
 
+@pytest.mark.slow(kept_by="log/test_schedule.py::test_each_sample_is_due_at_its_distance_from_the_first_over_the_speed")
 @pytest.mark.fault("D21")
 @pytest.mark.parametrize("loop", ["uvloop", "asyncio"])
 def test_the_time_between_samples_is_kept_as_a_bare_timer_keeps_it(loop: str) -> None:

@@ -54,6 +54,7 @@ def decoded(path: Path) -> float:
     return time.perf_counter() - began
 
 
+@pytest.mark.slow(kept_by="flexi/test_logger_replay_order.py::test_as_fast_as_it_can_it_keeps_the_order_of_two_ports")
 @pytest.mark.row(116)
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
 def test_a_replay_goes_as_fast_as_samples_can_be_decoded_and_in_constant_memory(tmp_path: Path) -> None:

@@ -155,6 +155,7 @@ def nearest_float(number: Fraction, code: str) -> float:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.row(127)
 @pytest.mark.parametrize("source", TYPES)
 def test_every_value_of_every_type_becomes_each_other_type_exactly_or_not_at_all(source: str) -> None:
@@ -169,6 +170,7 @@ def test_every_value_of_every_type_becomes_each_other_type_exactly_or_not_at_all
     run()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", SEQUENCES)
 def test_a_pin_of_a_sequence_is_converted_as_a_scalar_is(source: str) -> None:
     @given(values_of(source))

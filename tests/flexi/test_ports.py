@@ -138,6 +138,7 @@ def test_what_is_accepted_as_a_port_is_the_grammar(text: str) -> None:
     assert accepted(text, "output7", parse_port) is good
 
 
+@pytest.mark.slow(kept_by="test_a_port_is_a_type_and_for_a_sequence_its_length")
 @pytest.mark.fault("F06")
 @given(typed)
 @settings(max_examples=cases(5_000))

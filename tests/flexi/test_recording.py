@@ -77,6 +77,7 @@ async def test_any_mix_of_ports_and_types_is_recorded_each_sample_once(tmp_path:
     assert published[5][0] == published[5][1]
 
 
+@pytest.mark.slow
 @pytest.mark.row(115)
 @pytest.mark.fault("D18")
 @pytest.mark.parametrize("kind", ["event", "periodic", "external", "thread"])

@@ -294,6 +294,7 @@ class TestEnd:
             assert logger.last_error is None
             assert [values(ports["a"]), values(ports["b"])] == [[*range(0, 100, 2)], [*range(1, 100, 2)]]
 
+    @pytest.mark.slow
     @pytest.mark.fault("D18")
     @simulated
     async def test_activated_again_it_plays_from_the_start(self, tmp_path: Path) -> None:
@@ -332,6 +333,7 @@ class TestEnd:
             assert len(asyncio.all_tasks()) == before
         assert len(os.listdir("/dev/fd")) == files
 
+    @pytest.mark.slow(kept_by="first")
     @pytest.mark.parametrize("strict", [False, True])
     @pytest.mark.parametrize("torn", [False, True])
     @simulated
@@ -387,6 +389,7 @@ class TestReaders:
             await kernel.sleep(0.01)
             assert logger.has_finished
 
+    @pytest.mark.slow(kept_by="first")
     @pytest.mark.parametrize("params", [{"speed": None}, {"speed": None, "only": ["a"]}, {"rate": 1e6}])
     @simulated
     async def test_one_that_reads_as_it_comes_loses_nothing_at_any_speed(
@@ -653,6 +656,7 @@ class TestDeterminism:
         assert len(contents(first)) == 300 + 100 + 2 * 43
         assert replayed_into(first, tmp_path / "second.mcap", absolute=True) == contents(first)
 
+    @pytest.mark.slow
     def test_also_from_a_text_recording(self, tmp_path: Path) -> None:
         from aiorts_log.text.text_format import TextWriter
 
@@ -666,6 +670,7 @@ class TestDeterminism:
                 writer.write(numbers[name], sample, log_time)
         assert replayed_into(tmp_path / "first.txt", tmp_path / "second.mcap", absolute=True) == contents(first)
 
+    @pytest.mark.slow(kept_by="TestDeterminism::test_recorded_replayed_and_recorded_again_is_the_same_to_the_byte")
     def test_twice_the_same_replay_gives_the_same_with_stamps_of_its_own(self, tmp_path: Path) -> None:
         first = self.recording(tmp_path)
         params: dict[str, Any] = {"speed": 3.0, "loop": 2, "max_gap": 0.01}

@@ -138,6 +138,7 @@ async def test_by_time_stamp_each_sample_goes_by_the_selection_of_its_moment() -
         assert len(rig.values("output")) >= 8
 
 
+@pytest.mark.slow(kept_by="first")
 @given(
     st.lists(
         st.tuples(st.sampled_from(["selection", "input0", "input1", "input2", "tick"]), st.integers(-1, 3)), max_size=40
@@ -206,6 +207,7 @@ async def test_nothing_is_printed_and_verbosity_logs_selections(
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.slow
 def test_it_keeps_what_components_promise() -> None:
     check_component(select, {"selection": [TimedShort(0, 0)], "input0": [TimedLong(0, 1)]}, deterministic=True)
 

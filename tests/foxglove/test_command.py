@@ -26,6 +26,9 @@ PORTS = {
 }
 
 
+@pytest.mark.slow(
+    kept_by="foxglove/test_serving.py::test_samples_of_a_port_come_as_its_schema_says_and_the_system_is_as_it_was"
+)
 @pytest.mark.parametrize("subprotocol", ["foxglove.sdk.v1", "foxglove.websocket.v1"])
 def test_the_roomba_is_shown_and_the_end_of_it_too(subprotocol: str) -> None:
     async def look(url: str) -> None:
@@ -76,6 +79,7 @@ def test_it_ends_soon_after_its_kernel_beside_a_viewer_that_does_not_read(tmp_pa
         asyncio.run(look(url, run))
 
 
+@pytest.mark.slow(kept_by="foxglove/test_viewer.py::test_a_kernel_that_comes_again_is_a_new_session")
 def test_it_waits_for_a_kernel_and_for_its_return() -> None:
     async def look(url: str) -> None:
         async with viewer(url) as one:
@@ -96,6 +100,7 @@ def test_it_waits_for_a_kernel_and_for_its_return() -> None:
         asyncio.run(look(url))
 
 
+@pytest.mark.slow(kept_by="foxglove/test_viewer.py::test_a_kernel_that_comes_again_is_a_new_session")
 def test_a_stopped_process_is_said_not_to_answer() -> None:
     async def look(url: str) -> None:
         async with viewer(url) as one:
@@ -130,6 +135,9 @@ async def test_a_port_that_is_taken_and_a_missing_package_are_named(
         assert 'pip install "aiorts[foxglove]"' in capsys.readouterr().err
 
 
+@pytest.mark.slow(
+    kept_by="foxglove/test_viewer.py::test_it_begins_with_the_server_and_an_advertisement_even_of_nothing"
+)
 def test_a_viewer_may_come_before_the_kernel() -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -52,6 +52,7 @@ PLAIN = st.recursive(
 )
 
 
+@pytest.mark.slow(kept_by="test_what_is_wrong_is_said")
 @given(op=st.sampled_from(["subscribe", "unsubscribe", "advertise"]) | st.text(), rest=PLAIN)
 def test_nothing_but_the_documented_error_comes_of_any_message(op: str, rest: object) -> None:
     for message in ({"op": op, "subscriptions": rest, "subscriptionIds": rest}, rest):

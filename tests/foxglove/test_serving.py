@@ -75,6 +75,7 @@ async def test_samples_of_a_port_come_as_its_schema_says_and_the_system_is_as_it
         assert kernel.profile().structure().to_json() == before
 
 
+@pytest.mark.slow
 async def test_a_port_is_tapped_only_while_somebody_wants_it() -> None:
     async with shown("lazy") as (url, kernel, _):
         out = kernel.components["counter0"].ports["out"]
@@ -136,6 +137,7 @@ async def test_a_stranger_is_refused_and_garbage_is_answered() -> None:
             await one.until(lambda: one.samples)
 
 
+@pytest.mark.slow(kept_by="foxglove/test_viewer.py::test_the_oldest_are_dropped_and_counted_and_the_count_is_said")
 async def test_a_viewer_that_reads_nothing_loses_samples_and_the_others_do_not() -> None:
     async with shown("slow") as (url, kernel, _):
         large = await kernel.create(Large)

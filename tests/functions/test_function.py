@@ -314,6 +314,7 @@ class Model:
         return known and (any(fresh) or self.when == "cycle")
 
 
+@pytest.mark.slow(kept_by="test_every_sample_makes_a_call_with_those_that_were_the_last_at_its_time")
 @given(
     when=st.sampled_from(["any", "all", "cycle"]),
     latest=st.booleans(),
@@ -702,6 +703,7 @@ def test_in_a_thread_a_source_and_several_inputs_work_as_well() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.slow
 def test_in_a_thread_a_stop_waits_for_one_call_not_for_all_that_is_unread() -> None:
     calls: list[float] = []
 
@@ -728,6 +730,7 @@ def test_in_a_thread_a_stop_waits_for_one_call_not_for_all_that_is_unread() -> N
     asyncio.run(main())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", [add, math.sqrt])
 def test_in_a_thread_without_a_rate_one_that_has_nothing_to_do_rests(function: Any) -> None:
     async def main() -> int:

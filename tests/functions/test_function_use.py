@@ -89,6 +89,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow(kept_by="test_an_installed_one_is_a_filter_whose_parameters_are_options")
 @pytest.mark.parametrize("way", [[], ["--simulate"]])
 def test_a_system_file_names_them_and_ends_with_its_source(folder: Path, way: list[str]) -> None:
     done = aiorts(folder, "run", str(folder / "system.toml"), "--set", "double.factor=10", *way)
@@ -96,18 +97,21 @@ def test_a_system_file_names_them_and_ends_with_its_source(folder: Path, way: li
     assert done.stdout.split() == ["0.0", "10.0", "20.0", "30.0"]
 
 
+@pytest.mark.slow(kept_by="first")
 def test_an_installed_one_is_a_filter_whose_parameters_are_options(folder: Path) -> None:
     done = aiorts(folder, "double", "--factor", "3", stdin='1.0\n{"port": "x", "data": 2.0}\n')
     assert (done.returncode, done.stderr) == (0, "")
     assert [json.loads(line)["data"] for line in done.stdout.splitlines()] == [3.0, 6.0]
 
 
+@pytest.mark.slow(kept_by="test_an_installed_one_is_a_filter_whose_parameters_are_options")
 def test_a_source_is_a_filter_that_ends(folder: Path) -> None:
     done = aiorts(folder, "numbers", "--upto", "2")
     assert (done.returncode, done.stderr) == (0, "")
     assert [json.loads(line)["data"] for line in done.stdout.splitlines()] == [0.0, 1.0]
 
 
+@pytest.mark.slow(kept_by="cli/test_filter.py::test_a_component_that_fails_ends_the_filter_with_status_3")
 def test_an_exception_of_the_function_ends_the_filter_with_3(folder: Path) -> None:
     done = aiorts(folder, "inverse", stdin="2.0\n0.0\n")
     assert done.returncode == 3
@@ -137,6 +141,7 @@ def count() -> Iterator[int]:
     yield from range(5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [scale, minimum, slowly, count])
 def test_it_conforms(kind: type[Component]) -> None:
     feed = {name: [1.0, 2.0] for name, port in kind("draft0").ports.items() if isinstance(port, InPort)}

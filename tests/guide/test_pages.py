@@ -70,6 +70,7 @@ def sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
             os.kill(entry.pid, signal.SIGKILL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", NAMES)
 def test_every_block_runs_as_pasted_and_prints_what_is_shown(page: Page, tmp_path: Path, sockets: None) -> None:
     if page.name in NEEDS:

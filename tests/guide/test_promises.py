@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
 from aiorts.guide import page
 
 TESTS = Path(__file__).parents[1]
@@ -17,6 +19,7 @@ def words(name: str) -> str:
     return " ".join(word for word in re.findall(r"[a-z0-9]+", plain) if word not in LEFT_OUT)
 
 
+@pytest.mark.slow
 def test_every_test_that_the_page_of_promises_names_is_there() -> None:
     found = page("delivery")
     assert found is not None

@@ -13,6 +13,7 @@ import pytest
 
 from aiorts.cli.app import run_command
 from aiorts.guide import blocks, pages, rendered, search
+from aiorts.guide.newcomers import ASKED
 from aiorts.guide.server import answer, renderer
 
 
@@ -48,6 +49,7 @@ def test_a_section_shows_its_pages_alone(capsys: pytest.CaptureFixture[str]) -> 
     assert "architecture" not in out
 
 
+@pytest.mark.slow
 def test_a_search_names_the_page_first_that_the_question_is_about(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "help", "--search", "record types of my own")
     assert status == 0
@@ -58,6 +60,7 @@ def test_a_search_names_the_page_first_that_the_question_is_about(capsys: pytest
     assert "--list" in err
 
 
+@pytest.mark.slow
 def test_a_search_shows_five_pages_at_the_most_and_none_that_fits_half_as_well(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -70,6 +73,7 @@ def test_a_search_shows_five_pages_at_the_most_and_none_that_fits_half_as_well(
         assert 1 <= len(shown) < len(hits)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "forms",
     [("recording", "recordings"), ("drop", "drops", "dropped", "dropping"), ("code", "codes"), ("add", "adding"),
@@ -101,15 +105,50 @@ QUESTIONS = {
     "benchmark my own code": "write-bench",
     "two processes": "connect-processes",
 }
+
+
+@pytest.mark.slow(kept_by="test_what_newcomers_typed_is_answered_first_by_the_page_that_says_what_there_is")
+def test_each_word_of_a_newcomer_leads_first_to_the_page_that_answers() -> None:
+    names = {page.name for page in pages()}
+    assert ASKED.keys() <= names
+    words = [word for several in ASKED.values() for word in several]
+    assert len(set(words)) == len(words)
+    found = {word: search(word)[0].page.name for word in words}
+    wrong = {word: found[word] for page, several in ASKED.items() for word in several if found[word] != page}
+    assert wrong == {}
+
+
+@pytest.mark.parametrize(
+    ("word", "page", "said"),
+    [("gui", "limits", "graphical interface"), ("dashboard", "limits", "dashboard"), ("metrics", "limits", "metrics"),
+     ("kubernetes", "limits", "Kubernetes"), ("rviz", "foxglove-live", "Foxglove"), ("3d", "foxglove-live", "Foxglove"),
+     ("websocket", "fastapi", ""), ("health", "fastapi", ""), ("replay", "recording", "")],
+)  # fmt: skip
+def test_what_newcomers_typed_is_answered_first_by_the_page_that_says_what_there_is(
+    word: str, page: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for question in (word, f"is there a {word}?"):
+        status, out, _ = run(capsys, "help", "--search", question)
+        assert status == 0
+        assert out.startswith(f"aiorts help {page} ")
+        assert said in "".join(out.splitlines()[1:2])
+
+
+def test_the_line_of_a_tier_is_no_answer() -> None:
+    assert {hit.page.name for hit in search("provisional")} == {"stability", "command-line"}
+
+
 DISTRIBUTION = ("distributed", "distribution", "multiprocess", "multiprocessing", "remote")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("question", DISTRIBUTION)
 def test_what_is_asked_about_several_processes_is_answered_first_by_the_limits(question: str) -> None:
     hit = search(question)[0]
     assert (hit.page.name, hit.heading.partition(":")[0]) == ("limits", "Several processes or machines")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("question", ["node", "executor", "subscription", "reason", "motor"])
 def test_an_excerpt_is_prose_without_links_tables_and_code(question: str) -> None:
     for hit in search(question):
@@ -134,6 +173,7 @@ def test_a_part_of_a_page_is_shown_by_its_heading(
     assert len([line for line in out.splitlines() if re.match(r"#+ ", line)]) == bool(first)
 
 
+@pytest.mark.slow
 def test_a_public_name_is_shown_by_its_last_word_and_a_misspelt_one_is_named(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -166,11 +206,13 @@ def test_a_picture_is_its_description_and_where_it_is_shown() -> None:
     assert shown == "(picture, shown by aiorts help --serve: a curve)"
 
 
+@pytest.mark.slow
 def test_a_question_of_a_user_is_answered_by_one_of_the_first_two_pages() -> None:
     found = {question: [hit.page.name for hit in search(question)[:2]] for question in QUESTIONS}
     assert {question: names for question, names in found.items() if QUESTIONS[question] not in names} == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [20, 80, 200])
 def test_a_page_keeps_every_word_and_is_no_wider_than_the_terminal(width: int) -> None:
     for page in pages():
@@ -202,6 +244,7 @@ def test_files_of_a_page_are_saved_once(tmp_path: Path, capsys: pytest.CaptureFi
     assert run(capsys, "help", "--save", str(tmp_path))[0] == 2
 
 
+@pytest.mark.slow
 def test_the_browser_gets_every_page_with_links_that_lead_somewhere_and_nothing_from_outside() -> None:
     pytest.importorskip("markdown_it")
     render = renderer()
@@ -219,6 +262,7 @@ def test_the_browser_gets_every_page_with_links_that_lead_somewhere_and_nothing_
     assert b"<script" not in answer("/search?q=<script>x</script>", render)[2]
 
 
+@pytest.mark.slow
 def test_it_serves_on_this_machine_alone_until_it_is_interrupted() -> None:
     pytest.importorskip("markdown_it")
     command = [sys.executable, "-m", "aiorts", "help", "--serve", "--port", "0"]

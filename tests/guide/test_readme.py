@@ -6,8 +6,9 @@ import re
 import shutil
 from pathlib import Path
 
-import rows
-import tiers
+import pytest
+
+import marks
 from aiorts.guide import blocks, pages
 from aiorts.system import graph, load
 from guide_blocks import anchors, links, run_page
@@ -207,6 +208,7 @@ def test_every_link_leads_to_a_file_and_a_heading_of_the_repository() -> None:
     assert wrong == []
 
 
+@pytest.mark.slow
 def test_what_it_shows_runs_as_pasted(tmp_path: Path) -> None:
     """All but the two commands that set up, which nox runs to the letter."""
     shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=shutil.ignore_patterns("__pycache__"))
@@ -215,9 +217,10 @@ def test_what_it_shows_runs_as_pasted(tmp_path: Path) -> None:
     assert run_page(shown, tmp_path) >= 2
 
 
+@pytest.mark.slow(kept_by="first")
 def test_each_promise_stands_in_readme_or_guide_and_has_a_quick_test() -> None:
     said = " ".join(" ".join([text(), *(page.text for page in pages())]).split())
-    defined = rows.defined(rows.TESTS)
+    defined = marks.defined()
     assert [words for words in PROMISES if words not in said] == [], "neither in README nor in the guide any more"
     assert [test for test in PROMISES.values() if test not in defined] == [], "no such test"
-    assert [test for test in PROMISES.values() if tiers.is_slow(f"tests/{test}")] == [], "not among the quick tests"
+    assert [test for test in PROMISES.values() if marks.is_slow(test)] == [], "not among the quick tests"

@@ -18,7 +18,9 @@ from test_layers import PUBLIC, ROOT
 
 from aiorts import events
 from aiorts.cli.app import run_command
-from reference import FOLDER, HEADS, LINKS, links_page, page
+from aiorts.guide import pages
+from aiorts.tiers import LATTER
+from reference import FOLDER, HEADS, LINKS, links_page, noted, page
 from reference_api import report_class
 
 GENERATED = ["exit-status", *sorted(HEADS.keys() - {"exit-status"})]
@@ -43,6 +45,7 @@ def sections(name: str) -> dict[str, str]:
     return {head.strip("`"): " ".join(text.split()) for head, text in zip(parts[1::2], parts[2::2], strict=True)}
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("name", GENERATED)
 def test_a_page_is_what_the_generator_gives_now(name: str) -> None:
     assert (FOLDER / f"{name}.md").read_text(encoding="utf-8") == page(name), "run: python tests/reference.py"
@@ -52,6 +55,16 @@ def test_the_diagrams_of_links_are_those_of_the_table() -> None:
     text = LINKS.read_text(encoding="utf-8")
     assert text.count("stateDiagram-v2") == 3
     assert text == links_page(text), "run: python tests/reference.py"
+
+
+def test_a_page_about_something_that_is_not_stable_says_so_below_its_title_and_no_other_does() -> None:
+    assert [one.name for one in pages() if one.text != noted(one.name, one.text)] == [], (
+        "run: python tests/reference.py"
+    )
+    said = {
+        one.name: one.text.splitlines()[2].partition(":")[0] for one in pages() if one.text.splitlines()[2][0] == "*"
+    }
+    assert said == {name: f"*{tier.name}" for tier in LATTER for name in tier.pages}
 
 
 def test_every_public_name_has_an_entry() -> None:
@@ -68,12 +81,13 @@ def listed(option: str, text: str) -> bool:
 
 def commands(shown: str) -> list[str]:
     """The commands that a help names, filters included."""
-    below = shown.partition("\nOptions:\n")[2].partition("\nExit status:")[0]
-    lists, _, filters = below.partition("Components, as filters:\n")
+    below = shown.partition("\nOptions:\n")[2] if "\nOptions:\n" in shown else f"\n\n{shown}"
+    lists, _, filters = below.partition("\nExit status:")[0].partition("Components, as filters:\n")
     lists = "".join(lists.partition("\n\n")[1:])
     return re.findall(r"^  ([a-z][\w-]*) +[A-Z]", lists, re.MULTILINE) + re.findall(r"[a-z]+", filters)
 
 
+@pytest.mark.slow(kept_by="test_a_page_is_what_the_generator_gives_now")
 def test_every_command_and_option_is_there(capsys: pytest.CaptureFixture[str]) -> None:
     entries, lacking, seen = sections("command-line"), [], list[str]()
     waiting: list[tuple[str, ...]] = [()]
@@ -86,7 +100,7 @@ def test_every_command_and_option_is_there(capsys: pytest.CaptureFixture[str]) -
         options = re.findall(r"^  (?:-\w, )?(--[\w-]+)", shown.partition("ptions:\n")[2], re.MULTILINE)
         lacking += [f"{path} {option}" for option in options if option != "--help" and not listed(option, text)]
         if "COMMAND [ARGS]" in shown:
-            waiting += [(*words, name) for name in commands(shown)]
+            waiting += [(*words, name) for name in commands(shown if words else printed(capsys, "help", "commands"))]
     assert lacking == []
     assert set(entries) == set(seen)
     assert {"aiorts run", "aiorts log plot", "aiorts bench push", "aiorts flexiselect"} < set(seen)
@@ -99,11 +113,14 @@ def test_every_error_code_is_there(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_every_exit_status_is_there(capsys: pytest.CaptureFixture[str]) -> None:
-    statuses = re.findall(r"^  (\d[\d +n]*?)  ", printed(capsys, "--help").partition("Exit status:")[2], re.MULTILINE)
+    statuses = re.findall(
+        r"^  (\d[\d +n]*?)  ", printed(capsys, "help", "commands").partition("Exit status:")[2], re.MULTILINE
+    )
     text = (FOLDER / "exit-status.md").read_text(encoding="utf-8")
     assert statuses == re.findall(r"^- `([^`]+)`", text, re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_every_record_type_is_there_with_its_fields(capsys: pytest.CaptureFixture[str]) -> None:
     entries = sections("record-types")
     known = [one for one in json.loads(printed(capsys, "types", "--json")) if one["group"] not in ("user", "plain")]
@@ -140,6 +157,7 @@ def test_every_key_of_a_system_file_is_there(capsys: pytest.CaptureFixture[str])
     assert [key for key in sorted(keys) if f"`{key}`" not in text and f"[{key}" not in text] == []
 
 
+@pytest.mark.slow(kept_by="first")
 def test_every_option_and_parameter_of_a_flexi_component_is_there(capsys: pytest.CaptureFixture[str]) -> None:
     entries = sections("flexi")
     assert len(entries) == 7
@@ -151,6 +169,7 @@ def test_every_option_and_parameter_of_a_flexi_component_is_there(capsys: pytest
         assert [one["name"] for one in params if f"`{one['name']}: " not in text] == []
 
 
+@pytest.mark.slow(kept_by="first")
 def test_every_class_of_statistics_is_there_with_its_fields() -> None:
     entries = sections("statistics")
     sources = [path.read_text(encoding="utf-8") for path in sorted((ROOT / "aiorts").rglob("*.py"))]

@@ -63,6 +63,7 @@ def documents() -> list[Path]:
     return sorted(found)
 
 
+@pytest.mark.slow(kept_by="test_documents_use_the_words_of_the_field")
 def test_messages_and_help_texts_use_the_words_of_the_field() -> None:
     found = [
         riddle

@@ -228,6 +228,7 @@ async def test_a_kernel_that_closes_ends_the_window_and_a_caller_that_gives_up_l
     assert kernel.bus.observers == ()
 
 
+@pytest.mark.slow
 @simulated
 async def test_the_loop_turns_while_many_are_counted() -> None:
     async with Kernel() as kernel:

@@ -34,6 +34,7 @@ class Counted(Stalls):
         return self.taken_ns
 
 
+@pytest.mark.slow
 async def test_who_is_to_blame_is_asked_again_where_the_machine_took_as_much_as_it_was_late(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -32,6 +32,7 @@ class Looker(KernelService):
     name = "looker"
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 @row("51")
 async def test_a_tap_sees_every_sample_and_the_system_does_not_know() -> None:
     async with Kernel() as kernel:
@@ -73,6 +74,7 @@ def _up(kernel: Kernel, connector: Any) -> bool:
     return all(end.negotiation.state is NegotiationState.UP for end in kernel.service(Links).ends.of(connector))
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_an_injected_sample_arrives_there_and_takes_no_place() -> None:
     async with Kernel() as kernel:
         _source, scale, sink, _ = await chain(kernel)
@@ -88,6 +90,7 @@ async def test_an_injected_sample_arrives_there_and_takes_no_place() -> None:
         assert len(kernel.service(Links).ends.writers) == 1
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_what_it_sends_is_recorded_from_its_first_sample(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     async with Kernel(services={"record": {"file": str(path)}}) as kernel:
@@ -100,6 +103,7 @@ async def test_what_it_sends_is_recorded_from_its_first_sample(tmp_path: Path) -
         assert [record.data for _, _, record in reader.records()] == list(range(1, 21))
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_commands_print_and_measure_what_it_sends(capsys: pytest.CaptureFixture[str]) -> None:
     async with Kernel(services={"control": {"name": "unit"}}) as kernel:
         source, _scale, sink, _ = await chain(kernel)
@@ -117,6 +121,7 @@ def _taps(kernel: Kernel) -> list[Any]:
     return [one for one in kernel.service(Links).ends.readers if one.in_.is_tap]
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 @row("51")
 @fault("A13")
 async def test_two_in_processes_of_their_own_are_connected_and_survive_the_end_of_either() -> None:
@@ -150,6 +155,7 @@ async def test_two_in_processes_of_their_own_are_connected_and_survive_the_end_o
         assert await answer(source, sink, 5) == 20
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -165,6 +171,7 @@ async def test_what_such_a_connector_cannot_do_is_refused(options: dict[str, Any
             await kernel.connect("one.out", "two.inp", **options)
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_a_port_there_takes_as_many_connectors_as_it_says_without_those_of_tools() -> None:
     async with Kernel() as kernel:
         source, other = await kernel.add(Source("source")), await kernel.add(Source("other"))
@@ -175,6 +182,7 @@ async def test_a_port_there_takes_as_many_connectors_as_it_says_without_those_of
             await kernel.connect(other.out, single.inp)
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_the_process_of_the_writer_does_what_the_writers_end_does_alone() -> None:
     async with Kernel() as kernel:
         source, every, sink = [await kernel.add(kind(name)) for kind, name in
@@ -213,6 +221,7 @@ async def flushed(kernel: Kernel, **options: Any) -> tuple[Any, ...]:
     return source, ask, said, sink, careful, asked, between
 
 
+@pytest.mark.slow
 async def test_a_flush_is_over_when_the_reader_in_the_other_process_has_the_sample_or_refuses_it() -> None:
     async with Kernel() as kernel:
         source, ask, said, sink, *_, between = await flushed(kernel, length=1, full="reject")
@@ -224,6 +233,7 @@ async def test_a_flush_is_over_when_the_reader_in_the_other_process_has_the_samp
         assert await answer(source, said, 3) == 3
 
 
+@pytest.mark.slow
 async def test_a_flush_waits_for_room_at_the_reader_in_the_other_process() -> None:
     async with Kernel() as kernel:
         source, ask, said, sink, *_, between = await flushed(kernel, length=1, full="block")
@@ -240,6 +250,7 @@ async def test_a_flush_waits_for_room_at_the_reader_in_the_other_process() -> No
         assert (ledger.written, ledger.delivered, ledger.unexplained) == (2, 2, 0), str(ledger)
 
 
+@pytest.mark.slow
 @row("51")
 @fault("A13")
 async def test_a_flush_goes_on_when_either_process_was_killed_in_it() -> None:

@@ -62,6 +62,7 @@ async def answer(source: Source, sink: Sink, value: int) -> int:
     return int((await sink.inp.read(timeout=10)).data)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(51)
 async def test_it_looks_like_any_other_and_runs_in_a_process_of_its_own() -> None:
     async with Kernel() as kernel:
@@ -92,6 +93,7 @@ async def test_it_looks_like_any_other_and_runs_in_a_process_of_its_own() -> Non
         assert (dict(kernel.connectors), runs(pid)) == ({}, False)
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 @pytest.mark.row(30)
 async def test_two_that_need_a_processor_run_side_by_side() -> None:
     async with Kernel() as kernel:
@@ -109,6 +111,7 @@ async def test_two_that_need_a_processor_run_side_by_side() -> None:
         assert max(began, other_began) < min(ended, other_ended)
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_parameters_and_sets_are_in_force_there_or_refused() -> None:
     async with Kernel() as kernel:
         source, scale, sink, _ = await chain(kernel)
@@ -123,6 +126,7 @@ async def test_parameters_and_sets_are_in_force_there_or_refused() -> None:
         assert (scale.factor, await answer(source, sink, 2)) == (1000, 2000)
 
 
+@pytest.mark.slow
 async def test_a_configuration_file_is_in_force_there(tmp_path: Path) -> None:
     async with Kernel() as kernel:
         source, scale, sink, _ = await chain(kernel)
@@ -133,6 +137,7 @@ async def test_a_configuration_file_is_in_force_there(tmp_path: Path) -> None:
         assert (scale.factor, await answer(source, sink, 1)) == (7, 7)
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 @pytest.mark.parametrize(
     ("value", "said"),
     [(-1, "ValueError: negative"), (-11, "KeyboardInterrupt"), (-12, "... (3,000,012 letters)")],
@@ -150,6 +155,7 @@ async def test_what_it_raises_is_its_error_here_and_a_reset_helps(value: int, sa
         assert (await answer(source, sink, 4), scale.pid) == (8, pid)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("A13")
 @pytest.mark.parametrize(
     ("value", "said"),
@@ -181,6 +187,7 @@ async def test_the_end_of_its_process_is_its_failure_and_a_reset_starts_another(
         assert {reason: count for reason, count in dropped.items() if count} in ({"unknown_fate": 1}, {})
 
 
+@pytest.mark.slow
 @pytest.mark.fault("A10")
 async def test_a_hook_that_holds_its_process_is_seen_and_killed_after_its_deadline() -> None:
     async with Kernel() as kernel:
@@ -197,6 +204,7 @@ async def test_a_hook_that_holds_its_process_is_seen_and_killed_after_its_deadli
         assert max(late) < 1.0, "this loop was held, too"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("restart", ["reset", "restart"])
 async def test_one_that_is_supervised_comes_back_by_itself_from_a_kill(restart: str) -> None:
     async with Kernel() as kernel:
@@ -215,6 +223,7 @@ async def test_one_that_is_supervised_comes_back_by_itself_from_a_kill(restart: 
             assert await answer(source, sink, 4) == 12
 
 
+@pytest.mark.slow
 async def test_started_anew_it_gets_what_is_written_before_it_is_active() -> None:
     async with Kernel() as kernel:
         source, scale, sink, context = await chain(kernel)
@@ -229,6 +238,7 @@ async def test_started_anew_it_gets_what_is_written_before_it_is_active() -> Non
         assert not any(kernel.connectors["source.out-scale.inp"].statistics.dropped.values())
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_a_periodic_context_runs_there_at_its_rate_until_the_source_has_finished() -> None:
     async with Kernel() as kernel:
         sink = await kernel.add(Sink("sink"))
@@ -244,6 +254,7 @@ async def test_a_periodic_context_runs_there_at_its_rate_until_the_source_has_fi
         assert connector.statistics.written == 20
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_what_its_context_counts_there_is_counted_here_and_by_the_commands(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -265,6 +276,7 @@ async def test_what_its_context_counts_there_is_counted_here_and_by_the_commands
         await until(lambda: context.counts.cycles < 200)
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_arrays_go_there_and_back() -> None:
     async with Kernel() as kernel:
         source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
@@ -279,6 +291,7 @@ async def test_arrays_go_there_and_back() -> None:
             await until(lambda: Path("/proc/self/maps").read_text().count("memfd:") >= 2)
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_a_component_that_refuses_to_come_in_leaves_no_process() -> None:
     async with Kernel() as kernel:
         with pytest.raises(ComponentError, match="no camera there"):
@@ -295,6 +308,7 @@ def processes_below(pid: int) -> list[int]:
     return found
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 @pytest.mark.fault("G05")
 @pytest.mark.parametrize("seconds", [0.0, 0.05, 0.2, 0.5])
 async def test_a_creation_that_is_cancelled_leaves_no_process(seconds: float) -> None:
@@ -312,6 +326,7 @@ async def test_a_creation_that_is_cancelled_leaves_no_process(seconds: float) ->
             assert runs(again.pid)
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_a_process_that_ends_while_it_comes_up_says_how_and_what_it_wrote(tmp_path: Path) -> None:
     file = tmp_path / "fragile.py"
     text = "import os, sys\nfrom aiorts import Component\n"
@@ -323,6 +338,7 @@ async def test_a_process_that_ends_while_it_comes_up_says_how_and_what_it_wrote(
         assert dict(kernel.components) == {}
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_members_of_one_context_run_in_one_process() -> None:
     async with Kernel() as kernel:
         source = await kernel.add(Source("source"))
@@ -332,6 +348,7 @@ async def test_members_of_one_context_run_in_one_process() -> None:
         assert (dict(source.states), dict(scale.states)) == ({}, {})
 
 
+@pytest.mark.slow
 async def test_a_class_that_a_process_cannot_import_is_refused_with_what_to_do() -> None:
     class Local(Component):
         out = OutPort(TimedLong)
@@ -347,6 +364,7 @@ async def test_a_class_that_a_process_cannot_import_is_refused_with_what_to_do()
         assert dict(kernel.components) == {}
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_a_memory_limit_is_the_components_own_error() -> None:
     async with Kernel() as kernel:
         source, scale, _sink, _ = await chain(kernel, limits=Limits(memory=200 << 20))
@@ -366,6 +384,7 @@ def test_on_a_simulated_clock_it_runs_in_this_process_which_is_said_once(caplog:
     assert sum("W-ISOLATION" in one.getMessage() for one in caplog.records) == 1
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_the_end_of_the_kernel_leaves_no_process() -> None:
     async with Kernel() as kernel:
         source, scale, _sink, _ = await chain(kernel)
@@ -411,6 +430,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "system.toml"
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_a_system_file_gives_a_component_a_process_and_is_saved_with_it(file: Path) -> None:
     system = load(file)
     assert [one for one in check(file) if one.severity != "note"] == []
@@ -425,6 +445,7 @@ async def test_a_system_file_gives_a_component_a_process_and_is_saved_with_it(fi
         assert 'kind = "event"' in text.partition("[contexts.b]")[2]
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -443,6 +464,7 @@ def test_what_a_file_says_wrongly_of_isolation_is_found_before_anything_runs(
     assert any(said in f"{one.cause}; {one.remedy}" for one in check(file) if one.severity == "error"), check(file)
 
 
+@pytest.mark.slow(kept_by="test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 def test_its_process_imports_the_operations_that_it_is_asked_for_alone() -> None:
     text = "import sys, aiorts.cli.runtime.component_process\nprint(*sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=60, check=True)

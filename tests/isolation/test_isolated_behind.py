@@ -78,6 +78,9 @@ async def one_round(number: int, full: Any, times: Times) -> None:
         await times.of("close", stack.aclose())
 
 
+@pytest.mark.slow(
+    kept_by="links/test_control_first.py::test_control_goes_before_all_samples_that_wait_and_is_taken_when_they_are_not"
+)
 @pytest.mark.timeout(time_limit(6_000))
 @pytest.mark.parametrize("full", ["overwrite", "reject", "block"])
 async def test_behind_on_arrays_it_does_at_once_what_it_is_told(full: str) -> None:
@@ -87,6 +90,7 @@ async def test_behind_on_arrays_it_does_at_once_what_it_is_told(full: str) -> No
     times.check()
 
 
+@pytest.mark.slow
 async def test_one_that_does_not_answer_when_it_is_deactivated_is_in_error_and_the_caller_hears_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

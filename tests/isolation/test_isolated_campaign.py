@@ -30,6 +30,8 @@ from campaign import CAMPAIGN, cases, time_limit
 from isolation.isolated_parts import Beat, Counted, Scale, Sink, SlowStart, Source
 from process_parts import GONE, WAIT, all_gone, marked, there
 
+pytestmark = pytest.mark.slow
+
 ACTIVE, ERROR = LifecycleState.ACTIVE, LifecycleState.ERROR
 PROGRAM = Path(__file__).with_name("isolating_program.py")
 BACKOFF, BACKOFF_MAX = 0.1, 0.4

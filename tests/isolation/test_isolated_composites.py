@@ -48,6 +48,7 @@ async def test_its_members_run_in_one_process_and_its_exported_ports_are_here() 
         assert (dict(kernel.connectors), runs(pid)) == ({}, False)
 
 
+@pytest.mark.slow
 async def test_an_error_of_a_member_is_its_error_and_a_reset_helps() -> None:
     async with Kernel() as kernel:
         source, pair, sink, context = await chain(kernel)
@@ -60,6 +61,7 @@ async def test_an_error_of_a_member_is_its_error_and_a_reset_helps() -> None:
         assert (await answer(source, sink, 1), pair.pid) == (3, pid)
 
 
+@pytest.mark.slow
 async def test_its_own_policy_of_errors_is_kept_there() -> None:
     async with Kernel() as kernel:
         source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
@@ -76,6 +78,7 @@ async def test_its_own_policy_of_errors_is_kept_there() -> None:
         await until(lambda: both.state is ERROR)
 
 
+@pytest.mark.slow
 async def test_the_end_of_its_process_is_its_failure_and_supervision_starts_another() -> None:
     async with Kernel() as kernel:
         source, pair, sink, _ = await chain(kernel)
@@ -87,6 +90,7 @@ async def test_the_end_of_its_process_is_its_failure_and_supervision_starts_anot
         assert (await answer(source, sink, 1), runs(pid)) == (3, False)
 
 
+@pytest.mark.slow
 async def test_one_in_a_context_with_another_is_refused_naming_both() -> None:
     async with Kernel() as kernel:
         pair = await kernel.create_isolated(Pair, "pair")
@@ -95,6 +99,7 @@ async def test_one_in_a_context_with_another_is_refused_naming_both() -> None:
             await kernel.start(EventContext(name="apart"), pair, here)
 
 
+@pytest.mark.slow
 async def test_it_cannot_be_moved_and_goes_on_where_it_is() -> None:
     async with Kernel() as kernel:
         source, pair, sink, _ = await chain(kernel)
@@ -103,6 +108,7 @@ async def test_it_cannot_be_moved_and_goes_on_where_it_is() -> None:
         assert await answer(source, sink, 5) == 7
 
 
+@pytest.mark.slow
 async def test_members_in_two_processes_do_not_share_a_context() -> None:
     async with Kernel() as kernel:
         first, second = await kernel.create_isolated(Stage, "a"), await kernel.create_isolated(Stage, "b")
@@ -143,6 +149,7 @@ members = ["source", "sink"]
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "inp", "out"), [("Pair", "inp", "out"), ("Neighbours", "first_inp", "first_out")])
 async def test_a_system_file_says_it_in_one_line_and_is_saved_with_it(
     tmp_path: Path, kind: str, inp: str, out: str

@@ -61,6 +61,7 @@ async def asked(kernel: Kernel, group: str, value: int) -> int:
     return int(await answer(source, sink, value))
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_its_ports_lead_to_members_in_two_processes() -> None:
     async with Kernel() as kernel:
         left: Any = await kernel.create_isolated(Stage, "stage")
@@ -71,6 +72,7 @@ async def test_its_ports_lead_to_members_in_two_processes() -> None:
         assert (await asked(kernel, "left", 1), await asked(kernel, "right", 1)) == (2, 3)
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_their_work_takes_as_long_as_in_two_bare_processes() -> None:
     async with Kernel() as kernel:
         left, right = await kernel.create_isolated(Digger, "one"), await kernel.create_isolated(Digger, "two")
@@ -117,6 +119,7 @@ async def test_their_work_takes_as_long_as_in_two_bare_processes() -> None:
                 one.communicate(timeout=30)
 
 
+@pytest.mark.slow(kept_by="composites/test_nesting.py::test_one_whose_members_all_run_apart_is_what_they_are_together")
 async def test_it_is_activated_and_deactivated_as_a_whole() -> None:
     async with Kernel() as kernel:
         left, right = await kernel.create_isolated(Stage, "one"), await kernel.create_isolated(Stage, "two")
@@ -138,6 +141,7 @@ def changes_of(kernel: Kernel, name: str) -> list[LifecycleState]:
     return states
 
 
+@pytest.mark.slow(kept_by="composites/test_nesting.py::test_one_whose_members_all_run_apart_is_what_they_are_together")
 @pytest.mark.parametrize(
     ("errors", "state", "other"), [("stop", ERROR, INACTIVE), ("report", ERROR, ACTIVE), ("isolate", ACTIVE, ACTIVE)]
 )
@@ -158,6 +162,7 @@ async def test_the_policy_of_errors_holds_for_a_process_that_is_lost(errors: str
         assert (both.state, await asked(kernel, "left", 1), await asked(kernel, "right", 1)) == (ACTIVE, 2, 2)
 
 
+@pytest.mark.slow(kept_by="composites/test_nesting.py::test_one_whose_members_all_run_apart_is_what_they_are_together")
 @pytest.mark.parametrize("restart", ["reset", "restart"])
 async def test_a_group_that_is_supervised_comes_back_and_the_other_with_it(restart: Any) -> None:
     async with Kernel() as kernel:
@@ -172,6 +177,7 @@ async def test_a_group_that_is_supervised_comes_back_and_the_other_with_it(resta
         assert (await asked(kernel, "left", 1), await asked(kernel, "right", 1)) == (2, 2)
 
 
+@pytest.mark.slow(kept_by="composites/test_nesting.py::test_one_whose_members_all_run_apart_is_what_they_are_together")
 async def test_one_activation_that_fails_takes_the_others_back() -> None:
     async with Kernel() as kernel:
         left, right = await kernel.create_isolated(Stage, "one"), await kernel.create_isolated(Stage, "two")
@@ -248,6 +254,7 @@ def file_of(folder: Path, text: str) -> Path:
     return folder / "robot.toml"
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_a_system_file_has_them_and_is_saved_and_planned_with_them(tmp_path: Path) -> None:
     file = file_of(tmp_path, FILE)
     assert [str(one) for one in check(file) if one.severity != "note" or one.code == "N-PORTS"] == []

@@ -34,6 +34,7 @@ async def robot_of(kernel: Kernel) -> tuple[Client, Any]:
     return client, robot
 
 
+@pytest.mark.slow(kept_by="first")
 async def test_what_it_provides_is_called_from_here() -> None:
     async with Kernel() as kernel:
         client, robot = await robot_of(kernel)
@@ -52,6 +53,7 @@ async def test_what_it_provides_is_called_from_here() -> None:
         assert (robot.ports["arm"].connectors, client.arm.statistics.calls) == ((connector,), 7)
 
 
+@pytest.mark.slow(kept_by="test_what_it_provides_is_called_from_here")
 async def test_several_call_it_and_are_disconnected_alone() -> None:
     async with Kernel() as kernel:
         client, robot = await robot_of(kernel)
@@ -65,6 +67,7 @@ async def test_several_call_it_and_are_disconnected_alone() -> None:
                 await other.arm.proxy.add(2.0)
 
 
+@pytest.mark.slow(kept_by="test_what_it_provides_is_called_from_here")
 async def test_a_deactivated_one_refuses_and_says_so() -> None:
     async with Kernel() as kernel:
         client, robot = await robot_of(kernel)
@@ -73,6 +76,7 @@ async def test_a_deactivated_one_refuses_and_says_so() -> None:
             await client.arm.proxy.add(1.0)
 
 
+@pytest.mark.slow(kept_by="test_what_it_provides_is_called_from_here")
 async def test_goals_are_followed_and_cancelled() -> None:
     async with Kernel() as kernel:
         client, _robot = await robot_of(kernel)
@@ -86,6 +90,7 @@ async def test_goals_are_followed_and_cancelled() -> None:
                 await goal.result()
 
 
+@pytest.mark.slow(kept_by="test_what_it_provides_is_called_from_here")
 async def test_its_process_dies_in_a_call_and_a_goal_and_is_bound_again_when_it_is_back() -> None:
     async with Kernel() as kernel:
         client, robot = await robot_of(kernel)
@@ -119,6 +124,7 @@ async def heard(source: Source, sink: Sink, value: int) -> int:
     return (await sink.inp.read(timeout=10)).data
 
 
+@pytest.mark.slow(kept_by="test_what_it_provides_is_called_from_here")
 async def test_what_it_requires_is_answered_here() -> None:
     async with Kernel() as kernel:
         robot = await kernel.add(Robot("robot"))
@@ -142,6 +148,7 @@ async def test_what_it_requires_is_answered_here() -> None:
         assert await heard(source, sink, 8) == 9
 
 
+@pytest.mark.slow(kept_by="test_what_it_provides_is_called_from_here")
 async def test_one_isolated_component_calls_another() -> None:
     async with Kernel() as kernel:
         _client, robot = await robot_of(kernel)
@@ -151,6 +158,7 @@ async def test_one_isolated_component_calls_another() -> None:
         assert len({caller.pid, robot.pid, os.getpid()}) == 3
 
 
+@pytest.mark.slow(kept_by="test_what_it_provides_is_called_from_here")
 async def test_what_cannot_be_called_across_processes_is_refused() -> None:
     async with Kernel("here") as kernel, Kernel("there", services={"links": {}}) as other:
         with pytest.raises(DeclarationError, match=r"Looker.quick: Quick.look may not wait.*write `async def`"):

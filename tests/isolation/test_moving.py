@@ -72,6 +72,7 @@ async def check_all_came(log: Log, written: int, gain: int = 2) -> None:
     assert [(one.tm, one.data) for one in found] == [(one, gain * one) for one in range(1, written + 1)]
 
 
+@pytest.mark.slow
 async def test_into_a_process_and_back_with_its_state_and_all_samples(caplog: pytest.LogCaptureFixture) -> None:
     async with Kernel() as kernel:
         feed, ctrl, log, _places, context = await controlled(kernel)
@@ -103,6 +104,7 @@ async def test_into_a_process_and_back_with_its_state_and_all_samples(caplog: py
         await check_all_came(log, written)
 
 
+@pytest.mark.slow
 async def test_a_controller_goes_through_all_places_under_1_khz_and_loses_nothing() -> None:
     async with Kernel() as kernel:
         feed, ctrl, log, places, loop_context = await controlled(kernel)
@@ -136,6 +138,7 @@ async def test_a_controller_goes_through_all_places_under_1_khz_and_loses_nothin
         await check_all_came(log, written)
 
 
+@pytest.mark.slow
 async def test_between_neighbours_in_threads_it_moves_and_loses_nothing() -> None:
     async with Kernel() as kernel:
         clockwork, log = await kernel.add(Clockwork("clockwork")), await kernel.add(Log("log"))
@@ -158,6 +161,7 @@ async def test_between_neighbours_in_threads_it_moves_and_loses_nothing() -> Non
         assert (mid.count, mid.integral[0]) == (written, written * (written + 1) / 2)
 
 
+@pytest.mark.slow
 async def test_what_cannot_go_over_is_refused_by_name_and_nothing_is_changed() -> None:
     async with Kernel() as kernel:
         holder, log = await kernel.add(Holder("holder")), await kernel.add(Log("log"))
@@ -184,6 +188,7 @@ async def test_what_cannot_go_over_is_refused_by_name_and_nothing_is_changed() -
         assert states == {"holder": {"loop": ACTIVE}, "log": {}, "feed": {"hard": ACTIVE}, "echo": {}}
 
 
+@pytest.mark.slow
 async def test_on_reload_takes_over_what_can_go_over() -> None:
     async with Kernel() as kernel:
         careful = await kernel.add(Careful("careful"))
@@ -194,6 +199,7 @@ async def test_on_reload_takes_over_what_can_go_over() -> None:
         assert (back.count, back.came, back.lock is None) == (7, os.getpid(), False)
 
 
+@pytest.mark.slow
 async def test_one_that_cannot_start_there_stays_where_it_was() -> None:
     async with Kernel() as kernel:
         closed = await kernel.create(Closed, "closed", home=os.getpid())
@@ -203,6 +209,7 @@ async def test_one_that_cannot_start_there_stays_where_it_was() -> None:
         assert (kernel.components["closed"] is closed, dict(closed.states)) == (True, {"loop": ACTIVE})
 
 
+@pytest.mark.slow
 async def test_one_that_runs_on_data_goes_on_and_is_supervised_there() -> None:
     async with Kernel() as kernel:
         feed, log = await kernel.add(Feed("feed")), await kernel.add(Log("log"))
@@ -234,6 +241,7 @@ async def test_one_that_runs_on_data_goes_on_and_is_supervised_there() -> None:
         assert await echoed(5) == 5
 
 
+@pytest.mark.slow
 async def test_services_are_answered_and_called_wherever_it_is() -> None:
     async with Kernel() as kernel:
         one: Any = await kernel.add(Counter("one"))
@@ -258,6 +266,7 @@ def test_on_a_simulated_clock_it_stays_in_this_process() -> None:
     simulate(run())
 
 
+@pytest.mark.slow
 async def test_a_state_of_megabytes_goes_along() -> None:
     async with Kernel() as kernel:
         heavy = await kernel.create(Heavy, "heavy")

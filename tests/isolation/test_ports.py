@@ -14,7 +14,7 @@ from isolation.isolated_parts import Growing, Sink, Source
 from isolation.test_isolated import until
 from run_parts import here
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.anyio, pytest.mark.slow]
 SYSTEM = """\
 schema = 1
 [components.const]

@@ -20,7 +20,13 @@ from aiorts.types import TimedLong
 from isolation.test_isolated import ACTIVE, ERROR, answer, chain, runs, until
 from run_parts import here
 
-pytestmark = [pytest.mark.anyio, pytest.mark.row(51)]
+pytestmark = [
+    pytest.mark.anyio,
+    pytest.mark.row(51),
+    pytest.mark.slow(
+        kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own"
+    ),
+]
 SYSTEM = """\
 schema = 1
 

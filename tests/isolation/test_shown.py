@@ -63,6 +63,7 @@ members = ["two"]
 """
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_it_is_shown_saved_and_planned_as_any_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     parts = tmp_path / "isolated_parts.py"
     parts.write_text(Path(__file__).with_name("isolated_parts.py").read_text())
@@ -105,6 +106,7 @@ async def test_a_plan_changes_a_value_in_the_process_too(tmp_path: Path) -> None
         assert (await sink.inp.read(timeout=20.0)).data == 14
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_what_a_file_asks_of_a_connector_between_processes_and_cannot_be_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "isolated_parts.py").write_text(Path(__file__).with_name("isolated_parts.py").read_text())
     path = tmp_path / "system.toml"
@@ -114,6 +116,7 @@ async def test_what_a_file_asks_of_a_connector_between_processes_and_cannot_be_i
     assert "dataflow = pull: both ends are in other processes" in done.stdout + done.stderr
 
 
+@pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")
 async def test_a_connection_fans_out_to_components_here_and_in_a_process() -> None:
     async with Kernel() as kernel:
         source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))

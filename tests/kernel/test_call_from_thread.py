@@ -55,6 +55,7 @@ async def test_it_raises_what_the_function_raises(error: BaseException) -> None:
             assert [type(one) for one in raised] == [type(error)]
 
 
+@pytest.mark.slow
 async def test_over_its_time_what_has_begun_is_cancelled_and_what_has_not_is_never_called() -> None:
     ended: list[str] = []
     begun = threading.Event()

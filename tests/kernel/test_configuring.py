@@ -234,6 +234,7 @@ async def test_sets_are_chosen_before_the_component_is_added() -> None:
 # -- whole or not at all (B22) ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(75)
 @pytest.mark.fault("B22")
 @pytest.mark.parametrize("contexts", ["one", "several", "event"])
@@ -280,6 +281,7 @@ async def test_of_a_thousand_changes_good_and_bad_while_hooks_run_none_is_ever_h
         assert {high - low for low, high in arm.seen} == {1.0}
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(75)
 @pytest.mark.fault("B22")
 @pytest.mark.parametrize("kind", [ThreadContext, RealtimeContext])

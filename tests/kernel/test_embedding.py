@@ -122,6 +122,7 @@ async def test_kernel_is_closed_on_the_loop_it_was_opened_on(anyio_backend: Any)
         assert "aclose called from thread" in await asyncio.to_thread(elsewhere)
 
 
+@pytest.mark.slow(kept_by="time/test_foreign_loops.py::test_kernels_on_one_loop_share_its_time")
 async def test_several_kernels_on_one_loop_run_and_fail_apart(anyio_backend: Any) -> None:
     class Failing(Component):
         async def on_execute(self) -> None:
@@ -150,6 +151,7 @@ async def test_component_belongs_to_one_kernel(anyio_backend: Any) -> None:
             await two.start(ExternalContext(), diary)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(5)
 def test_importing_and_running_installs_nothing_in_the_process() -> None:
     code = (

@@ -97,6 +97,7 @@ async def one_run(seed: int, clock: SimulatedClock) -> None:
         assert all(part.ran[-3:] == ["on_deactivated", "on_shutdown", "on_finalize"] for part in (before, after))
 
 
+@pytest.mark.slow
 @pytest.mark.row(13)
 @pytest.mark.fault("A01")
 @pytest.mark.parametrize("first", range(0, RUNS, 50))
@@ -150,6 +151,9 @@ class Starter(Component):
         asyncio.create_task(self.fail())  # noqa: RUF006 - nobody keeps it
 
 
+@pytest.mark.slow(
+    kept_by="execution/test_failing_hooks.py::test_whatever_a_hook_raises_is_the_error_of_its_component_alone"
+)
 @pytest.mark.fault("A14")
 def test_hostile_failures_of_tasks_and_calls_are_their_components() -> None:
     async def main(clock: SimulatedClock, seed: int) -> None:

@@ -134,6 +134,7 @@ for _hook in HOOKS:
     setattr(Amnesiac, _hook, _forgetting(_hook))
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(13)
 @pytest.mark.fault("A01")
 @pytest.mark.parametrize("watched", [False, True], ids=["", "watched"])

@@ -240,6 +240,7 @@ async def test_a_hook_that_opens_a_port_has_it_in_the_next_cycle() -> None:
         assert adaptive.last_error is None
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(124)
 @pytest.mark.anyio
 @pytest.mark.parametrize("kind", ["thread", "real-time"])
@@ -277,6 +278,7 @@ def _context(name: str) -> Context:
     return {"periodic": lambda: PeriodicContext(100.0), "event": EventContext}[name]()
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(124)
 @settings(max_examples=40, deadline=None)
 @given(

@@ -294,6 +294,7 @@ def offering(folder: Path, **services: str) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_an_option_takes_what_its_field_is_declared_to_be(tmp_path: Path) -> None:
     fields = (
         'limit: float | None = setting(None, "m", option=True)\n'

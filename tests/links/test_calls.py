@@ -160,6 +160,7 @@ async def test_what_a_provider_raises_comes_by_name_and_text(pair: Pair) -> None
         assert await pair.client.arm.proxy.add(1.0) == 2.0
 
 
+@pytest.mark.slow
 async def test_a_call_has_a_deadline_and_its_provider_is_cancelled(pair: Pair) -> None:
     with fail_after(5):
         with pytest.raises(ServiceTimeout, match=r"within 0.05 s"):
@@ -174,6 +175,7 @@ async def test_a_call_has_a_deadline_and_its_provider_is_cancelled(pair: Pair) -
     assert not pair.station.service(Links).report()
 
 
+@pytest.mark.slow
 async def test_calls_of_several_ports_at_the_same_time_do_not_meet(pair: Pair) -> None:
     others = [await pair.plant.add(Client(f"c{number}")) for number in range(3)]
     with fail_after(10):
@@ -254,6 +256,7 @@ async def test_interfaces_that_differ_are_refused_at_both_ends(caplog: pytest.Lo
         )
 
 
+@pytest.mark.slow
 async def test_who_comes_later_or_again_is_bound_and_calls_meanwhile_say_so(caplog: pytest.LogCaptureFixture) -> None:
     async with Kernel("plant", services={"links": {}}) as plant:
         client = await plant.add(Client("client"))
@@ -290,6 +293,7 @@ async def answered(client: Client, value: float) -> float:
             await sleep(0.02)
 
 
+@pytest.mark.slow
 async def test_only_an_idempotent_method_is_called_again() -> None:
     class Meter(Protocol):
         @idempotent

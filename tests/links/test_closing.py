@@ -6,6 +6,8 @@ import asyncio
 import gc
 import weakref
 
+import pytest
+
 from aiorts import Component, InPort, Kernel, OutPort
 from aiorts.types import TimedLong
 
@@ -18,6 +20,7 @@ class Reader(Component):
     inp = InPort(TimedLong)
 
 
+@pytest.mark.slow
 def test_nothing_holds_a_kernel_that_ends_while_it_tries_to_reach_another_one_again() -> None:
     async def ended() -> weakref.ref[Kernel]:
         async with Kernel("lonely", services={"links": {}}) as kernel:

@@ -23,6 +23,10 @@ import pytest
 
 from campaign import CAMPAIGN, time_limit
 
+pytestmark = pytest.mark.slow(
+    kept_by="links/test_unix_transport.py::test_a_connection_that_was_ended_before_its_greeting_is_made_again"
+)
+
 PROGRAM = Path(__file__).with_name("held_program.py")
 WITHIN = 2.0 if CAMPAIGN else 10.0
 """Seconds from when both ends can talk until the link is up; more beside other tests."""

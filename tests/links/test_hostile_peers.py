@@ -58,6 +58,7 @@ def test_a_message_that_is_a_bomb_takes_10_ms_of_the_processor(bomb: bytes) -> N
         fields(bomb, (list,), longer=True)
 
 
+@pytest.mark.slow
 def test_an_acknowledgement_says_what_became_of_no_more_samples_than_may_be_on_their_way() -> None:
     end = WriterEnd(7, 1_000, window=256)
     end.channel_up(0, 2_000)

@@ -109,6 +109,7 @@ async def _write(source: Source, count: int) -> None:
         await source.out.write(long(value))
 
 
+@pytest.mark.slow
 async def test_a_slow_reader_stops_the_writer_whose_buffer_then_decides() -> None:
     async with reachable("two") as two, Kernel("one") as one:
         source, sink = await one.add(Source()), await two.add(Sink())
@@ -146,6 +147,7 @@ async def test_a_flush_returns_when_the_sample_is_in_the_readers_buffer() -> Non
         assert connector.statistics.balanced
 
 
+@pytest.mark.slow
 async def test_a_flush_without_an_answer_in_time_names_the_link_and_the_sample_stays_in_flight() -> None:
     async with reachable("two") as two, Kernel("one") as one:
         source, sink = await one.add(Source()), await two.add(Sink())
@@ -333,6 +335,7 @@ async def test_the_end_of_a_connector_at_one_end_is_its_end_at_the_other(end: st
         await until(lambda: not one.connectors and not two.connectors)
 
 
+@pytest.mark.slow
 async def test_what_has_come_can_be_read_after_the_writer_has_ended() -> None:
     async with reachable("two") as two:
         sink = await two.add(Sink())
@@ -367,6 +370,7 @@ async def test_two_connectors_of_the_same_ports_need_to_be_allowed() -> None:
         assert data(sink.inp) == [1, 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", ["wait", "error", "disconnect"])
 async def test_what_happens_when_the_link_is_lost_is_an_option(policy: Any) -> None:
     async with Kernel("one") as one:
@@ -396,6 +400,7 @@ async def test_two_kernels_of_one_name_are_refused() -> None:
                 await other.connect(source.out, "one/sink0.inp")
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("E09")
 async def test_a_kernel_whose_name_is_taken_is_reached_when_the_other_one_has_ended(
     caplog: pytest.LogCaptureFixture,
@@ -438,6 +443,7 @@ async def test_a_kernel_that_ends_tries_no_more(caplog: pytest.LogCaptureFixture
     assert "can be reached now" not in caplog.text
 
 
+@pytest.mark.slow
 async def test_a_sample_of_another_shape_than_the_reader_takes_is_dropped_and_said_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -456,6 +462,7 @@ async def test_a_sample_of_another_shape_than_the_reader_takes_is_dropped_and_sa
         assert caplog.text.count("dropped what cannot be decoded") == 1
 
 
+@pytest.mark.slow
 async def test_a_sample_that_its_class_refuses_at_the_reader_is_dropped_and_the_next_ones_come(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -490,6 +497,7 @@ async def test_new_new_has_the_newest_and_periodic_all_of_them(options: Any) -> 
         assert connector.statistics.balanced
 
 
+@pytest.mark.slow
 @pytest.mark.row(37)
 async def test_a_reader_may_pull() -> None:
     async with reachable("two") as two, Kernel("one") as one:
@@ -507,6 +515,7 @@ async def test_a_reader_may_pull() -> None:
         assert connector.statistics.dropped == {"superseded": 2}
 
 
+@pytest.mark.slow
 async def test_options_of_a_link_are_not_replaced_in_place() -> None:
     async with reachable("two") as two, Kernel("one") as one:
         source, _ = await one.add(Source()), await two.add(Sink())

@@ -13,6 +13,8 @@ from aiorts.links import Caller, Channel, ChannelEvents, LinkOffer, Links
 from aiorts.testing import MemoryNetwork, simulate
 from links.memory_kernels import Sink, Source, kernel_of, until
 
+pytestmark = pytest.mark.slow
+
 COUNT = 400
 EACH = 0.01
 """Seconds that the reader's kernel takes for one offer: 400 take longer than a question waits."""

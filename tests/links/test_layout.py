@@ -57,6 +57,7 @@ def test_a_name_that_looks_like_code_is_only_shown(name: str) -> None:
     assert "\n" not in said
 
 
+@pytest.mark.slow
 @given(
     st.recursive(
         st.none() | st.integers() | st.text(), lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)

@@ -94,6 +94,7 @@ async def play(seed: int) -> list[LinkLedger]:
     return found
 
 
+@pytest.mark.slow(kept_by="test_the_ledger_of_a_link_is_the_same_from_either_end")
 def test_at_any_moment_every_sample_is_accounted_for_once() -> None:
     for seed in range(cases(1_000)):
         for ledger in simulate(play(seed), seed=seed):

@@ -180,6 +180,7 @@ async def play(seed: int) -> None:
         assert (ledger.written, ledger.delivered, ledger.unexplained) == (61, len(seen), 0), (seed, str(ledger))
 
 
+@pytest.mark.slow
 def test_whatever_the_network_does_a_query_is_answered() -> None:
     for seed in range(cases(400)):
         simulate(play(seed), seed=seed)

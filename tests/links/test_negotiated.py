@@ -182,6 +182,7 @@ async def schedule(seed: int) -> float:
     return took
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("E06")
 @pytest.mark.timeout(time_limit(600))
 @pytest.mark.parametrize("part", range(5))

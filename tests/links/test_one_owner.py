@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 import aiorts.links
 from aiorts.kernel.service import KernelService
 from aiorts.links import Links
@@ -57,6 +59,7 @@ def assigned(path: Path, name: str) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 def test_the_state_of_a_link_is_assigned_in_one_place() -> None:
     lines = [(path.name, line) for path in (*ROOM.glob("*.py"), MODEL) for line in assigned(path, "state")]
     assert [name for name, _ in lines] == [MODEL.name]
@@ -66,6 +69,7 @@ def test_the_state_of_a_link_is_assigned_in_one_place() -> None:
     assert made == ["ends.py"]
 
 
+@pytest.mark.slow
 def test_no_collection_holds_links_by_their_state() -> None:
     held = re.compile(r"(?:set|dict|list|deque|Counter|defaultdict|tuple)\[.*\b(?:LinkEnd|WriterLink|ReaderLink)\b")
     found = {name for path in ROOM.glob("*.py") for name, kind in attributes(path) if held.search(kind)}
@@ -84,6 +88,7 @@ def test_links_has_few_methods() -> None:
     assert len(found) <= MOST, found
 
 
+@pytest.mark.slow
 def test_nothing_looks_again_and_again_whether_something_has_happened() -> None:
     sleeps, later = [], {}
     for path in (*ROOM.glob("*.py"), MODEL):

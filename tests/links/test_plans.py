@@ -24,6 +24,7 @@ class Sink(Component):
     inp = InPort(TimedLong)
 
 
+@pytest.mark.slow
 async def test_a_link_is_made_anew_where_its_options_change_and_back() -> None:
     async with Kernel("station", services={"links": {}}) as station, Kernel("robot") as robot:
         source, sink = await robot.add(Source("source")), await station.add(Sink("sink"))

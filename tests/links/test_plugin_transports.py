@@ -70,6 +70,7 @@ def plugins(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
     return Catalogue([project(folder, "pigeons", {"pigeons": MODULE}, offers)])
 
 
+@pytest.mark.slow
 async def test_a_transport_of_a_plugin_carries_links(plugins: Catalogue) -> None:
     links = {"links": {"transport": "pigeons"}}
     async with (

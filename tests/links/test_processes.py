@@ -57,6 +57,7 @@ async def read(sink: Sink, count: int, *, seconds: float) -> list[int]:
     return numbers
 
 
+@pytest.mark.slow(kept_by="links/test_protocol.py::test_a_reader_without_room_stops_the_writer_and_loses_nothing")
 @pytest.mark.fault("E06")
 async def test_a_writer_that_is_stopped_and_goes_on_loses_nothing(
     writer: Callable[[int, int], subprocess.Popen[str]],
@@ -75,6 +76,7 @@ async def test_a_writer_that_is_stopped_and_goes_on_loses_nothing(
         assert out.split()[:2] == [str(count), str(count)]
 
 
+@pytest.mark.slow(kept_by="links/test_protocol.py::test_a_reader_without_room_stops_the_writer_and_loses_nothing")
 async def test_a_reader_that_stands_still_does_not_hold_the_writers_loop(
     writer: Callable[[int, int], subprocess.Popen[str]],
 ) -> None:
@@ -93,6 +95,7 @@ async def test_a_reader_that_stands_still_does_not_hold_the_writers_loop(
         assert float(worst) < pause / 2
 
 
+@pytest.mark.slow(kept_by="links/test_kernels.py::test_a_kernel_that_is_started_anew_goes_on_with_the_loss_counted")
 @pytest.mark.fault("E01")
 async def test_a_writer_that_is_killed_leaves_what_it_sent_in_order_and_the_next_begins_anew(
     writer: Callable[[int, int], subprocess.Popen[str]],
@@ -113,6 +116,7 @@ async def test_a_writer_that_is_killed_leaves_what_it_sent_in_order_and_the_next
             assert connector.statistics.balanced
 
 
+@pytest.mark.slow(kept_by="links/test_kernels.py::test_a_kernel_that_is_started_anew_goes_on_with_the_loss_counted")
 @pytest.mark.fault("E01")
 @pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
 async def test_a_reader_that_is_killed_is_counted_to_the_sample(tmp_path: Path, loop: str) -> None:

@@ -136,6 +136,7 @@ class Impatient(WriterEnd):
         super()._acknowledge(now, received, received, fates)
 
 
+@pytest.mark.slow(kept_by="test_any_order_of_faults_leaves_nothing_unexplained")
 @pytest.mark.parametrize("broken", [{"reader": Twice}, {"reader": Forgetful}, {"writer": Impatient}])
 def test_a_schedule_that_fails_shrinks_to_ten_events(broken: dict[str, Any]) -> None:
     def fails(example: tuple[list[str], int]) -> bool:
@@ -273,6 +274,7 @@ def test_a_large_sample_is_not_kept_until_there_are_many() -> None:
         assert pair.writer.ledger.in_flight == kept
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=300)
 @given(st.binary(max_size=80), st.integers(0, 5))
 def test_no_bytes_of_a_peer_do_harm(frame: bytes, place: int) -> None:
@@ -379,6 +381,7 @@ def test_a_window_has_bounds(end: Any, window: int) -> None:
         end(1, 1, window=window)
 
 
+@pytest.mark.slow
 def test_the_widest_window_whose_samples_are_all_refused_is_acknowledged() -> None:
     writer, reader = WriterEnd(1, 1, window=65_535), ReaderEnd(1, 2, window=65_535)
     writer.channel_up(0, 2)

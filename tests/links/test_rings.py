@@ -54,6 +54,7 @@ async def kernel_of(name: str, program: bytes = b"") -> AsyncIterator[Kernel]:
         yield kernel
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("programs", [(SECRET, SECRET), (b"", b""), (SECRET, b"another"), (SECRET, b"")])
 async def test_arrays_arrive_and_keep_their_values_whoever_sent_them(programs: tuple[bytes, bytes]) -> None:
     async with kernel_of("one", programs[0]) as one, kernel_of("two", programs[1]) as two:
@@ -73,6 +74,7 @@ async def test_arrays_arrive_and_keep_their_values_whoever_sent_them(programs: t
         assert connection.rings._sending._used is not None
 
 
+@pytest.mark.slow
 async def test_what_a_reader_holds_outlives_the_writers_kernel() -> None:
     async with kernel_of("two", SECRET) as two:
         far = await two.add(Ends("far"))
@@ -263,6 +265,7 @@ async def test_a_thousand_descriptors_never_reach_the_kernel() -> None:
         os.close(writing)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", [b"", b"another program!"])
 async def test_what_another_program_writes_after_sending_changes_no_value(program: bytes) -> None:
     """The frame is taken as a reader's end takes it: the values are those of the moment at which it came."""

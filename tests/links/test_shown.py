@@ -30,6 +30,7 @@ def said(kernel: Kernel, connector: str) -> list[str]:
     return [line.strip() for line in text_of("connector", connector, connector, report).splitlines()]
 
 
+@pytest.mark.slow
 async def test_a_link_that_waits_and_one_that_is_up() -> None:
     async with Kernel("robot", services={"links": {}}) as robot:
         source = await robot.add(Source("source"))

@@ -164,6 +164,7 @@ async def play_with_restarts(seed: int) -> None:
         await stop()
 
 
+@pytest.mark.slow(kept_by="test_whatever_the_network_does_each_sample_is_read_once_and_in_order")
 def test_whatever_becomes_of_the_reader_all_is_accounted_for_and_nothing_comes_twice() -> None:
     for seed in range(cases(500)):
         simulate(play_with_restarts(seed), seed=seed)

@@ -111,6 +111,7 @@ async def test_samples_that_waited_for_a_system_come_when_it_runs(tmp_path: Path
             assert set(robot.service(Links).report().values()) == {"up"}
 
 
+@pytest.mark.slow(kept_by="test_samples_that_waited_for_a_system_come_when_it_runs")
 @pytest.mark.parametrize("is_there", [True, False])
 async def test_a_system_that_ends_waits_for_its_links_and_says_what_was_not_taken(
     tmp_path: Path, is_there: bool

@@ -99,6 +99,7 @@ async def has_descriptors(count: int) -> None:
             await sleep(0.02)
 
 
+@pytest.mark.slow(kept_by="first")
 @fault("E11")
 async def test_garbage_of_many_connections_does_no_harm_and_leaves_nothing() -> None:
     async with reachable("station") as station:
@@ -109,6 +110,7 @@ async def test_garbage_of_many_connections_does_no_harm_and_leaves_nothing() -> 
         await has_descriptors(before + 10)
 
 
+@pytest.mark.slow
 @fault("E12")
 async def test_many_that_never_say_who_they_are_keep_nobody_out_and_are_closed() -> None:
     async with reachable("station") as station:
@@ -119,6 +121,7 @@ async def test_many_that_never_say_who_they_are_keep_nobody_out_and_are_closed()
             await has_descriptors(before + 10)
 
 
+@pytest.mark.slow
 @fault("E12")
 async def test_of_those_that_never_say_who_they_are_256_are_kept_at_the_most() -> None:
     async with reachable("station") as station:
@@ -131,6 +134,7 @@ async def test_of_those_that_never_say_who_they_are_256_are_kept_at_the_most() -
             await has_descriptors(before + 10)
 
 
+@pytest.mark.slow
 @fault("E12")
 async def test_who_asks_without_end_and_takes_no_answers_is_cut_off(caplog: pytest.LogCaptureFixture) -> None:
     async with reachable("station") as station:

@@ -79,6 +79,7 @@ def _resident() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="asks the kernel for its memory")
 def test_a_size_that_is_claimed_takes_no_memory() -> None:
     async def claim() -> int:
@@ -132,6 +133,7 @@ asyncio.run(main())
 """
 
 
+@pytest.mark.slow(kept_by="test_unix_sockets_keep_every_promise")
 def test_without_descriptors_a_kernel_does_not_spin_and_greets_later() -> None:
     done = subprocess.run([sys.executable, "-c", _WITHOUT_DESCRIPTORS], capture_output=True, text=True, timeout=60)
     assert (done.stdout, done.stderr) == ("True True\n", "")
@@ -182,6 +184,7 @@ def test_kernels_that_start_at_the_same_time_find_each_other() -> None:
     assert in_threads(main, "one", "two") == [True, True]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("all_look_first")
 def test_of_kernels_of_one_name_that_start_at_the_same_time_one_has_it() -> None:
     """Where the clock of files cannot tell them apart, both try again."""
@@ -231,6 +234,7 @@ class _Asked:
         return found
 
 
+@pytest.mark.slow(kept_by="test_unix_sockets_keep_every_promise")
 def test_no_answer_is_lost_when_the_other_end_reads_late() -> None:
     """As while it stands still: more answers wait than the stream takes, and each waits for its turn."""
 

@@ -100,6 +100,7 @@ def settings(path: Path, **more: Any) -> dict[str, dict[str, Any]]:
 # -- the command -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="test_the_table_of_a_system_file_says_the_same_and_counts_from_its_folder")
 @pytest.mark.row(115)
 def test_a_run_records_every_out_port_to_the_last_sample(folder: Path) -> None:
     path = folder / "run.mcap"
@@ -109,6 +110,7 @@ def test_a_run_records_every_out_port_to_the_last_sample(folder: Path) -> None:
         assert reader.clean
 
 
+@pytest.mark.slow
 def test_a_port_that_sent_nothing_is_listed_without_samples(folder: Path) -> None:
     path, system = folder / "run.mcap", str(folder / "system.toml")
     for more in ([], ["--append"]):
@@ -130,6 +132,7 @@ def test_a_port_that_sent_nothing_is_listed_without_samples(folder: Path) -> Non
     assert in_process("log", "salvage", str(path), str(folder / "new.mcap"))[0] == 0
 
 
+@pytest.mark.slow(kept_by="test_the_table_of_a_system_file_says_the_same_and_counts_from_its_folder")
 def test_globs_choose_ports_and_one_that_names_none_is_refused_before_the_start(folder: Path) -> None:
     path, system = folder / "run.mcap", str(folder / "system.toml")
     for glob, hint in (("oen.out", "did you mean 'one.out'?"), ("x*", "there are one.aside, one.out, other.aside, ")):
@@ -142,6 +145,7 @@ def test_globs_choose_ports_and_one_that_names_none_is_refused_before_the_start(
     assert data(path) == {"one.out": ALL}
 
 
+@pytest.mark.slow(kept_by="test_what_cannot_be_recorded_is_refused_before_the_start")
 def test_a_file_that_is_there_is_kept_unless_it_is_said_what_becomes_of_it(folder: Path) -> None:
     path, system = folder / "run.mcap", str(folder / "system.toml")
     assert in_process("run", system, "--record", str(path), "--record-port", "one.*")[0] == 0
@@ -213,6 +217,7 @@ def test_the_table_of_a_system_file_says_the_same_and_counts_from_its_folder(
 # -- the service -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_it_keeps_what_a_kernel_relies_on(tmp_path: Path) -> None:
     check_service(Beside)
     check_service(Beside, {"file": str(tmp_path / "run.mcap"), "overwrite": True, "min_free": 0.0})
@@ -320,6 +325,7 @@ class Loud(Component):
             self.finish()
 
 
+@pytest.mark.slow(kept_by="test_components_and_ports_that_come_later_are_recorded_and_those_that_go_to_their_last")
 @pytest.mark.parametrize("kind", [PeriodicContext, ThreadContext, RealtimeContext])
 @pytest.mark.anyio
 async def test_it_records_from_any_context(kind: Any, tmp_path: Path) -> None:
@@ -378,6 +384,7 @@ async def test_a_component_that_is_made_anew_is_recorded_on(tmp_path: Path) -> N
     assert data(path) == {"one.out": [1, 2, 3, 1, 2]}
 
 
+@pytest.mark.slow(kept_by="test_what_cannot_be_recorded_is_refused_before_the_start")
 @pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
 @pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGKILL", -9)])
 def test_a_signal_closes_the_file_and_after_a_kill_it_opens_as_it_is(name: str, status: int, folder: Path) -> None:
@@ -413,6 +420,7 @@ class Bursts(Component):
             self.finish()
 
 
+@pytest.mark.slow(kept_by="test_what_may_wait_of_a_port_is_bounded_in_bytes_as_well")
 @pytest.mark.fault("B17")
 @pytest.mark.anyio
 async def test_a_burst_of_a_thread_that_cannot_wait_is_recorded_whole(tmp_path: Path) -> None:
@@ -451,6 +459,7 @@ class Heavy(Component):
         self.n += 1
 
 
+@pytest.mark.slow(kept_by="log/test_writer.py::test_a_disk_that_fails_ends_the_recording_and_leaves_it_valid")
 @pytest.mark.fault("D03")
 @pytest.mark.anyio
 async def test_a_disk_that_fills_up_is_told_at_once_and_the_system_goes_on(
@@ -481,6 +490,7 @@ async def test_a_disk_that_fills_up_is_told_at_once_and_the_system_goes_on(
     assert kernel.exit_status == 1
 
 
+@pytest.mark.slow(kept_by="test_in_virtual_time_a_slow_disk_is_waited_for")
 @pytest.mark.fault("B17")
 @pytest.mark.anyio
 @pytest.mark.parametrize("full", ["block", "overwrite"])
@@ -553,6 +563,7 @@ async def test_a_kernel_whose_time_is_over_closes_the_file_all_the_same(tmp_path
         assert reader.clean
 
 
+@pytest.mark.slow(kept_by="test_a_kernel_whose_time_is_over_closes_the_file_all_the_same")
 @pytest.mark.fault("B17")
 @pytest.mark.anyio
 async def test_a_file_that_is_not_closed_in_time_is_told(

@@ -66,6 +66,7 @@ def cost(*arguments: object) -> tuple[float, int, str]:
     return float(seconds), int(most), said
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D08")
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of memory is read from /proc")
 @pytest.mark.parametrize("command", ["cat", "info --check", "convert", "salvage"])
@@ -83,6 +84,7 @@ def test_a_small_file_of_very_many_messages_is_refused_at_once(tmp_path: Path, c
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D08")
 @pytest.mark.parametrize("closed", [True, False])
 @pytest.mark.parametrize("what", ["messages", "bytes unpacked"])
@@ -96,6 +98,7 @@ def test_what_is_in_many_chunks_counts_together(tmp_path: Path, what: str, close
         assert sum(1 for _ in reader.samples(order="file")) == reader.count == sum(map(len, chunks))
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D08")
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of memory is read from /proc")
 @pytest.mark.parametrize("defined", ["schemas", "channels", "metadata"])
@@ -108,6 +111,7 @@ def test_a_small_file_of_very_many_definitions_is_found_out_at_once(tmp_path: Pa
     assert seconds < 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D08")
 def test_chunks_of_nothing_count(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
@@ -118,6 +122,7 @@ def test_chunks_of_nothing_count(tmp_path: Path) -> None:
         assert len(reader.pieces) == 45_000
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D08")
 def test_unlimited_reads_it_and_what_it_writes_needs_no_leave(tmp_path: Path) -> None:
     path = packed(tmp_path / "much.mcap", [EMPTY] * 150_000)
@@ -134,6 +139,7 @@ def test_unlimited_reads_it_and_what_it_writes_needs_no_leave(tmp_path: Path) ->
     assert run(log, ["diff", str(path), str(tmp_path / "cut.mcap"), "--unlimited", "--by", "order"]).exit_code == 0
 
 
+@pytest.mark.slow(kept_by="log/test_foreign.py::test_recordings_of_the_mcap_library_are_read")
 @pytest.mark.fault("D08")
 def test_an_honest_recording_is_within_the_budgets_however_it_was_written(tmp_path: Path) -> None:
     count, path = 12_000, tmp_path / "run.mcap"

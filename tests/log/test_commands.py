@@ -24,6 +24,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
     return status, said.out, said.err
 
 
+@pytest.mark.slow
 def test_info_says_what_a_recording_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.mcap"
     make(path, 101)
@@ -52,6 +53,7 @@ def test_info_says_what_a_recording_holds(tmp_path: Path, capsys: pytest.Capture
     assert run(capsys, "info", "--check", lines)[1].endswith("\n  all of it can be read\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["mcap", "jsonl", "text", "not closed"])
 def test_the_rate_of_a_port_is_taken_from_its_first_sample_to_its_last(
     form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -115,6 +117,7 @@ def test_a_flipped_index_is_told_and_its_samples_are_read(
     assert "checksums are right" in run(capsys, "info", "--check", new)[1]
 
 
+@pytest.mark.slow(kept_by="test_a_recording_that_the_disk_does_not_give_is_named")
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("command", [("info",), ("info", "--json"), ("cat",), ("diff", "run.mcap")])
 def test_standard_output_that_is_full_is_one_line_that_says_so(command: tuple[str, ...], tmp_path: Path) -> None:
@@ -195,6 +198,7 @@ def test_info_says_that_a_recording_was_not_closed(tmp_path: Path, capsys: pytes
     assert run(capsys, "info", path, "--json")[1].count('"closed": false') == 1
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D06")
 def test_damage_is_found_and_named_and_salvaged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, new = tmp_path / "run.mcap", tmp_path / "new.mcap"
@@ -275,6 +279,7 @@ def test_what_is_no_recording_is_one_line_and_status_2(tmp_path: Path, capsys: p
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow(kept_by="cli/test_demo.py::test_a_reader_that_has_seen_enough_ends_it_quietly")
 def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     make(path, 2000)

@@ -75,6 +75,7 @@ def test_that_the_disk_is_full_is_told_at_once_however_much_waits_and_whoever_co
     assert (found.offered, found.stored, found.dropped) == (WAITING, 0, {"counted": WAITING})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ports", [1, 30])
 def test_that_samples_are_dropped_is_told_whole_with_what_helps(ports: int, tmp_path: Path) -> None:
     told: list[Notice] = []
@@ -102,6 +103,7 @@ def test_that_samples_are_dropped_is_told_whole_with_what_helps(ports: int, tmp_
     assert shortened(line) == line
 
 
+@pytest.mark.slow(kept_by="test_that_the_disk_is_full_is_told_at_once_however_much_waits_and_whoever_computes")
 def test_what_waited_one_by_one_is_handed_on_as_fast_as_in_batches_whoever_computes(tmp_path: Path) -> None:
     waiting = Waiting(tmp_path / "run.mcap", LockedFile)
     waiting.open.set()

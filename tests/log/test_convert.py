@@ -72,6 +72,7 @@ def record(path: Path, samples: list[tuple[str, int, Any]]) -> None:
     assert not writer.statistics.refused
 
 
+@pytest.mark.slow(kept_by="test_numbers_and_texts_at_the_edge_come_back")
 @pytest.mark.fault("D16")
 @pytest.mark.campaign
 @settings(max_examples=cases(2_000))
@@ -101,6 +102,7 @@ def test_every_type_comes_back_from_every_form(samples: list[tuple[Any, str, int
 TEXTS = st.text(alphabet="=+-@'\t\r\n\0\x1b1a,#\" ", max_size=4)
 
 
+@pytest.mark.slow(kept_by="test_a_number_stays_one_and_a_text_that_looks_like_a_formula_is_shown")
 @pytest.mark.campaign
 @settings(max_examples=cases(2_000))
 @given(st.lists(st.tuples(TEXTS, st.floats(), st.binary(max_size=3)), min_size=1, max_size=5), TEXTS)
@@ -206,6 +208,7 @@ def test_what_a_recording_says_of_itself_goes_over_to_text_and_back(tmp_path: Pa
     assert convert(source, tmp_path / "tables", split=True).left_out == left_out
 
 
+@pytest.mark.slow(kept_by="test_numbers_and_texts_at_the_edge_come_back")
 def test_the_roomba_recording_gives_the_same_numbers_after_every_form(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -317,6 +320,7 @@ def test_targets_are_never_lost(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert everything(source) != []
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D06")
 def test_a_damaged_recording_is_refused_before_a_target_is_there(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -336,6 +340,7 @@ def test_a_damaged_recording_is_refused_before_a_target_is_there(
     assert sorted(os.listdir(tmp_path)) == ["old.csv", "run.mcap"]
 
 
+@pytest.mark.slow
 def test_a_recording_that_was_not_closed_goes_over_to_its_end_and_that_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -353,6 +358,7 @@ def test_a_recording_that_was_not_closed_goes_over_to_its_end_and_that_is_said(
     assert 0 < kept < 900
 
 
+@pytest.mark.slow(kept_by="log/test_text_form.py::test_a_full_disk_ends_it_and_what_is_there_is_whole")
 @pytest.mark.fault("D03")
 @pytest.mark.parametrize(
     ("command", "target", "before"),
@@ -393,6 +399,7 @@ def test_a_full_disk_leaves_nothing_and_is_one_line(tmp_path: Path, command: str
         assert (tmp_path / target).read_bytes() == before
 
 
+@pytest.mark.slow(kept_by="test_targets_are_never_lost")
 def test_ctrl_c_leaves_nothing_and_is_status_130(tmp_path: Path) -> None:
     lines = "".join(f"{i},{i}\n" for i in range(300_000))
     (tmp_path / "x.csv").write_text(f"log_time,data\n{lines}")
@@ -416,6 +423,7 @@ class _Terminal(io.StringIO):
         return True
 
 
+@pytest.mark.slow(kept_by="cli/test_terminal.py::test_the_line_leaves_room_for_the_cursor_and_tells_as_much_as_fits")
 def test_long_work_shows_a_bar_on_a_terminal_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make(tmp_path / "run.mcap", 1000)
     for stream, shown in ((_Terminal(), True), (io.StringIO(), False)):
@@ -479,6 +487,7 @@ def test_lines_of_filters_are_a_recording(tmp_path: Path) -> None:
         source.write_text("".join(source.read_text().splitlines(keepends=True)[:4]))
 
 
+@pytest.mark.slow(kept_by="system/test_pipes.py::test_a_line_without_end_is_refused_and_takes_no_memory")
 @pytest.mark.fault("D07")
 @pytest.mark.fault("D08")
 def test_a_line_without_end_is_refused_in_little_memory(tmp_path: Path) -> None:
@@ -509,6 +518,7 @@ def test_a_line_without_end_is_refused_in_little_memory(tmp_path: Path) -> None:
     assert int(memory) <= 128  # a line that is allowed, and a copy of it
 
 
+@pytest.mark.slow(kept_by="test_a_text_of_blanks_is_a_sample")
 def test_a_sample_that_no_line_can_hold_is_refused(tmp_path: Path) -> None:
     record(tmp_path / "run.mcap", [("a", 0, TimedString(0, "x" * 1000)), ("b", 1, b"\0" * (LONGEST * 3 // 4))])
     for form in ("text", "jsonl", "csv"):
@@ -517,6 +527,7 @@ def test_a_sample_that_no_line_can_hold_is_refused(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["run.mcap"]
 
 
+@pytest.mark.slow(kept_by="test_lines_of_filters_are_a_recording")
 def test_a_hundred_thousand_samples_take_no_memory(tmp_path: Path) -> None:
     count = 1_000_000 if CAMPAIGN else 100_000
     rows = (f"{i * 1000},{i},{i / 7}\n" for i in range(count))

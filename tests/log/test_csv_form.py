@@ -63,6 +63,7 @@ def test_times_are_exact_to_the_nanosecond(text: str, unit: Any, offset: str, ns
     assert time_of(text, unit, offset) == ns
 
 
+@pytest.mark.slow(kept_by="test_times_are_exact_to_the_nanosecond")
 @given(st.integers(0, 2**63 - 1), st.sampled_from(["s", "ms", "us", "ns"]))
 def test_a_time_comes_back_in_every_unit(ns: int, unit: Any) -> None:
     assert time_of(time_cell(ns, unit), unit) == ns
@@ -245,6 +246,7 @@ def test_what_is_no_table_is_one_clear_error(tmp_path: Path, raw: bytes) -> None
     assert not (tmp_path / "out.mcap").exists()
 
 
+@pytest.mark.slow(kept_by="test_columns_are_the_numbers_and_texts_of_a_type")
 @given(st.lists(st.text(st.characters(exclude_categories=["Cs"])), min_size=1), st.sampled_from(",;\t| "))
 def test_cells_are_read_as_they_were_written(cells: list[str], delimiter: str) -> None:
     import csv

@@ -60,6 +60,7 @@ def test_cut_takes_some_of_the_time_and_of_the_ports(tmp_path: Path, capsys: pyt
     assert messages(target) == expected
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.integers(-2, 25), st.integers(-2, 25))
 def test_cut_takes_exactly_what_lies_between(tmp_path_factory: pytest.TempPathFactory, start: int, end: int) -> None:
@@ -96,6 +97,7 @@ def test_merge_puts_samples_in_the_order_of_their_time(tmp_path: Path, capsys: p
         assert [about["of"] for about in reader.metadata] == ["one", "two", "c"]
 
 
+@pytest.mark.slow
 def test_names_that_clash_are_refused_renamed_or_joined(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     one, two, other, target = (tmp_path / f"{name}.mcap" for name in ("one", "two", "other", "all"))
     small(one, {"a": TimedDouble}, [("a", 1), ("a", 3)])
@@ -120,6 +122,7 @@ def test_names_that_clash_are_refused_renamed_or_joined(tmp_path: Path, capsys: 
     assert [time for _, time, _, _ in messages(one)] == [1, 3]
 
 
+@pytest.mark.slow
 def test_the_parts_of_a_rotated_recording_become_one_again(tmp_path: Path) -> None:
     expected = make(tmp_path / "run.mcap", 300, chunk=1000, max_bytes=20_000)
     parts = sorted((path for path in tmp_path.iterdir()), key=lambda path: (len(path.name), path.name))
@@ -128,6 +131,7 @@ def test_the_parts_of_a_rotated_recording_become_one_again(tmp_path: Path) -> No
     assert read(tmp_path / "whole.mcap") == expected
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D06")
 def test_salvage_of_text_takes_every_line_that_is_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     make(tmp_path / "run.mcap", 50)

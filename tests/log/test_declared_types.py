@@ -62,6 +62,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
     return said.out
 
 
+@pytest.mark.slow
 @pytest.mark.row(64)
 def test_every_command_knows_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = recorded(tmp_path / "run.mcap", "declared_a", "TankA")
@@ -114,6 +115,7 @@ def test_every_command_imports_a_module_of_types_that_it_is_told(
     sys.modules.pop(module, None)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D12")
 def test_what_no_plugin_declares_is_not_imported_whatever_else_it_offers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

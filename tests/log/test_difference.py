@@ -52,6 +52,7 @@ def numbers(*values: float, start: int = 0, step: int = 10) -> Samples:
     return [(start + i * step, TimedDouble(start + i * step, value)) for i, value in enumerate(values)]
 
 
+@pytest.mark.slow
 def test_equal_recordings_are_equal_in_any_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     make(tmp_path / "a.mcap", 50, chunk=500)
     make(tmp_path / "b.mcap", 50)
@@ -139,6 +140,7 @@ def test_a_replay_is_compared_by_stamp_or_order_and_its_timing_told(
     assert "--time-tolerance: expected 5ms, 20us or seconds, got 'soon'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_values_alone_are_compared_whatever_the_log_times_are(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -156,6 +158,7 @@ def test_values_alone_are_compared_whatever_the_log_times_are(
     assert 'choose by "tm" or "order"' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_two_runs_whose_times_are_others_are_told_how_to_be_compared(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -202,6 +205,7 @@ def test_where_records_differ_is_named(tmp_path: Path) -> None:
     assert first_change(True, 1, DiffOptions(absolute=1.0)) == "value: True -> 1"
 
 
+@pytest.mark.slow(kept_by="test_what_is_left_at_the_end_is_missing_or_extra")
 @given(st.lists(st.integers(0, 30), max_size=20), st.lists(st.integers(0, 30), max_size=20), st.integers(0, 3))
 def test_every_sample_is_a_partner_missing_or_extra(
     tmp_path_factory: pytest.TempPathFactory, left: list[int], right: list[int], tolerance: int
@@ -293,6 +297,7 @@ def test_arrays_are_compared_item_by_item_whether_or_not_their_type_is_known(
     assert [detail for _, _, detail in found.ports[0].places] == [said]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["mcap", "txt", "jsonl"])
 def test_tolerances_count_for_the_items_of_an_array(
     ending: str, known: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -317,6 +322,7 @@ def test_tolerances_count_for_the_items_of_an_array(
         assert "image[0]: 7 -> 9" in run(capsys, left, right, "--abs", "1")[1]
 
 
+@pytest.mark.slow(kept_by="test_arrays_are_compared_item_by_item_whether_or_not_their_type_is_known")
 @given(
     st.sampled_from(["f2", "f4", "f8", "i1", "u1", "i8", "u8"]),
     st.lists(st.tuples(st.floats(width=16), st.floats(width=16)), max_size=5),

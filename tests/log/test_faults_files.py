@@ -67,6 +67,7 @@ def may_mount() -> bool:
     return subprocess.run(command, capture_output=True, check=False, timeout=100).returncode == 0
 
 
+@pytest.mark.slow(kept_by="log/test_text_form.py::test_a_full_disk_ends_it_and_what_is_there_is_whole")
 @pytest.mark.fault("D03")
 @pytest.mark.timeout(time_limit(600))
 def test_a_disk_of_1_mib_that_is_full_at_any_write_leaves_an_exact_prefix(tmp_path: Path) -> None:
@@ -120,6 +121,7 @@ for path in sys.argv[2:]:
 """
 
 
+@pytest.mark.slow(kept_by="log/test_faults_review.py::test_a_sample_for_which_there_is_no_memory_is_refused_alone")
 @pytest.mark.fault("G02")
 @pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="the address space is read from /proc")
 def test_a_reader_with_little_memory_refuses_and_lives(tmp_path: Path) -> None:
@@ -172,6 +174,7 @@ print(sorted(new))
 """
 
 
+@pytest.mark.slow(kept_by="log/test_text_form.py::test_a_type_that_is_not_known_here_is_told_as_plain_data")
 @pytest.mark.fault("D12")
 def test_a_type_that_nobody_here_knows_can_be_read_as_plain_data_and_imports_nothing(tmp_path: Path) -> None:
     """The file names a module that is there and prints when it is imported."""

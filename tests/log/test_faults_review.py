@@ -150,6 +150,7 @@ def foreign(path: Path, *parts: bytes) -> Path:
 DEFINED = Schema(1, "x", "jsonschema", b"{}").put() + Channel(1, 1, "port", "json", {}).put()
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D08")
 def test_compressed_chunks_that_overlap_are_counted_as_large_as_they_become(tmp_path: Path) -> None:
     data = bytes(2 * MIB)
@@ -168,6 +169,7 @@ def test_compressed_chunks_that_overlap_are_counted_as_large_as_they_become(tmp_
         tracemalloc.stop()
 
 
+@pytest.mark.slow(kept_by="test_chunks_within_chunks_take_no_hours")
 @pytest.mark.fault("D08")
 @pytest.mark.parametrize("is_sorted", [True, False])
 def test_a_chunk_of_very_many_messages_is_read_one_by_one(tmp_path: Path, is_sorted: bool) -> None:
@@ -226,6 +228,7 @@ def test_a_message_outside_the_time_of_its_chunk_is_damage_without_an_index_too(
         assert "outside the time" in reader.torn.why
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D06")
 def test_many_damaged_chunks_are_all_passed(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
@@ -244,6 +247,7 @@ def test_many_damaged_chunks_are_all_passed(tmp_path: Path) -> None:
     assert all(isinstance(one, TimedString) for _, _, one in read(tmp_path / "whole.mcap", ports=["log"]))
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("count", [8_191, 8_192, 100_000, 1_000_000])
 def test_a_large_array_lies_in_the_file_as_the_codec_writes_it(tmp_path: Path, count: int) -> None:
     """It goes there in two parts; nobody can tell."""

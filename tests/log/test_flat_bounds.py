@@ -13,6 +13,7 @@ LINE = b'a\tTimedDouble\t1700000000.000000005\t{"tm": 1700000000000000000, "data
 MIB = 2**20
 
 
+@pytest.mark.slow(kept_by="test_bad_lines_are_told_in_a_bounded_number_of_places")
 @pytest.mark.parametrize("filling", [b"\n", b"#\n"])
 def test_lines_without_samples_between_samples_are_not_held(filling: bytes, tmp_path: Path) -> None:
     path = tmp_path / "run.txt"
@@ -36,6 +37,7 @@ def test_bad_lines_are_told_in_a_bounded_number_of_places(lines: bytes, places: 
             list(reader.samples())
 
 
+@pytest.mark.slow(kept_by="test_bad_lines_are_told_in_a_bounded_number_of_places")
 def test_a_recording_in_lines_has_no_more_ports_than_any_other(tmp_path: Path) -> None:
     path = tmp_path / "run.txt"
     path.write_bytes(b"".join(b"%d%s" % (number, LINE) for number in range(65_540)))

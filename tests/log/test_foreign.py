@@ -108,6 +108,7 @@ except ImportError:
 '''
 
 
+@pytest.mark.slow
 def test_any_reader_understands_the_samples_without_our_code(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     point, images = TimedPoint3D(5, Point3D(1.0, 2.0, 3.0)), MultiCameraImages()
@@ -141,6 +142,7 @@ def test_any_reader_understands_the_samples_without_our_code(tmp_path: Path) -> 
     assert found["images"][0] == "MultiCameraImages"
 
 
+@pytest.mark.slow(kept_by="test_the_reader_of_the_mcap_library_reads_ours_and_finds_every_sum_right")
 def test_every_type_has_a_schema_that_its_samples_keep(tmp_path: Path) -> None:
     """In JSON with the names that Foxglove documents; the schema is a valid one, and an object at its root."""
     path = tmp_path / "run.mcap"

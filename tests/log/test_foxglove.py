@@ -41,6 +41,7 @@ def made(path: Path, encoding: Any) -> Path:
     return path
 
 
+@pytest.mark.slow(kept_by="test_bytes_are_base_64_and_the_schema_says_so")
 def test_names_are_those_that_foxglove_documents(tmp_path: Path) -> None:
     """https://docs.foxglove.dev: message encoding "json", schema encoding "jsonschema", whose root is an object."""
     with made(tmp_path / "run.mcap", "json").open("rb") as stream:

@@ -91,6 +91,7 @@ def ported(samples: list[tuple[str, int, Any]], name: str) -> list[Any]:
     return [record for port, _, record in samples if port == name]
 
 
+@pytest.mark.slow(kept_by="test_json_of_others_arrives_and_what_does_not_is_named")
 @pytest.mark.parametrize("kind", ["MCAP", "SQLITE3"])
 @pytest.mark.parametrize("whole", [True, False], ids=["folder", "file"])
 def test_every_value_of_a_ros_recording_arrives(tmp_path: Path, kind: str, whole: bool) -> None:
@@ -162,6 +163,7 @@ def test_every_value_of_a_ros_recording_arrives(tmp_path: Path, kind: str, whole
         assert all(not port.unknown for port in reader.ports.values())
 
 
+@pytest.mark.slow
 def test_angles_of_any_quaternion_are_those_of_its_turn() -> None:
     from aiorts_log.foreign.ros_types import PARTS
 
@@ -311,6 +313,7 @@ def test_values_of_constants_are_no_code(tmp_path: Path, monkeypatch: pytest.Mon
     assert not (tmp_path / "canary").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D08")
 def test_lengths_in_messages_that_cannot_be_take_no_memory(tmp_path: Path) -> None:
     text = "float64[] x\na/E[] e\nstring s\n" + "=" * 80 + "\nMSG: a/E\nuint8 x"
@@ -338,6 +341,7 @@ YAML = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.fault("F02")
 @pytest.mark.timeout(30)
 @pytest.mark.parametrize("what", YAML)
@@ -376,6 +380,7 @@ def refuse(source: Path, tmp_path: Path) -> str:
     return str(told.value)
 
 
+@pytest.mark.slow(kept_by="test_json_of_others_arrives_and_what_does_not_is_named")
 def test_what_cannot_be_imported_says_why(tmp_path: Path) -> None:
     make(tmp_path / "own.mcap", 1)
     assert "was made by aiorts and needs no import" in refuse(tmp_path / "own.mcap", tmp_path)
@@ -433,6 +438,7 @@ def test_on_a_terminal_standard_error_shows_how_much_is_done(tmp_path: Path, mon
         assert "100%" in screen.getvalue().rpartition(label)[2]
 
 
+@pytest.mark.slow(kept_by="cli/test_help.py::test_a_missing_extra_says_which_command_installs_it")
 def test_without_the_library_the_error_names_the_command(tmp_path: Path) -> None:
     source = old_bag(tmp_path / "old.db3", [(1, "/f", "std_msgs/msg/Float64", [(1, float64(3.0))])])
     code = (

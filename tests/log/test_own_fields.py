@@ -81,6 +81,7 @@ def log(*arguments: str | Path) -> None:
     assert run_command(["log", *map(str, arguments)]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["msgpack", "json"])
 @pytest.mark.parametrize("ending", ["mcap", "csv", "txt", "jsonl", "rows.csv"])
 def test_every_form_gives_every_value_back(
@@ -130,6 +131,7 @@ def test_cells_are_those_that_people_write() -> None:
     assert take(["5", "1000", "2"], 0) == Moments(5, datetime(1970, 1, 1, microsecond=1, tzinfo=UTC), 2)
 
 
+@pytest.mark.slow
 def test_the_schema_in_the_file_fits_the_messages_and_explains_them_to_who_does_not_know_the_type(
     tmp_path: Path,
 ) -> None:

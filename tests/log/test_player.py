@@ -21,6 +21,7 @@ from aiorts_log.playing.schedule import Pace
 from play_parts import BEGIN, MS, Played, S, foreign, recorded, steady
 
 
+@pytest.mark.slow
 @simulated
 async def test_samples_of_all_ports_leave_in_the_order_and_at_the_distances_of_their_log_times(tmp_path: Path) -> None:
     steady(tmp_path / "a.mcap", 1000)
@@ -43,6 +44,7 @@ async def test_samples_of_one_moment_keep_the_order_in_which_they_were_recorded(
     assert set(played.moments) == {0}
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D21")
 @simulated
 async def test_in_hours_of_virtual_time_nothing_drifts(tmp_path: Path) -> None:
@@ -334,6 +336,7 @@ class TestPasses:
             await task
         assert played.values == [0, 1, 2] * 2
 
+    @pytest.mark.slow
     @simulated
     async def test_so_often_as_asked_each_as_far_behind_the_last_as_its_last_two_samples_were_apart(
         self, tmp_path: Path
@@ -356,6 +359,9 @@ class TestPasses:
             await played.player.play()
         assert played.values == [*range(25, 30), *range(20, 30)]
 
+    @pytest.mark.slow(
+        kept_by="log/test_schedule.py::TestPasses::test_one_moment_alone_is_not_repeated_without_end_in_no_time"
+    )
     @simulated
     async def test_without_end_and_as_fast_as_possible_time_goes_on_all_the_same(self, tmp_path: Path) -> None:
         steady(tmp_path / "a.mcap", 10)
@@ -422,6 +428,7 @@ class TestTimesThatAreNone:
 
 
 class TestDamage:
+    @pytest.mark.slow
     @simulated
     async def test_everything_whole_in_front_of_it_is_played(self, tmp_path: Path) -> None:
         path = steady(tmp_path / "a.mcap", 1000, chunk=2000)
@@ -437,6 +444,7 @@ class TestDamage:
         assert played.values == list(range(len(played.values)))
         assert len(played.values) > 900
 
+    @pytest.mark.slow
     @simulated
     async def test_of_one_that_was_torn_off_everything_whole_is_played(self, tmp_path: Path) -> None:
         path = steady(tmp_path / "a.mcap", 1000, chunk=2000)
@@ -462,6 +470,7 @@ class TestDamage:
 
 
 class TestOnARealClock:
+    @pytest.mark.slow
     @pytest.mark.anyio
     async def test_it_is_never_early_and_a_thread_reads_and_goes(self, tmp_path: Path) -> None:
         steady(tmp_path / "a.mcap", 2000, MS)
@@ -494,6 +503,7 @@ class TestOnARealClock:
         assert played.samples[-1][0] - began >= 1980 * MS  # in time of the clock; 40 ms of real time
         assert played.values == list(range(100))
 
+    @pytest.mark.slow(kept_by="log/test_schedule.py::test_time_until_the_first_sample_is_there_is_not_played")
     @pytest.mark.anyio
     async def test_time_that_it_takes_to_open_a_file_or_to_find_a_place_is_not_played(self, tmp_path: Path) -> None:
         class Slow(RecordingReader):
@@ -530,6 +540,7 @@ class TestOnARealClock:
             await asyncio.wait_for(task, 5.0)
         assert played.values == [0, 2, 3]
 
+    @pytest.mark.slow(kept_by="TestOnARealClock::test_a_scaled_clock_is_kept")
     @pytest.mark.anyio
     async def test_a_slow_disk_keeps_neither_the_loop_nor_who_ends_it(self, tmp_path: Path) -> None:
         class Slow(RecordingReader):
@@ -552,6 +563,7 @@ class TestOnARealClock:
             await asyncio.wait([task])
             assert time.monotonic() - before < 10.0  # it had a whole block of waits in front of it, 77 s
 
+    @pytest.mark.slow
     @pytest.mark.anyio
     async def test_large_samples_are_read_one_block_ahead_and_not_all(self, tmp_path: Path) -> None:
         large = TimedOctetSeq(1, bytes(2**20))

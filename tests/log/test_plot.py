@@ -51,6 +51,7 @@ def drive(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.floats(0.0, 10.0), FLOATS), max_size=300), st.integers(1, 12))
 def test_a_thinned_curve_keeps_every_peak(points: list[tuple[float, float]], pieces: int) -> None:
     points.sort(key=lambda point: point[0])
@@ -122,6 +123,7 @@ for number in "01":
 """In a process of its own: matplotlib keeps the files of its fonts open for the next picture."""
 
 
+@pytest.mark.slow(kept_by="test_fields_are_read_as_curves")
 def test_a_path_and_curves_are_drawn_the_same_every_time(drive: Path) -> None:
     pytest.importorskip("matplotlib")
     fields = ["odometry.pose.data.position.x", "odometry.pose.data.position.y", "base.speed", "base.sonar"]
@@ -227,6 +229,7 @@ for size in ("3", "8"):
 """
 
 
+@pytest.mark.slow(kept_by="test_fields_are_read_as_curves")
 def test_a_legend_stays_within_the_picture(scans: Path) -> None:
     pytest.importorskip("matplotlib")
     words = [f"{LONG}.{name}" for name in ("ranges", "ranges[20]", "tm")]
@@ -305,6 +308,7 @@ def test_an_item_that_no_sample_has_is_an_error_with_the_longest(
     assert [value for value in some.values if value == value] == [1.0] * 5
 
 
+@pytest.mark.slow
 def test_a_field_without_a_number_in_any_sample_is_an_error(
     drive: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -327,6 +331,7 @@ print(len(re.findall("<g clip-path=.*?<use ", open("x.svg").read())))
 """
 
 
+@pytest.mark.slow(kept_by="log/test_own_fields.py::test_a_curve_has_a_gap_where_a_value_is_absent")
 def test_points_between_gaps_are_marked(weather: Path) -> None:
     pytest.importorskip("matplotlib")
     line = [sys.executable, "-c", DOTS]
@@ -334,6 +339,7 @@ def test_points_between_gaps_are_marked(weather: Path) -> None:
     assert done.stdout.splitlines()[1::2] == ["10", "12", "0"], done.stderr  # a path has a begin and an end, too
 
 
+@pytest.mark.slow
 def test_what_cannot_be_drawn_is_one_line_and_leaves_nothing(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     target = drive.with_name("x.svg")
@@ -370,6 +376,7 @@ def test_without_matplotlib_the_command_is_named(
     )
 
 
+@pytest.mark.slow
 def test_matplotlib_is_loaded_for_pictures_alone() -> None:
     code = "import sys, aiorts_log, aiorts_log.commands.command; print('matplotlib' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=100)

@@ -75,6 +75,7 @@ def outcome(path: Path) -> tuple[list[tuple[str, int, int, bytes]], str]:
     return found, told.code
 
 
+@pytest.mark.slow(kept_by="test_a_check_finds_every_flipped_byte_but_in_the_name_of_who_wrote_it")
 @pytest.mark.fault("D06")
 @pytest.mark.parametrize("closed", [True, False], ids=["closed", "not closed"])
 def test_a_flipped_bit_never_gives_a_wrong_value(tmp_path: Path, closed: bool) -> None:
@@ -107,6 +108,7 @@ def test_a_flipped_bit_never_gives_a_wrong_value(tmp_path: Path, closed: bool) -
     assert told > 50
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("D06")
 @pytest.mark.parametrize("closed", [True, False], ids=["closed", "not closed"])
 def test_a_check_finds_every_flipped_byte_but_in_the_name_of_who_wrote_it(tmp_path: Path, closed: bool) -> None:
@@ -154,6 +156,7 @@ def read_names(path: Path) -> Iterator[tuple[str, str, str]]:
             yield name, port.type_name, str(port.metadata)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D06")
 def test_salvage_skips_what_is_damaged_and_says_where_and_how_much(tmp_path: Path) -> None:
     path, new = tmp_path / "run.mcap", tmp_path / "new.mcap"
@@ -182,6 +185,7 @@ def test_salvage_skips_what_is_damaged_and_says_where_and_how_much(tmp_path: Pat
             assert reader.check() == ()
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D06")
 def test_salvage_finds_chunks_behind_a_length_that_is_wrong(tmp_path: Path) -> None:
     path, damaged, new = tmp_path / "run.mcap", tmp_path / "damaged.mcap", tmp_path / "new.mcap"
@@ -201,6 +205,7 @@ def test_salvage_finds_chunks_behind_a_length_that_is_wrong(tmp_path: Path) -> N
         assert len(right) - len(found) == sum(report.missing.values())
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D07")
 def test_a_file_cut_at_any_length_gives_a_clean_message(tmp_path: Path) -> None:
     path, cut = tmp_path / "run.mcap", tmp_path / "cut.mcap"
@@ -243,6 +248,7 @@ def bomb(name: str) -> bytes:
     return bytes(frame.compress(zeros * 256))
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("D08")
 @pytest.mark.parametrize(
     ("records", "what"),
@@ -338,6 +344,7 @@ def test_a_message_of_a_port_that_nothing_defines_is_damage(tmp_path: Path) -> N
     assert "1 samples of ports that nothing defines" in report.lost[0].why
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D06")
 def test_a_chunk_that_looks_like_something_else_is_missed(tmp_path: Path) -> None:
     """One flipped bit makes it a record that may be skipped, or an end; without an index only the numbers tell."""
@@ -379,6 +386,7 @@ def test_a_chunk_that_is_not_there_any_more_is_missed(tmp_path: Path) -> None:
     assert "samples are missing" in report.lost[0].why
 
 
+@pytest.mark.slow(kept_by="test_an_index_that_lies_is_found_out")
 @pytest.mark.fault("D06")
 def test_figures_of_an_index_that_is_damaged_are_not_told(tmp_path: Path) -> None:
     path, flipped = tmp_path / "run.mcap", tmp_path / "flipped.mcap"
@@ -514,6 +522,7 @@ def test_no_source_of_recordings_knows_pickles() -> None:
         assert "pickle" not in path.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow(kept_by="log/test_player.py::test_nothing_is_imported_for_a_file")
 @pytest.mark.fault("D12")
 def test_nothing_that_a_file_names_is_imported(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"

@@ -161,6 +161,7 @@ def numbers(path: Path, port: str = "source0.out") -> list[int]:
 # -- the same as beside the run ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="test_it_ends_after_so_many_samples_and_continues_a_file")
 def test_a_recording_has_what_one_beside_the_run_has(folder: Path) -> None:
     live, beside, system = folder / "live.mcap", folder / "beside.mcap", folder / "system.toml"
     system.write_text(f'{SYSTEM}[record]\nfile = "{beside}"\nmin_free = 0\n')
@@ -212,6 +213,7 @@ class Source(Component):
             self.out.write_nowait(TimedLong(self.n, self.n))
 
 
+@pytest.mark.slow(kept_by="test_it_ends_after_so_many_samples_and_continues_a_file")
 @pytest.mark.fault("B17")
 @pytest.mark.parametrize("burst", [1, 40, 2000])
 @pytest.mark.anyio
@@ -259,6 +261,7 @@ class Late(Component):
 """
 
 
+@pytest.mark.slow(kept_by="test_it_ends_after_so_many_samples_and_continues_a_file")
 def test_in_simulated_time_nothing_is_lost_and_times_are_the_kernels(tmp_path: Path) -> None:
     live, beside, system = tmp_path / "live.mcap", tmp_path / "beside.mcap", tmp_path / "system.toml"
     (tmp_path / "late.py").write_text(SIMULATED)
@@ -279,6 +282,7 @@ def test_in_simulated_time_nothing_is_lost_and_times_are_the_kernels(tmp_path: P
 # -- what ends it ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="test_it_ends_after_so_many_samples_and_continues_a_file")
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_signal_ends_it_in_order(number: int, status: int, folder: Path) -> None:
     path = folder / "run.mcap"
@@ -292,6 +296,7 @@ def test_a_signal_ends_it_in_order(number: int, status: int, folder: Path) -> No
     assert set(messages(path)) == {"one.out"}
 
 
+@pytest.mark.slow(kept_by="test_it_ends_after_so_many_samples_and_continues_a_file")
 @pytest.mark.parametrize("how", ["stop", "kill"])
 def test_the_end_of_the_kernel_ends_it_with_a_whole_file(how: str, folder: Path) -> None:
     path = folder / "run.mcap"
@@ -310,6 +315,7 @@ def test_the_end_of_the_kernel_ends_it_with_a_whole_file(how: str, folder: Path)
     messages(path)
 
 
+@pytest.mark.slow(kept_by="test_it_ends_after_so_many_samples_and_continues_a_file")
 @pytest.mark.anyio
 async def test_one_that_is_killed_leaves_a_file_that_can_be_read_and_nothing_in_the_kernel(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
@@ -324,6 +330,7 @@ async def test_one_that_is_killed_leaves_a_file_that_can_be_read_and_nothing_in_
     assert got == list(range(got[0], got[-1] + 1))
 
 
+@pytest.mark.slow(kept_by="test_it_ends_after_so_many_samples_and_continues_a_file")
 @pytest.mark.fault("D01")
 @pytest.mark.timeout(time_limit(1200))
 @pytest.mark.anyio
@@ -342,6 +349,7 @@ async def test_killed_at_any_moment_what_can_be_read_has_no_gap(tmp_path: Path) 
             await seen(kernel, 0)
 
 
+@pytest.mark.slow(kept_by="test_it_ends_after_so_many_samples_and_continues_a_file")
 @pytest.mark.fault("D03")
 def test_a_disk_that_is_full_ends_it_with_what_is_whole(folder: Path) -> None:
     path = folder / "run.mcap"
@@ -371,6 +379,7 @@ def test_a_disk_that_is_full_ends_it_with_what_is_whole(folder: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow(kept_by="test_it_ends_after_so_many_samples_and_continues_a_file")
 @pytest.mark.anyio
 async def test_a_file_that_is_deleted_meanwhile_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
@@ -397,6 +406,7 @@ async def test_it_ends_after_so_many_samples_and_continues_a_file(tmp_path: Path
 # -- which ports -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "ports"),
     [
@@ -466,6 +476,7 @@ async def test_the_file_is_named_after_the_kernel_and_the_time(tmp_path: Path, m
     assert path.match("dated-????????T??????Z.mcap")
 
 
+@pytest.mark.slow(kept_by="test_it_ends_after_so_many_samples_and_continues_a_file")
 @pytest.mark.anyio
 async def test_more_ports_than_one_session_may_tap_are_recorded(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
@@ -500,6 +511,7 @@ async def two_components(name: str) -> AsyncIterator[Kernel]:
         yield kernel
 
 
+@pytest.mark.slow(kept_by="test_it_ends_after_so_many_samples_and_continues_a_file")
 @pytest.mark.anyio
 async def test_ports_that_come_later_are_recorded_from_then_on(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"

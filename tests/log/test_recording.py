@@ -48,6 +48,7 @@ TYPES = [cls for cls in all_types().values() if cls.__module__.startswith("aiort
 RECORDS = [cls for cls in TYPES if dataclasses.is_dataclass(cls)]
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("D16")
 @settings(max_examples=cases(4000), deadline=None)
 @given(data=st.data())
@@ -105,6 +106,7 @@ def RecordingReaderOnce(path: Path) -> list[Any]:
         return list(reader.samples())
 
 
+@pytest.mark.slow
 def test_samples_of_all_ports_come_in_the_order_of_their_time(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     expected = make(path, 500, chunk=4096)
@@ -125,6 +127,7 @@ def test_samples_of_all_ports_come_in_the_order_of_their_time(tmp_path: Path) ->
             list(reader.samples(ports=["pid"]))
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.lists(st.integers(0, 20), min_size=1, max_size=8), max_size=8),
     st.booleans(),
@@ -193,6 +196,7 @@ def test_a_recording_that_is_there_is_never_touched_unless_that_is_said(tmp_path
     assert read(path) == expected[:15]
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D17")
 @pytest.mark.fault("F15")
 @pytest.mark.parametrize("existing", ["append", "overwrite"])
@@ -275,6 +279,7 @@ def test_what_is_damaged_or_not_ours_is_not_continued(tmp_path: Path) -> None:
     assert (tmp_path / "text").read_text() == "hello"
 
 
+@pytest.mark.slow
 def test_a_recording_goes_on_in_the_next_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     expected = make(path, 400, chunk=1000, max_bytes=20_000)
@@ -479,6 +484,7 @@ def test_samples_of_several_threads_and_files_within_the_file(tmp_path: Path) ->
         assert reader.endings[0]["why"] == "closed"
 
 
+@pytest.mark.slow
 def test_definitions_stand_in_the_file_again_so_that_no_damage_takes_them_all(tmp_path: Path) -> None:
     path, new = tmp_path / "run.mcap", tmp_path / "new.mcap"
     with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:

@@ -116,6 +116,7 @@ def same(left: Any, right: Any, where: str) -> None:
         assert (type(left), left) == (type(right), right), where
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_a_bag_of_all_twelve_comes_back_equal_in_every_field(tmp_path: Path, storage: str) -> None:
     report = import_recording(bag(tmp_path / "bag", storage), tmp_path / "run.mcap")
@@ -132,6 +133,7 @@ def test_a_bag_of_all_twelve_comes_back_equal_in_every_field(tmp_path: Path, sto
     assert sorted(one.name for one in (tmp_path / "again").iterdir()) == [f"again.{ending}", "metadata.yaml"]
 
 
+@pytest.mark.slow(kept_by="test_a_bag_of_all_twelve_comes_back_equal_in_every_field")
 def test_messages_are_records_with_the_time_and_frame_of_their_header(tmp_path: Path) -> None:
     import_recording(bag(tmp_path / "bag", "mcap"), tmp_path / "run.mcap")
     found = read(tmp_path / "run.mcap")
@@ -163,6 +165,7 @@ def test_any_message_is_equal_after_it_was_a_record(name: str) -> None:
     check()
 
 
+@pytest.mark.slow(kept_by="test_a_bag_of_all_twelve_comes_back_equal_in_every_field")
 @pytest.mark.parametrize("ending", ["csv", "txt", "jsonl"])
 def test_whole_records_come_back_from_every_form(tmp_path: Path, ending: str) -> None:
     import_recording(bag(tmp_path / "bag", "mcap"), tmp_path / "run.mcap")
@@ -188,6 +191,7 @@ def test_what_is_only_called_so_is_taken_in_parts(tmp_path: Path) -> None:
     assert read(tmp_path / "run.mcap") == [("imu", BEGIN, t.TimedDouble(BEGIN, 2.5))]
 
 
+@pytest.mark.slow(kept_by="test_what_is_only_called_so_is_taken_in_parts")
 def test_a_bag_without_definitions_gives_whole_records_too(tmp_path: Path) -> None:
     rows = {(topic, name): [] for topic, name, _, _ in messages()}  # type: dict[tuple[str, str], list[Any]]
     for topic, name, when, message in messages():
@@ -227,6 +231,7 @@ def mixed(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_what_ros_has_no_message_for_is_named_and_left_out_on_request_only(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

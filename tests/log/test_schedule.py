@@ -264,6 +264,7 @@ ACTS = st.lists(
 )
 
 
+@pytest.mark.slow(kept_by="test_nor_is_time_until_a_place_is_found_and_stamps_keep_step_over_it")
 @settings(max_examples=150)
 @given(ACTS)
 def test_whatever_happens_stamps_keep_step_with_the_clock_and_nothing_bursts(acts: list[Any]) -> None:
@@ -312,6 +313,7 @@ def test_whatever_happens_stamps_keep_step_with_the_clock_and_nothing_bursts(act
             assert position >= schedule.last
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.sampled_from(["sample", "pause", "step", "jump", "again"]), st.integers(0, 9 * S))))
 def test_who_is_never_late_stamps_with_the_time_of_the_clock_itself(acts: list[tuple[str, int]]) -> None:
     schedule, now, at = Schedule(Pace(max_gap=5 * S), 0), 0, BEGIN

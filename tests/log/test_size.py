@@ -54,6 +54,7 @@ if len(sys.argv) > 3:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D13")
 @pytest.mark.skipif(not os.path.exists("/proc/self/status"), reason="the peak of memory is read from /proc")
 @pytest.mark.timeout(time_limit(600))

@@ -92,6 +92,7 @@ def test_a_file_that_is_there_is_refused_continued_or_replaced(tmp_path: Path) -
         assert whole.count == 3
 
 
+@pytest.mark.slow(kept_by="test_a_last_line_that_ends_within_its_record_is_torn")
 @pytest.mark.fault("D07")
 def test_truncated_at_every_length_it_is_an_exact_prefix_or_one_message(tmp_path: Path) -> None:
     path, cut = tmp_path / "run.txt", tmp_path / "cut.txt"

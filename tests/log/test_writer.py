@@ -58,6 +58,7 @@ def killed(path: Path, seconds: float, hz: int, sync: str = "never") -> tuple[in
     return at, said.split()
 
 
+@pytest.mark.slow(kept_by="test_what_was_said_to_be_on_the_disk_is_there_after_a_kill")
 @pytest.mark.fault("D01")
 @pytest.mark.timeout(time_limit(900))
 @pytest.mark.parametrize("hz", [10_000, 200])
@@ -80,6 +81,7 @@ def test_a_killed_recorder_leaves_an_exact_prefix_that_opens_as_it_is(tmp_path: 
     assert max(late) <= 2.0
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("D02")
 def test_what_was_said_to_be_on_the_disk_is_there_after_a_kill(tmp_path: Path) -> None:
     for number in range(max(2, cases(20))):
@@ -91,6 +93,7 @@ def test_what_was_said_to_be_on_the_disk_is_there_after_a_kill(tmp_path: Path) -
         assert [record.data for _, _, record in found] == list(range(len(found)))
 
 
+@pytest.mark.slow(kept_by="test_what_is_whole_of_a_torn_recording_becomes_a_whole_one")
 @pytest.mark.fault("D02")
 @pytest.mark.parametrize("tail", ["cut", "zeros", "noise"])
 def test_power_lost_at_any_byte_of_the_tail_leaves_a_prefix(tmp_path: Path, tail: str) -> None:
@@ -170,6 +173,7 @@ print(found.stored, writer.failure)
 """
 
 
+@pytest.mark.slow(kept_by="test_a_disk_that_fails_ends_the_recording_and_leaves_it_valid")
 @pytest.mark.fault("D03")
 def test_a_file_that_may_not_grow_ends_the_recording_wherever_that_happens(tmp_path: Path) -> None:
     for limit in (1, 500, 30_000, 33_333, *((range(40_000, 48_200, 100)) if CAMPAIGN else ())):
@@ -252,6 +256,7 @@ class Slow(LockedFile):
         return super().put(parts)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D05")
 def test_a_slow_disk_holds_nobody_up_and_what_finds_no_room_is_counted(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
@@ -276,6 +281,7 @@ def test_a_slow_disk_holds_nobody_up_and_what_finds_no_room_is_counted(tmp_path:
         assert reader.count == taken
 
 
+@pytest.mark.slow
 @pytest.mark.fault("D05")
 def test_the_queue_is_bounded_in_bytes_as_well(tmp_path: Path) -> None:
     options = RecordingOptions(min_free=0, queue_bytes=100_000)

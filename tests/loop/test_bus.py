@@ -141,6 +141,7 @@ def test_an_observer_that_raises_is_counted_and_told_once(asynchronous: bool, ca
     assert record.exc_info is not None
 
 
+@pytest.mark.slow
 def test_an_observer_that_holds_the_loop_is_named(caplog: pytest.LogCaptureFixture) -> None:
     def hog(event: Event) -> None:
         time.sleep(0.06)
@@ -157,6 +158,7 @@ def test_an_observer_that_holds_the_loop_is_named(caplog: pytest.LogCaptureFixtu
     assert "hog held the loop" in record.getMessage()
 
 
+@pytest.mark.slow
 def test_in_virtual_time_what_the_wall_clock_says_is_not_logged(caplog: pytest.LogCaptureFixture) -> None:
     def hog(event: Event) -> None:
         time.sleep(0.06)
@@ -320,6 +322,7 @@ async def test_who_was_unsubscribed_hears_nothing_more() -> None:
         assert heard == []
 
 
+@pytest.mark.slow
 @pytest.mark.row(105)
 @simulated
 async def test_observers_that_answer_for_ever_do_not_hold_the_loop() -> None:

@@ -186,6 +186,7 @@ async def test_stop_may_be_requested_from_any_thread(anyio_backend: Any) -> None
         thread.join()
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_kernels_in_several_threads_know_nothing_of_each_other(anyio_backend: Any) -> None:
     import aiorts

@@ -240,6 +240,7 @@ def test_template_that_does_not_fit_its_arguments_does_not_raise(
     assert "Logging error" in capsys.readouterr().err
 
 
+@pytest.mark.slow(kept_by="test_tracebacks_and_long_lines_count_as_output")
 @pytest.mark.fault("A21")
 def test_a_million_lines_in_a_second_stay_under_a_megabyte_and_are_all_accounted_for() -> None:
     bench, text = Bench(), io.StringIO()
@@ -260,6 +261,7 @@ def test_a_million_lines_in_a_second_stay_under_a_megabyte_and_are_all_accounted
     assert len(lines) - 2 + int(told) == count
 
 
+@pytest.mark.slow
 @pytest.mark.fault("A21")
 def test_a_flooding_component_takes_nothing_from_another() -> None:
     loud, quiet = Bench("loud"), Bench("quiet")
@@ -301,6 +303,7 @@ def test_dropped_lines_are_told_once_each_second_and_at_flush(bench: Bench) -> N
     assert [record.levelno for record in bench.out.records if "dropped" in record.getMessage()] == [logging.WARNING] * 3
 
 
+@pytest.mark.slow(kept_by="first")
 @given(
     st.lists(
         st.tuples(
@@ -326,6 +329,7 @@ def test_no_line_is_ever_lost_without_a_count(calls: list[tuple[int, int, str]])
     assert lines + repeated + dropped == len(calls)
 
 
+@pytest.mark.slow
 def test_many_templates_take_bounded_memory(bench: Bench) -> None:
     for number in range(5_000):
         bench.log.info(f"{number}")
@@ -363,6 +367,7 @@ def test_without_a_logger_of_its_own_it_uses_the_standard_one(standard_logger: M
     assert [(record.name, record.getMessage()) for record in standard_logger.records] == [("aiorts.component", "hello")]
 
 
+@pytest.mark.slow
 def test_importing_configures_no_logging() -> None:
     code = (
         "import logging; before = (logging.root.level, list(logging.root.handlers), logging.getLoggerClass())\n"

@@ -35,6 +35,7 @@ class Failing(Component):
         raise ValueError(f"bus fault of {self.name}: " + "x" * 60)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G13")
 def test_thousand_components_that_fail_at_once_are_a_thousand_lines_at_most_then_a_summary(
     written: io.StringIO,
@@ -74,6 +75,7 @@ class Talker(Component):
             self.log.info(f"template {self.said} that is new each time")  # noqa: G004
 
 
+@pytest.mark.slow(kept_by="loop/test_log.py::test_no_line_is_ever_lost_without_a_count")
 @pytest.mark.fault("A21")
 def test_component_that_logs_without_end_writes_a_megabyte_a_second_at_most_and_every_line_is_counted(
     written: io.StringIO,
@@ -97,6 +99,7 @@ def test_component_that_logs_without_end_writes_a_megabyte_a_second_at_most_and_
     assert " more like this" in written.getvalue()
 
 
+@pytest.mark.slow
 def test_quiet_component_is_heard_while_another_storms(written: io.StringIO) -> None:
     async def main(clock: SimulatedClock) -> None:
         async with Kernel() as kernel:

@@ -41,6 +41,7 @@ class Spawner(Component):
         self._spawn(self._parent() if self.nested else self._fail())
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("A14")
 @pytest.mark.row(13)
 @pytest.mark.parametrize("keep", [False, True], ids=["dropped", "kept"])
@@ -63,6 +64,7 @@ def test_failure_of_a_task_is_attributed_within_a_second_a_hundred_times(keep: b
     simulate(main)
 
 
+@pytest.mark.slow(kept_by="test_task_whose_exception_the_component_asks_for_itself_is_no_error")
 @pytest.mark.anyio
 @pytest.mark.fault("A14")
 async def test_failure_of_a_task_is_attributed_in_real_time_on_both_loops(anyio_backend: Any) -> None:
@@ -270,6 +272,7 @@ def test_embedded_an_interrupt_in_a_task_goes_on_once_its_component_is_in_error(
     assert seen[: seen.index("interrupted")] == [LifecycleState.ACTIVE, LifecycleState.ERROR]
 
 
+@pytest.mark.slow(kept_by="test_tasks_of_a_component_end_with_it_and_those_of_others_do_not")
 def test_a_component_s_task_shows_and_ends_as_any_other() -> None:
     """Its coroutine is seen in stacks and names; cancelled before it began, it leaves no warning."""
 

@@ -105,6 +105,7 @@ async def test_failing_callback_is_reported_and_the_others_run() -> None:
     assert [type(report) for report in reports] == [ZeroDivisionError]
 
 
+@pytest.mark.slow(kept_by="first")
 async def test_periods_do_not_drift(way: str) -> None:
     start = CLOCK.monotonic_ns()
     for n in range(1, 101):
@@ -151,6 +152,7 @@ async def test_descriptor_is_one_and_goes_with_the_last_timer_and_user() -> None
     assert timer_descriptors() == before, "a sleep without a kernel leaves nothing"
 
 
+@pytest.mark.slow(kept_by="test_descriptor_is_one_and_goes_with_the_last_timer_and_user")
 @linux
 def test_descriptor_of_a_loop_that_was_closed_without_release_goes_with_it() -> None:
     before = timer_descriptors()
@@ -234,6 +236,7 @@ async def test_sleep_for_less_than_nothing_gives_one_turn(seconds: float) -> Non
     assert turns == [1]
 
 
+@pytest.mark.slow
 @pytest.mark.fault("C14")
 async def test_waiting_burns_no_processor() -> None:
     tasks = [asyncio.ensure_future(sleep(CLOCK, 10**5 + n)) for n in range(100)]
@@ -247,6 +250,7 @@ async def test_waiting_burns_no_processor() -> None:
     await asyncio.gather(*tasks, return_exceptions=True)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("C14")
 async def test_queue_in_use_without_timers_burns_no_processor(way: str) -> None:
     queue = timers_for(CLOCK)
@@ -277,6 +281,7 @@ asyncio.run(main())
 """
 
 
+@pytest.mark.slow(kept_by="test_overdue_timers_fire_at_the_next_turns_in_order")
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="no SIGSTOP on this system")
 def test_stopped_process_gets_one_late_wake_up() -> None:
     child = subprocess.Popen([sys.executable, "-c", STOPPED], stdout=subprocess.PIPE, text=True)
@@ -289,6 +294,7 @@ def test_stopped_process_gets_one_late_wake_up() -> None:
     assert rest == "1\n"
 
 
+@pytest.mark.slow(kept_by="test_loop_without_readers_uses_its_own_timers")
 @linux
 def test_two_threads_set_their_timers_by_the_same_system_call() -> None:
     """What one of them fills in must never be what the other's timer is set to."""

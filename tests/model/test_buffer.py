@@ -57,6 +57,7 @@ STEPS = st.one_of(
 )
 
 
+@pytest.mark.slow(kept_by="test_a_sample_is_stored_exactly_when_there_is_room")
 @pytest.mark.row(60)
 @given(length=st.integers(1, 5), full=st.sampled_from(FullPolicy), steps=st.lists(STEPS, max_size=60))
 def test_the_ledger_balances_after_every_step(length: int, full: FullPolicy, steps: list[tuple[str, int]]) -> None:

@@ -168,6 +168,7 @@ constraints = st.one_of(
 )
 
 
+@pytest.mark.slow(kept_by="test_a_constraint_as_text_lets_through_what_it_says_and_nothing_else")
 @settings(max_examples=300)
 @given(constraints)
 def test_text_of_a_constraint_reads_as_the_same_constraint(constraint: Constraint) -> None:
@@ -205,6 +206,7 @@ def test_choices_of_every_type_survive_as_text(default: Any, constraint: Constra
     assert repr(ParameterSpec("p", default, constraint=parse_constraint(text)).constraint) == repr(declared.constraint)
 
 
+@pytest.mark.slow(kept_by="test_a_wrong_constraint_is_refused_with_its_place_marked")
 @settings(max_examples=300)
 @given(st.one_of(st.text(alphabet='x<>=(){},:~"\\ 1a.e-', max_size=25), st.text(max_size=25)))
 def test_any_text_is_a_constraint_or_refused(text: str) -> None:

@@ -7,6 +7,7 @@ from fractions import Fraction
 from types import MappingProxyType
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -78,6 +79,7 @@ def model(before: Window, after: Window, new: frozenset[str]) -> set[tuple[str, 
     return found
 
 
+@pytest.mark.slow
 @given(windows, windows, st.frozensets(st.sampled_from("abc")))
 def test_it_is_worse_exactly_where_the_rule_says_so(before: Window, after: Window, new: frozenset[str]) -> None:
     fed = {one.target for one in after.edges.values()}
@@ -89,6 +91,7 @@ def test_it_is_worse_exactly_where_the_rule_says_so(before: Window, after: Windo
     assert found is None or found in worse
 
 
+@pytest.mark.slow
 @given(windows, windows, st.integers(2, 5))
 def test_a_longer_window_with_the_same_rates_is_judged_the_same(before: Window, after: Window, times: int) -> None:
     longer = replace(

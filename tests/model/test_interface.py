@@ -67,6 +67,7 @@ def binds(signature: inspect.Signature, args: list[int], kwargs: dict[str, int])
     return True
 
 
+@pytest.mark.slow(kept_by="test_every_interface_fits_itself_and_whoever_takes_anything")
 @settings(max_examples=cases(20_000))
 @given(parameters(variable=False), parameters(variable=True))
 def test_what_fits_takes_every_call_that_is_wanted(

@@ -54,6 +54,7 @@ def test_message_of_a_huge_name_stays_one_short_line() -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow(kept_by="test_refused_character_is_named_with_the_allowed_set")
 @pytest.mark.fault("B12")
 @settings(max_examples=2_000)
 @given(st.text(max_size=220))
@@ -81,6 +82,7 @@ def test_path_is_read_and_written(text: str, path: Path) -> None:
     assert str(path) == text
 
 
+@pytest.mark.slow(kept_by="test_path_is_read_and_written")
 @settings(max_examples=cases(10_000))
 @given(NAMES, st.none() | NAMES, st.none() | NAMES, st.none() | NAMES)
 def test_every_path_survives_format_and_parse(
@@ -104,6 +106,7 @@ def test_the_parts_of_a_path_may_be_patterns(text: str, parts: tuple[str | None,
     assert split_path(text) == parts
 
 
+@pytest.mark.slow(kept_by="test_path_is_read_and_written")
 @settings(max_examples=2_000)
 @given(st.text(alphabet="ab0_-./ *", max_size=12))
 def test_text_that_parses_is_written_back_unchanged(text: str) -> None:

@@ -302,6 +302,7 @@ class World:
         return all(end.now.state is S.UP for end in ends) and ends[0].number == ends[1].number
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("E06")
 @pytest.mark.parametrize("role", [LinkRole.REQUESTS, LinkRole.ANSWERS])
 def test_two_ends_are_up_soon_after_both_can_talk(role: LinkRole) -> None:

@@ -55,6 +55,7 @@ class Names(RuleBasedStateMachine):
 
 
 TestNames = Names.TestCase
+TestNames.pytestmark = [pytest.mark.slow(kept_by="test_first_number_may_be_another")]
 TestNames.settings = settings(max_examples=max(30, cases(2000)), stateful_step_count=60)
 
 

@@ -352,6 +352,7 @@ SPELLINGS = [
 ]
 
 
+@pytest.mark.slow(kept_by="test_one_word_in_two_spellings_is_one_value")
 @pytest.mark.row(39, 40, 41)
 @given(data=st.data())
 def test_a_word_is_the_same_in_any_case_and_with_blanks_round_it(data: st.DataObject) -> None:
@@ -362,6 +363,7 @@ def test_a_word_is_the_same_in_any_case_and_with_blanks_round_it(data: st.DataOb
     assert profile(push_rate=1, **{key: given_word}) == profile(push_rate=1, **{key: word})
 
 
+@pytest.mark.slow(kept_by="test_a_mistake_is_refused_where_it_was_made_with_a_hint")
 @pytest.mark.fault("B14")
 @given(key=st.sampled_from(sorted(CHOICES)), word=st.text(st.characters(codec="utf-8")))
 def test_a_word_that_is_none_of_an_option_is_refused(key: str, word: str) -> None:
@@ -445,6 +447,7 @@ def test_a_key_in_openrtm_and_beside_it_with_another_value_is_refused() -> None:
         with_openrtm({"full": "block", "openrtm": {"full": "reject"}})
 
 
+@pytest.mark.slow(kept_by="planning/test_save.py::test_what_a_program_made_is_saved_without_what_is_so_by_default")
 @given(options=st.fixed_dictionaries({}, optional=CHOSEN), usual=st.sampled_from([None, 1, 8, 100]))
 def test_the_options_chosen_make_the_same_profile_again_and_none_can_be_left_out(
     options: dict[str, Any], usual: int | None

@@ -251,11 +251,13 @@ def test_unknown_name_without_a_near_one_lists_those_there_are() -> None:
         validate(SPECS, {"zzz": 1}, owner="pid0")
 
 
+@pytest.mark.slow(kept_by="test_value_is_converted_to_the_type_of_the_parameter")
 @given(st.floats(allow_nan=False))
 def test_text_of_a_float_gives_the_same_float(value: float) -> None:
     assert spec(0.0).check(repr(value)) == value
 
 
+@pytest.mark.slow(kept_by="test_value_is_converted_to_the_type_of_the_parameter")
 @given(st.lists(st.integers()) | st.text() | st.floats() | st.none() | st.booleans() | st.binary())
 def test_any_value_is_converted_or_refused_and_the_result_is_stable(value: object) -> None:
     for parameter in (*SPECS.values(), spec((1,)), spec(False), spec(Path("a")), spec(None, int | None)):

@@ -163,6 +163,7 @@ def systems(draw: st.DrawFn) -> Wanted:
     return Wanted(components, tuple(connections), contexts, composites=composites)
 
 
+@pytest.mark.slow(kept_by="test_each_difference_is_a_step_with_a_line")
 @given(systems(), systems())
 def test_the_steps_make_the_wanted_system_and_their_reverses_the_old_one(now: Wanted, wanted: Wanted) -> None:
     found = plan(now, wanted)
@@ -281,6 +282,7 @@ def large(count: int, gain: float) -> Wanted:
     return system(*components, *wires, ContextEntry("x", "event", tuple(one.name for one in components)))
 
 
+@pytest.mark.slow(kept_by="test_each_difference_is_a_step_with_a_line")
 def test_the_plan_of_a_large_system_takes_time_by_its_size() -> None:
     def taken(count: int) -> float:
         pairs = [(large(count, 1.0), large(count, 2.0)) for _ in range(3)]

@@ -40,6 +40,7 @@ def test_what_a_period_does_with_its_backlog(first: int, backlog: int, skip: int
     assert newest == ((*(Choice.SUPERSEDE,) * (backlog - 1), Choice.SEND) if backlog else ())
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(40)
 @given(skip=st.integers(0, 5), split=st.lists(st.integers(0, 7), max_size=10))
 def test_skip_sends_the_same_samples_however_they_fall_into_periods(skip: int, split: list[int]) -> None:

@@ -48,6 +48,7 @@ def test_statistics_with_equal_counts_are_equal() -> None:
     assert ledger(10, S) == ledger(10, 2 * S) != ledger(11, S)
 
 
+@pytest.mark.slow
 @pytest.mark.row(33)
 @given(st.lists(st.lists(st.integers(0, 10**12), max_size=40), max_size=60))
 def test_lateness_is_that_of_all_cycles_and_percentiles_are_exact_over_the_last(batches: list[list[int]]) -> None:

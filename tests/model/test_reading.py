@@ -93,6 +93,7 @@ FULL: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow(kept_by="test_lists_become_tuples_and_objects_are_read_only")
 @settings(max_examples=cases(2_000), suppress_health_check=[HealthCheck.too_slow])
 @given(values(Box))
 def test_what_was_written_is_read_back(box: Box) -> None:
@@ -223,6 +224,7 @@ def test_messages_of_huge_or_strange_values_are_short(name: str) -> None:
         assert len(refused(Box, FULL | {name: value}, PlainLimits()).encode()) < 400
 
 
+@pytest.mark.slow(kept_by="test_messages_of_huge_or_strange_values_are_short")
 @settings(max_examples=cases(5_000))
 @given(JSON | MSGPACK, MSGPACK)
 def test_whatever_comes_a_value_or_a_clean_error_comes_out(whole: Any, part: Any) -> None:

@@ -84,6 +84,7 @@ def test_what_a_name_may_send_is_its_own_and_forged_names_are_not(
         assert allows(sender, receiver, message, key) is wanted, (sender, message, key)
 
 
+@pytest.mark.slow
 @given(NAMES, st.sampled_from(KERNELS), st.sampled_from(KERNELS), st.sampled_from("wr"))
 def test_frames_go_between_the_two_ends_of_a_link_alone(sender: str, writer: str, reader: str, end: str) -> None:
     key = f"{BASE}/link/host/{writer}/host/{reader}/1/{end}"
@@ -130,6 +131,7 @@ def send(opened: Any, message: str, key: str) -> Any:
     return None
 
 
+@pytest.mark.slow(kept_by="test_what_a_name_may_send_is_its_own_and_forged_names_are_not")
 @pytest.mark.row(97)
 @pytest.mark.fault("E20")
 def test_of_a_thousand_forged_keys_the_engine_lets_none_through(tmp_path: Path) -> None:
@@ -154,6 +156,7 @@ def test_of_a_thousand_forged_keys_the_engine_lets_none_through(tmp_path: Path) 
                 assert (heard.counts, heard.bytes) == (own, len(b"forged")), "what is its own is let through"
 
 
+@pytest.mark.slow(kept_by="test_what_a_name_may_send_is_its_own_and_forged_names_are_not")
 def test_a_third_name_sees_nothing_of_a_link_over_a_router_and_puts_nothing_in(tmp_path: Path) -> None:
     certificates = folder(tmp_path, **ROLES)
     address = f"127.0.0.1:{free_port()}"

@@ -132,6 +132,7 @@ def test_a_name_that_no_kernel_can_have_is_mistaken_and_the_kernel_is_not_starte
 # -- at both ends ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("E18")
 @pytest.mark.parametrize(
     ("by", "ports", "rule", "ends"),
@@ -173,6 +174,7 @@ def test_what_no_rule_allows_is_refused_to_whoever_connects_it(
         run(main)
 
 
+@pytest.mark.slow(kept_by="test_what_no_rule_allows_is_refused_to_whoever_connects_it")
 @pytest.mark.parametrize("options", [{}, {"dataflow": "pull"}])
 @pytest.mark.parametrize("by", ["station", "robot"])
 def test_what_a_rule_allows_carries_as_ever(tmp_path: Path, by: str, options: Any) -> None:
@@ -192,6 +194,7 @@ def test_what_a_rule_allows_carries_as_ever(tmp_path: Path, by: str, options: An
     run(main)
 
 
+@pytest.mark.slow(kept_by="test_what_no_rule_allows_is_refused_to_whoever_connects_it")
 def test_calls_and_goals_of_a_service_that_a_rule_allows(tmp_path: Path) -> None:
     async def main() -> None:
         async with pair(tmp_path) as made:
@@ -203,6 +206,7 @@ def test_calls_and_goals_of_a_service_that_a_rule_allows(tmp_path: Path) -> None
     run(main)
 
 
+@pytest.mark.slow(kept_by="test_what_no_rule_allows_is_refused_to_whoever_connects_it")
 def test_the_rules_hold_for_what_comes_later_too(tmp_path: Path) -> None:
     async def main() -> None:
         async with pair(tmp_path) as made:
@@ -219,6 +223,7 @@ def test_the_rules_hold_for_what_comes_later_too(tmp_path: Path) -> None:
     run(main)
 
 
+@pytest.mark.slow(kept_by="test_what_no_rule_allows_is_refused_to_whoever_connects_it")
 def test_a_port_of_a_composite_is_that_of_its_member(tmp_path: Path) -> None:
     async def main() -> None:
         async with pair(tmp_path, {"write": {"*": ["arm.*"]}}) as made:
@@ -230,6 +235,7 @@ def test_a_port_of_a_composite_is_that_of_its_member(tmp_path: Path) -> None:
     run(main)
 
 
+@pytest.mark.slow(kept_by="test_settings_that_say_no_rights_are_refused")
 def test_what_is_in_force_is_reported(tmp_path: Path) -> None:
     async def main() -> None:
         async with pair(tmp_path) as made:

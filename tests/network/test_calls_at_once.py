@@ -18,6 +18,7 @@ COUNT = 2_000
 CALLS = Path(__file__).with_name("calling_program.py")
 
 
+@pytest.mark.slow(kept_by="control/test_clients.py::test_a_client_has_its_connections_and_those_who_look_leave_some")
 @pytest.mark.parametrize("operation", ["names", "profile", "session"])
 def test_two_thousand_calls_or_sessions_of_a_viewer_hold_nothing_up(operation: str, tmp_path: Path) -> None:
     def attack(target: Target) -> Sequence[str]:

@@ -20,6 +20,7 @@ from aiorts_zenoh.sessions import Sessions
 WAIT = 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.fault("E18")
 def test_a_session_that_is_ended_while_it_is_let_in_is_over() -> None:
     async def main() -> list[int]:

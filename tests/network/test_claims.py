@@ -52,6 +52,7 @@ CLAIM = st.builds(
 STEPS = st.lists(st.tuples(CLAIM, st.booleans(), st.booleans()), max_size=60)
 
 
+@pytest.mark.slow
 @given(STEPS, st.booleans())
 def test_the_claims_that_are_seen_are_those_of_the_rule_whatever_came_and_went(
     steps: list[tuple[Claim, bool, bool]], bound: bool
@@ -139,6 +140,7 @@ def presence() -> Iterator[tuple[Presence, Counting, list[Peer]]]:
         made.close()
 
 
+@pytest.mark.slow
 def test_an_engine_that_did_not_take_the_tokens_is_given_them_again() -> None:
     async def main() -> None:
         failed: list[object] = []
@@ -154,6 +156,7 @@ def test_an_engine_that_did_not_take_the_tokens_is_given_them_again() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("machines", [1, 2])
 def test_many_kernels_that_are_to_be_seen_no_more_are_hidden_a_few_at_a_time(machines: int) -> None:
     count = 2_000
@@ -186,6 +189,7 @@ def token_of(number: int, how: str) -> str:
     return f"{BASE}/live/there/{kernel}/{5_000 - number}-{number:016x}-{machine:016x}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["one name", "many names", "many machines"])
 def test_each_claim_costs_the_same_and_the_loop_has_time_for_others(how: str) -> None:
     """Each that comes goes before all that are there, which is the most that it can change."""
@@ -292,6 +296,7 @@ CELLS = ("host", "start", "epoch", "machine", "kernel", "kernel of another machi
 CELLS += ("heard", "heard as another", "denied", "denied as another")
 
 
+@pytest.mark.slow
 @pytest.mark.fault("E20")
 @pytest.mark.parametrize("cell", CELLS)
 def test_what_another_certificate_claims_takes_nothing_from_a_kernel(
@@ -365,6 +370,9 @@ class Attack:
         self._within.__exit__(None, None, None)
 
 
+@pytest.mark.slow(
+    kept_by="network/test_names.py::test_of_two_that_claim_the_lower_stays_and_the_other_takes_the_name_when_it_is_free"
+)
 @pytest.mark.fault("E09")
 def test_two_kernels_with_one_certificate_behind_a_third_have_one_name_and_say_so(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
@@ -389,6 +397,7 @@ def test_two_kernels_with_one_certificate_behind_a_third_have_one_name_and_say_s
     assert "a kernel named 'robot' runs already on here; this one is not seen from other hosts" in caplog.text
 
 
+@pytest.mark.slow
 def test_two_machines_of_one_host_name_are_both_seen_where_each_kernel_has_a_certificate(tmp_path: Path) -> None:
     made = folder(tmp_path, **ROLES)
 
@@ -411,6 +420,7 @@ def test_two_machines_of_one_host_name_are_both_seen_where_each_kernel_has_a_cer
 # -- beside a system ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="test_who_was_told_of_a_claim_is_known_until_that_ends_and_their_number_is_bounded")
 @pytest.mark.fault("E20")
 @pytest.mark.campaign
 @pytest.mark.parametrize("host", ["hvictim", "helse"])

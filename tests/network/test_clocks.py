@@ -37,6 +37,7 @@ class Other:
         return self.ahead + self.drift * now
 
 
+@pytest.mark.slow
 @given(
     st.lists(TRIP, min_size=1, max_size=80),
     st.integers(-(10**18), 10**18),
@@ -99,6 +100,7 @@ class Sink(Component):
     inp = InPort(TimedLong, length=100)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("ahead", [3_600 * SECOND, -86_400 * SECOND])
 def test_the_age_of_samples_of_another_machine_is_right_though_its_clock_is_wrong(
     ahead: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -83,6 +83,7 @@ def wired(hosts: tuple[list[str], list[str]]) -> tuple[tuple[list[str], list[str
     return hosts, wire_of(hosts[1])
 
 
+@pytest.mark.slow(kept_by="test_both_ends_see_that_there_is_no_way_and_go_on_when_there_is_one")
 @pytest.mark.fault("E02", "E03")
 @pytest.mark.parametrize("connects", [0, 1], ids=["who listens", "who connects"])
 @pytest.mark.timeout(time_limit(300))
@@ -123,6 +124,7 @@ def through(tmp_path: Path) -> Iterator[tuple[Linked, Linked, Proxy]]:
             yield a, b, proxy
 
 
+@pytest.mark.slow(kept_by="test_both_ends_see_that_there_is_no_way_and_go_on_when_there_is_one")
 @pytest.mark.fault("E04")
 @pytest.mark.parametrize("way", ["there", "back"])
 def test_a_network_that_carries_one_way_alone_is_none(
@@ -144,6 +146,9 @@ def test_a_network_that_carries_one_way_alone_is_none(
     nothing_unexplained(tmp_path, a, b)
 
 
+@pytest.mark.slow(
+    kept_by="links/test_apart.py::test_what_its_kernel_disconnects_while_there_is_no_way_ends_at_the_other_end_when_there_is"
+)
 @pytest.mark.fault("E05")
 def test_what_both_sides_change_while_they_are_apart_is_the_truth_of_both_afterwards(
     through: tuple[Linked, Linked, Proxy], tmp_path: Path
@@ -182,6 +187,7 @@ def test_what_both_sides_change_while_they_are_apart_is_the_truth_of_both_afterw
         assert_in_order(tmp_path / name)
 
 
+@pytest.mark.slow(kept_by="links/test_protocol.py::test_any_order_of_faults_leaves_nothing_unexplained")
 @pytest.mark.fault("E08")
 def test_a_network_that_delays_stalls_and_breaks_off_doubles_and_reorders_nothing(
     through: tuple[Linked, Linked, Proxy], tmp_path: Path
@@ -212,6 +218,7 @@ class Sink(Component):
     inp = InPort(TimedLong)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("E02", "E03", "E04")
 @pytest.mark.parametrize("ways", [("there",), ("back",), ("there", "back")], ids=" and ".join)
 def test_both_ends_see_that_there_is_no_way_and_go_on_when_there_is_one(ways: tuple[Way, ...]) -> None:

@@ -96,6 +96,9 @@ async def _one_race(number: int) -> None:
             assert any("a kernel named 'robot' runs already on same" in text for text in loser.face.said)
 
 
+@pytest.mark.slow(
+    kept_by="network/test_names.py::test_of_two_that_claim_the_lower_stays_and_the_other_takes_the_name_when_it_is_free"
+)
 @pytest.mark.fault("E09")
 def test_of_two_that_start_at_once_exactly_one_has_the_name() -> None:
     async def main() -> None:
@@ -105,6 +108,9 @@ def test_of_two_that_start_at_once_exactly_one_has_the_name() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.slow(
+    kept_by="network/test_names.py::test_of_two_that_claim_the_lower_stays_and_the_other_takes_the_name_when_it_is_free"
+)
 @pytest.mark.fault("E09")
 def test_a_later_one_is_refused_and_takes_the_name_when_it_is_free() -> None:
     async def main() -> None:
@@ -126,6 +132,7 @@ def test_a_later_one_is_refused_and_takes_the_name_when_it_is_free() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="network/test_names.py::test_an_owner_stays_whatever_the_clock_of_a_later_one_says")
 def test_who_runs_already_stays_though_the_clock_of_the_later_one_is_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     async def main() -> None:
         address = f"127.0.0.1:{free_port()}"
@@ -140,6 +147,7 @@ def test_who_runs_already_stays_though_the_clock_of_the_later_one_is_behind(monk
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="network/test_names.py::test_of_two_machines_of_one_name_neither_has_it")
 def test_of_two_machines_that_have_one_host_name_neither_is_seen() -> None:
     async def main() -> None:
         address = f"127.0.0.1:{free_port()}"
@@ -166,6 +174,7 @@ class ZenohWatch(At):
         self.transport = ZenohTransport("station", engine=settings, machine=9)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("E18")
 def test_a_kernel_is_seen_when_that_of_another_machine_with_its_host_name_is_revoked() -> None:
     async def main() -> None:
@@ -186,6 +195,7 @@ def test_a_kernel_is_seen_when_that_of_another_machine_with_its_host_name_is_rev
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="first")
 def test_a_name_that_is_taken_is_said_at_both_ends(caplog: pytest.LogCaptureFixture) -> None:
     async def main() -> None:
         address = f"127.0.0.1:{free_port()}"
@@ -237,6 +247,9 @@ def _wait(met: Callable[[], bool], *processes: Process, within: float = 60.0) ->
         time.sleep(0.02)
 
 
+@pytest.mark.slow(
+    kept_by="network/test_names.py::test_of_two_that_claim_the_lower_stays_and_the_other_takes_the_name_when_it_is_free"
+)
 @pytest.mark.fault("E09")
 def test_of_two_processes_that_start_at_once_one_has_the_name(tmp_path: Path) -> None:
     address = f"127.0.0.1:{free_port()}"
@@ -253,6 +266,7 @@ def test_of_two_processes_that_start_at_once_one_has_the_name(tmp_path: Path) ->
         _wait(lambda: other.standing == "owns", other)
 
 
+@pytest.mark.slow(kept_by="network/test_names.py::test_of_two_machines_of_one_name_neither_has_it")
 @pytest.mark.fault("E09")
 def test_a_host_name_that_two_machines_have_is_refused_to_both(
     hosts: tuple[list[str], list[str]], tmp_path: Path

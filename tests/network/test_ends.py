@@ -132,6 +132,7 @@ class Place:
         return took, ""
 
 
+@pytest.mark.slow(kept_by="network/test_security.py::test_two_kernels_with_certificates_lose_nothing")
 @pytest.mark.fault("E25", "G11")
 @pytest.mark.campaign
 @pytest.mark.timeout(time_limit(1_800))

@@ -152,6 +152,7 @@ def network(folder: Path, chance: random.Random) -> Iterator[Network]:
         yield Network(folder, chance, stack)
 
 
+@pytest.mark.slow(kept_by="links/test_protocol.py::test_any_order_of_faults_leaves_nothing_unexplained")
 @pytest.mark.fault("E03", "E08")
 @pytest.mark.campaign
 @pytest.mark.timeout(time_limit(1_200))

@@ -17,6 +17,10 @@ pytest.importorskip("zenoh")
 from file_parts import PLACES, SECRET, WAYS, made
 from network.test_other_hosts import WAIT, Far
 
+pytestmark = pytest.mark.slow(
+    kept_by="control/test_files.py::test_who_operates_names_files_below_the_folder_of_the_run"
+)
+
 TESTS = Path(__file__).parents[1]
 SYSTEM = """
 schema = 1

@@ -87,6 +87,7 @@ def test_a_kernel_that_others_reach_knows_the_risk(tmp_path: Path, listen: str, 
     assert asyncio.run(main()) == risk
 
 
+@pytest.mark.slow(kept_by="test_a_kernel_that_others_reach_knows_the_risk")
 def test_doctor_names_the_risk_of_a_kernel_that_others_reach(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     folder(tmp_path / "certificates", reader="component")
@@ -109,6 +110,7 @@ def test_doctor_names_the_risk_of_a_kernel_that_others_reach(tmp_path: Path, mon
     assert "aiorts help secure-network" in found["remedy"]
 
 
+@pytest.mark.slow(kept_by="test_one_address_has_a_few_connections_and_others_have_theirs")
 @pytest.mark.fault("E12")
 def test_a_newcomer_joins_soon_after_one_address_has_closed_800_connections_at_once(tmp_path: Path, rules: str) -> None:
     folder(tmp_path, reader="component", writer="component")
@@ -125,6 +127,7 @@ def test_a_newcomer_joins_soon_after_one_address_has_closed_800_connections_at_o
             attack.communicate(timeout=10.0)
 
 
+@pytest.mark.slow(kept_by="test_one_address_has_a_few_connections_and_others_have_theirs")
 @pytest.mark.fault("E12")
 def test_800_idle_connections_closed_at_once_do_no_harm_to_a_system(tmp_path: Path, rules: str) -> None:
     def attack(target: Target) -> Sequence[str]:

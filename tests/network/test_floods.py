@@ -27,6 +27,8 @@ from network.certificate_parts import folder
 from network.linked_parts import Linked, ended, settings, settled
 from network.network_parts import free_port
 
+pytestmark = pytest.mark.slow
+
 BEFORE, GARBAGE = (2_500, 10_000) if CAMPAIGN else (50, 50)
 """Connections; of those that fail the engine takes ten a second, and 2,000 wait in it."""
 ROOM, GROWN = 64 << 20, 4 << 20

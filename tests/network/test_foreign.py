@@ -165,6 +165,7 @@ def operate(foreign: Foreign) -> None:
     assert "E-ABSENT" in at(foreign, "conf", "stranger/twon", "step=7")[1]
 
 
+@pytest.mark.slow(kept_by="test_it_lists_reads_writes_and_calls_a_kernel")
 @pytest.mark.row(91)
 def test_commands_list_and_operate_it(foreign: Foreign) -> None:
     operate(foreign)
@@ -172,6 +173,7 @@ def test_commands_list_and_operate_it(foreign: Foreign) -> None:
     assert "inactive" in at(foreign, "ls", "-l", "stranger")[1]
 
 
+@pytest.mark.slow(kept_by="test_it_lists_reads_writes_and_calls_a_kernel")
 def test_a_kernel_reads_of_it_and_writes_to_it(foreign: Foreign) -> None:
     async def run() -> None:
         async with kernel_at(foreign.address) as kernel:
@@ -201,6 +203,7 @@ def test_a_kernel_reads_of_it_and_writes_to_it(foreign: Foreign) -> None:
     asyncio.run(run())
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(91)
 def test_it_lists_reads_writes_and_calls_a_kernel(foreign: Foreign) -> None:
     async def run() -> None:
@@ -237,6 +240,7 @@ def test_it_lists_reads_writes_and_calls_a_kernel(foreign: Foreign) -> None:
     asyncio.run(run())
 
 
+@pytest.mark.slow(kept_by="test_it_lists_reads_writes_and_calls_a_kernel")
 def test_the_same_in_c(tmp_path: Path) -> None:
     """A program in C that knows zenoh-pico and SPEC.md alone is linked, listed and operated, and does the same."""
     found = shutil.which("pkg-config") and shutil.which("cc")

@@ -37,6 +37,7 @@ class Counting(Inbox):
         super().put(handle, *arguments, size=size)
 
 
+@pytest.mark.slow(kept_by="network/test_network.py::test_what_is_beyond_the_bounds_is_left_out_and_counted")
 @pytest.mark.fault("E24")
 @pytest.mark.timeout(time_limit(3_600))
 @pytest.mark.parametrize("loop", ["asyncio", "uvloop"])

@@ -44,6 +44,7 @@ def own(**given: str) -> dict[str, Any]:
     return dict(engine_settings(NetworkSettings(insecure=True, **given)))
 
 
+@pytest.mark.slow(kept_by="test_the_engine_has_taken_all_settings")
 @pytest.mark.fault("E06")
 def test_a_kernel_that_was_stopped_is_gone_within_two_leases_and_comes_back() -> None:
     address, program = f"127.0.0.1:{free_port()}", Path(__file__).with_name("reading_program.py")
@@ -72,6 +73,7 @@ def test_a_kernel_that_was_stopped_is_gone_within_two_leases_and_comes_back() ->
     assert asyncio.run(main()) < 2 * LEASE
 
 
+@pytest.mark.slow(kept_by="test_the_engine_has_taken_all_settings")
 def test_who_connects_and_says_nothing_is_put_out_soon() -> None:
     port = free_port()
     with session(own(listen=f"127.0.0.1:{port}")), socket.create_connection(("127.0.0.1", port), WAIT) as silent:
@@ -99,6 +101,7 @@ def test_nobody_looks_into_or_changes_the_engine_itself() -> None:
     assert asyncio.run(main()) == []
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("E10")
 def test_a_message_beyond_what_is_taken_is_left_out_and_the_next_arrives() -> None:
     address, came = f"127.0.0.1:{free_port()}", []

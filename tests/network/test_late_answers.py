@@ -27,6 +27,8 @@ from aiorts_zenoh.keys import ClientKeys
 from aiorts_zenoh.network import engine_settings
 from network.network_parts import free_port
 
+pytestmark = pytest.mark.slow
+
 KERNEL = "far/robot/000000000000000a"
 WAIT = 20.0
 

@@ -83,6 +83,7 @@ def test_it_is_said_once_and_over_after_a_while() -> None:
     assert [text for _ in range(500) if (text := limits.count("evil", "bad", 15.1))] == []  # cut off again, said before
 
 
+@pytest.mark.slow(kept_by="test_it_is_said_once_and_over_after_a_while")
 def test_a_table_of_peers_that_are_made_up_has_a_bound() -> None:
     limits = Limits()
     for number in range(30_000):
@@ -167,6 +168,7 @@ class Sink(Component):
     inp = InPort(TimedLong, length=1_000)
 
 
+@pytest.mark.slow(kept_by="test_kernels_of_one_name_on_several_hosts_are_limited_each")
 @pytest.mark.fault("E21")
 def test_a_flood_of_one_peer_is_cut_off_and_a_link_at_1_khz_loses_nothing(caplog: pytest.LogCaptureFixture) -> None:
     count = 4_000 if CAMPAIGN else 2_000

@@ -113,6 +113,7 @@ async def write_and_end(address: str, far: Far) -> None:
     assert over() < SLOW * SECONDS
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G08")
 @pytest.mark.timeout(time_limit(1_200))
 def test_thousands_are_made_carry_and_end() -> None:

@@ -97,6 +97,7 @@ def each(pairs: list[Pair]) -> Iterator[Callable[[Callable[[Pair], Any]], list[A
         yield lambda do: list(pool.map(do, pairs))
 
 
+@pytest.mark.slow(kept_by="network/test_cuts.py::test_both_ends_see_that_there_is_no_way_and_go_on_when_there_is_one")
 @pytest.mark.fault("E03")
 @pytest.mark.campaign
 @pytest.mark.timeout(time_limit(2_400))

@@ -20,6 +20,8 @@ from campaign import CAMPAIGN
 from network.network_parts import free_port
 from network.test_other_hosts import PARTS, SYSTEM, WAIT
 
+pytestmark = pytest.mark.slow
+
 COUNT = 1_000 if CAMPAIGN else 100
 
 

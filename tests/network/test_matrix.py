@@ -24,6 +24,10 @@ from network.certificate_parts import folder
 from network.engine_parts import BASE, session
 from network.network_parts import free_port
 
+pytestmark = pytest.mark.slow(
+    kept_by="network/test_access.py::test_what_a_name_may_send_is_its_own_and_forged_names_are_not"
+)
+
 WAIT = 10.0
 NAMES = {"anna": "viewer", "otto": "operator", "camera": "component", "lead": "coordinator"}
 """Who sends, each of another role."""

@@ -43,6 +43,9 @@ async def two(
                 yield kernel, process
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 @pytest.mark.row(15)
 @pytest.mark.parametrize("certified", [False, True])
 async def test_a_member_of_another_host_is_one_like_any_other(
@@ -68,6 +71,9 @@ async def test_a_member_of_another_host_is_one_like_any_other(
         assert "left/gripper: its kernel left is lost" in str(arm.last_error)
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_a_kernel_without_allow_control_has_no_members(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async with two(tmp_path, monkeypatch) as (kernel, _):
         with pytest.raises(
@@ -77,6 +83,7 @@ async def test_a_kernel_without_allow_control_has_no_members(tmp_path: Path, mon
         assert not kernel.components
 
 
+@pytest.mark.slow
 async def test_a_kernel_that_is_certified_as_component_operates_no_other_one_and_is_told_why(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -109,6 +109,7 @@ class Play:
             self.say(now, viewer)
 
 
+@pytest.mark.slow(kept_by="first")
 @given(STARTS, st.lists(st.floats(0, SLOWEST), min_size=1, max_size=7))
 def test_there_is_one_owner_at_the_most_and_in_the_end_all_see_it(starts: list[Start], delays: list[float]) -> None:
     play = Play(starts, delays)
@@ -122,6 +123,7 @@ def test_there_is_one_owner_at_the_most_and_in_the_end_all_see_it(starts: list[S
         assert all(name.standing is not Standing.REFUSED for name in play.names.values())
 
 
+@pytest.mark.slow(kept_by="test_an_owner_stays_whatever_the_clock_of_a_later_one_says")
 @given(STARTS, st.lists(st.floats(0, SLOWEST), min_size=1, max_size=7))
 def test_nobody_who_owns_a_name_is_evicted_by_one_that_comes_later(starts: list[Start], delays: list[float]) -> None:
     play = Play(starts, delays)

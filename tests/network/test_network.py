@@ -109,6 +109,7 @@ def test_two_kernels_of_two_hosts_lose_nothing() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="network/test_zenoh_transport.py::test_it_keeps_every_promise")
 def test_what_a_link_carries_decides_about_its_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[tuple[str, str]] = []
     publisher = Engine.publisher
@@ -209,6 +210,7 @@ def test_kernels_of_one_name_on_two_hosts_are_told_apart() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="network/test_specification.py::test_keys_and_claims_are_read")
 @pytest.mark.row(82)
 def test_kernels_of_different_domains_do_not_see_each_other() -> None:
     async def main() -> None:
@@ -234,6 +236,7 @@ def test_kernels_of_different_domains_do_not_see_each_other() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="test_two_kernels_of_two_hosts_lose_nothing")
 @pytest.mark.row(83)
 @pytest.mark.fault("E01")
 def test_a_reader_that_is_killed_is_missed_at_once_and_linked_again(tmp_path: Path) -> None:
@@ -277,6 +280,7 @@ def test_a_reader_that_is_killed_is_missed_at_once_and_linked_again(tmp_path: Pa
     assert len(came) > 100
 
 
+@pytest.mark.slow(kept_by="test_two_kernels_of_two_hosts_lose_nothing")
 def test_a_real_drive_is_computed_on_two_hosts(hosts: tuple[list[str], list[str]], tmp_path: Path) -> None:
     here, there = hosts
     run = [sys.executable, "-m", "aiorts", "run"]
@@ -385,6 +389,7 @@ def test_an_address_that_is_not_of_this_machine_is_said_before_anything_runs() -
         asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="test_an_address_that_is_not_of_this_machine_is_said_before_anything_runs")
 @pytest.mark.fault("E26")
 def test_a_port_that_is_taken_ends_the_run_with_2_before_anything_runs(tmp_path: Path) -> None:
     with socket.socket() as other:

@@ -20,6 +20,8 @@ from aiorts.links import Links
 from aiorts.types import TimedLong
 from network.network_parts import free_port
 
+pytestmark = pytest.mark.slow(kept_by="links/test_reaching.py::test_a_kernel_that_two_transports_find_is_one")
+
 WAIT = 30.0
 PARTS = """
 from aiorts import Component, InPort, OutPort

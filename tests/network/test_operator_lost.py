@@ -58,6 +58,7 @@ def _is_inactive(drive: FarDrive) -> bool:
     return "inactive" in drive.do("ls", "-l")[1].split()
 
 
+@pytest.mark.slow(kept_by="control/test_operator_lost.py::test_each_does_what_it_says_when_the_client_is_killed")
 @pytest.mark.parametrize("what", ["client", "all"])
 def test_a_client_of_another_host_that_is_killed_is_lost(drive: FarDrive, what: str) -> None:
     at, process = _holding(drive)
@@ -72,6 +73,7 @@ def test_a_client_of_another_host_that_is_killed_is_lost(drive: FarDrive, what: 
     assert drive.log.read_text().count(LOST) == 1
 
 
+@pytest.mark.slow(kept_by="control/test_operator_lost.py::test_who_ends_in_order_is_not_lost")
 def test_one_that_ends_in_order_is_not(drive: FarDrive) -> None:
     at, _ = _holding(drive)
     with at:

@@ -30,6 +30,10 @@ from network.engine_parts import BASE, session
 from network.test_other_hosts import Far
 from network.test_security import SecuredFar
 
+pytestmark = pytest.mark.slow(
+    kept_by="network/test_access.py::test_what_a_name_may_send_is_its_own_and_forged_names_are_not"
+)
+
 WAIT = 30.0
 ORDERS = 1_000
 TIMES = 50

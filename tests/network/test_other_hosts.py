@@ -131,6 +131,7 @@ def far(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Far]:
         run.close()
 
 
+@pytest.mark.slow(kept_by="test_a_program_without_aiorts_calls_by_one_question")
 @pytest.mark.row(91)
 def test_all_is_seen_and_operated_as_on_this_host(far: Far) -> None:
     status, said, _ = far.do("ls", "--json")
@@ -149,6 +150,7 @@ def test_all_is_seen_and_operated_as_on_this_host(far: Far) -> None:
     assert re.search(r'\[tester, another host\]" kernel="\S+/robot" what="configure\(', far.log.read_text())
 
 
+@pytest.mark.slow(kept_by="test_a_program_without_aiorts_calls_by_one_question")
 def test_who_may_operate_creates_what_is_offered_there_and_brings_no_code(far: Far, tmp_path: Path) -> None:
     (tmp_path / "brought.py").write_text(f"{PARTS}\nopen({str(tmp_path / 'ran')!r}, 'w').close()\n")
     for words in (["comp", "create", f"{tmp_path}/brought.py:Counter", "robot/x"], ["reload", "robot/counter"]):
@@ -159,6 +161,7 @@ def test_who_may_operate_creates_what_is_offered_there_and_brings_no_code(far: F
     assert far.do("ls")[1].split()[-2:] == ["counter", "dump"]
 
 
+@pytest.mark.slow(kept_by="test_a_program_without_aiorts_calls_by_one_question")
 @pytest.mark.parametrize("far", [("-v",)], indirect=True)
 def test_who_may_only_look_changes_nothing(far: Far) -> None:
     assert far.step() == 1
@@ -169,6 +172,7 @@ def test_who_may_only_look_changes_nothing(far: Far) -> None:
     assert re.search(refused, far.log.read_text())
 
 
+@pytest.mark.slow(kept_by="test_a_program_without_aiorts_calls_by_one_question")
 def test_a_kernel_that_is_killed_ends_the_command(far: Far) -> None:
     with far.start("print", "counter.out") as printing:
         assert printing.stdout is not None
@@ -180,6 +184,7 @@ def test_a_kernel_that_is_killed_ends_the_command(far: Far) -> None:
         assert "robot: has ended" in errors
 
 
+@pytest.mark.slow(kept_by="test_a_program_without_aiorts_calls_by_one_question")
 def test_what_a_command_began_ends_with_it_also_where_it_is_killed(far: Far) -> None:
     before = far.descriptors()
     with far.start("print", "counter.out", start_new_session=True) as printing:
@@ -198,6 +203,7 @@ def test_what_a_command_began_ends_with_it_also_where_it_is_killed(far: Far) -> 
     assert [left.name for left in place.glob("aiorts-at-*")] == ["aiorts-at-another"]
 
 
+@pytest.mark.slow(kept_by="test_a_program_without_aiorts_calls_by_one_question")
 def test_in_a_shell_a_kernel_that_is_started_anew_is_operated(far: Far) -> None:
     with far.start(stdin=subprocess.PIPE) as shell:
         assert shell.stdin is not None
@@ -231,11 +237,13 @@ def _until(shell: subprocess.Popen[str], word: str) -> str:
         ending.cancel()
 
 
+@pytest.mark.slow(kept_by="test_a_program_without_aiorts_calls_by_one_question")
 def test_a_loop_that_is_held_up_says_so(far: Far) -> None:
     far.do("conf", "counter", "hold=60.0")  # its answer may be held up already
     assert "no answer: its event loop has been busy" in far.do("ls")[1]
 
 
+@pytest.mark.slow(kept_by="first")
 def test_a_program_without_aiorts_calls_by_one_question(far: Far) -> None:
     config = zenoh.Config()
     config.insert_json5("connect/endpoints", json.dumps([f"tcp/{far.address}"]))
@@ -256,6 +264,7 @@ def test_a_program_without_aiorts_calls_by_one_question(far: Far) -> None:
         assert call("info", "nothing")["error"]["code"] == "E-CONTROL"
 
 
+@pytest.mark.slow(kept_by="test_a_program_without_aiorts_calls_by_one_question")
 @pytest.mark.parametrize("far", [("-v",)], indirect=True)
 def test_without_allow_control_there_is_nothing_below_ctl(far: Far) -> None:
     config = zenoh.Config()
@@ -267,6 +276,7 @@ def test_without_allow_control_there_is_nothing_below_ctl(far: Far) -> None:
         assert list(session.get(key.format("ctl"), timeout=WAIT)) == []
 
 
+@pytest.mark.slow(kept_by="test_a_program_without_aiorts_calls_by_one_question")
 def test_a_place_where_nothing_listens_is_said() -> None:
     at = [sys.executable, "-m", "aiorts", "at", "--insecure-network", f"127.0.0.1:{(port := free_port())}", "ls"]
     done = subprocess.run(at, capture_output=True, text=True, check=False, timeout=WAIT)

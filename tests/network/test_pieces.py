@@ -57,6 +57,7 @@ def _listener(address: str, came: list[tuple[str, bytes]]) -> Any:
     return session
 
 
+@pytest.mark.slow(kept_by="first")
 def test_a_profile_of_more_than_a_mebibyte_arrives_whole_in_numbered_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     address, came = f"127.0.0.1:{free_port()}", list[tuple[str, bytes]]()
 
@@ -119,6 +120,7 @@ def _watching(far: Far) -> Iterator[tuple[subprocess.Popen[str], Iterator[list[A
             os.killpg(at.pid, signal.SIGKILL)
 
 
+@pytest.mark.slow(kept_by="test_a_profile_of_more_than_a_mebibyte_arrives_whole_in_numbered_pieces")
 def test_who_watches_begins_with_a_fresh_profile_also_after_its_network_was_cut(far: Far) -> None:
     with _watching(far) as (_, said):
         kind, first, _ = next(said)

@@ -18,6 +18,8 @@ from aiorts_zenoh import NetworkSettings, ZenohTransport
 from aiorts_zenoh.network import engine_settings
 from network.network_parts import free_port
 
+pytestmark = pytest.mark.slow
+
 EPOCHS = {"victim": 7, "mallory": 8}
 
 

@@ -127,6 +127,7 @@ def pair(path: Path, cause: Cause) -> tuple[Folder, Folder]:
 # -- at its own start --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.fault("E18")
 @pytest.mark.parametrize(
     ("cause", "said"),
@@ -169,6 +170,7 @@ async def reader_at(address: str, certificates: Path) -> Kernel:
     return kernel
 
 
+@pytest.mark.slow
 @pytest.mark.fault("E18")
 @pytest.mark.parametrize(
     "cause", [nothing_wrong, another_authority, expired, not_yet_valid, revoked, without_a_role, short_rsa, short_curve]
@@ -205,6 +207,7 @@ def test_who_is_refused_sees_nothing_whatever_its_own_end_checks(tmp_path: Path,
     assert said.get(cause, "") in why
 
 
+@pytest.mark.slow(kept_by="test_the_probe_says_what_does_not_answer_and_what_is_busy")
 @pytest.mark.fault("E18")
 @pytest.mark.parametrize(
     ("cause", "at", "said"),
@@ -223,6 +226,7 @@ def test_the_kernel_that_is_refused_says_why(
         assert "tls/127.0.0.1 is refused: 'writer' was revoked" in caplog.text
 
 
+@pytest.mark.slow(kept_by="test_the_probe_says_what_does_not_answer_and_what_is_busy")
 @pytest.mark.fault("E18")
 def test_a_name_without_a_role_is_refused_and_that_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     ours, theirs = pair(tmp_path, without_a_role)
@@ -240,6 +244,7 @@ def test_a_file_of_its_own_that_has_gone_is_named(tmp_path: Path, gone: str) -> 
     assert why == f"is not reached: the certificate of this end: {tmp_path / gone}: there is none"
 
 
+@pytest.mark.slow
 @pytest.mark.fault("E17")
 def test_a_kernel_in_plain_tcp_is_refused_and_says_why(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     ours = folder(tmp_path, **NAMES)
@@ -267,6 +272,7 @@ def refused_by(at: str, ours: Path, security: dict[str, Any], said: str, caplog:
         asyncio.run(main())
 
 
+@pytest.mark.slow
 @pytest.mark.fault("E17")
 def test_plain_bytes_and_a_handshake_without_a_certificate_get_nothing_of_ours(tmp_path: Path) -> None:
     ours = folder(tmp_path, **NAMES)
@@ -314,6 +320,7 @@ def received(connected: socket.socket) -> bytes:
     return got
 
 
+@pytest.mark.slow(kept_by="first")
 def test_the_probe_says_what_does_not_answer_and_what_is_busy(tmp_path: Path) -> None:
     own = unchecked(folder(tmp_path, **NAMES), "writer")
     assert probe("127.0.0.1", free_port(), own) == "is not reached: Connection refused"
@@ -342,6 +349,7 @@ def test_the_probe_says_what_is_no_tls(tmp_path: Path, answer: bytes) -> None:
     assert said == "does not speak TLS: it may be a kernel without certificates"
 
 
+@pytest.mark.slow(kept_by="test_the_probe_says_what_does_not_answer_and_what_is_busy")
 @pytest.mark.fault("E12")
 def test_a_port_that_is_busy_with_bad_handshakes_is_called_busy_and_then_answers(tmp_path: Path) -> None:
     made, port, ended = folder(tmp_path, **NAMES), free_port(), threading.Event()
@@ -371,6 +379,7 @@ def test_a_port_that_is_busy_with_bad_handshakes_is_called_busy_and_then_answers
             assert time.monotonic() < until
 
 
+@pytest.mark.slow(kept_by="test_the_probe_says_what_is_no_tls")
 def test_a_kernel_in_plain_tcp_is_said_to_speak_no_tls(tmp_path: Path) -> None:
     own = unchecked(folder(tmp_path, **NAMES), "writer")
 

@@ -87,6 +87,7 @@ def _wait(met: Callable[[], bool], *logs: Path) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow(kept_by="test_the_next_that_is_free_is_taken")
 def test_it_is_another_kernel_for_all_others_and_links_to_it_and_from_it_work(tmp_path: Path) -> None:
     address = f"127.0.0.1:{free_port()}"
     first, second, other = (tmp_path / name for name in ("first.log", "second.log", "other.log"))

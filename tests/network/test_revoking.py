@@ -66,6 +66,7 @@ async def comes(sink: Sink, count: int = 100) -> None:
             await sink.inp.read(timeout=WAIT)
 
 
+@pytest.mark.slow(kept_by="test_a_list_that_cannot_be_read_changes_nothing_and_is_said")
 @pytest.mark.fault("E18")
 def test_a_kernel_that_is_revoked_is_cut_off_while_both_run(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     ours = folder(tmp_path / "ours", reader="component", writer="component", other="component").path
@@ -108,6 +109,7 @@ def test_a_kernel_that_is_revoked_is_cut_off_while_both_run(tmp_path: Path, capl
     assert len(said) == 1
 
 
+@pytest.mark.slow(kept_by="test_a_list_that_cannot_be_read_changes_nothing_and_is_said")
 @pytest.mark.fault("E18")
 def test_an_operator_who_is_revoked_is_refused_and_what_runs_is_ended(tmp_path: Path) -> None:
     ours = folder(tmp_path / "ours", robot="component", otto="operator", anna="operator").path
@@ -134,6 +136,7 @@ def test_an_operator_who_is_revoked_is_refused_and_what_runs_is_ended(tmp_path: 
         far.close()
 
 
+@pytest.mark.slow(kept_by="test_a_list_that_cannot_be_read_changes_nothing_and_is_said")
 @pytest.mark.fault("E18")
 def test_a_router_lets_through_nothing_of_a_name_that_is_revoked_and_all_of_others(tmp_path: Path) -> None:
     roles = {"hub": "router", "reader": "component", "writer": "component", "other": "component"}
@@ -175,6 +178,7 @@ def test_a_router_lets_through_nothing_of_a_name_that_is_revoked_and_all_of_othe
         router.communicate(timeout=WAIT)
 
 
+@pytest.mark.slow(kept_by="test_a_list_that_cannot_be_read_changes_nothing_and_is_said")
 def test_a_router_that_is_revoked_itself_ends_and_says_so(tmp_path: Path) -> None:
     ours = folder(tmp_path, hub="router").path
     router = start(f"127.0.0.1:{free_port()}", "--certs", str(ours), "--name", "hub")
@@ -205,6 +209,7 @@ def test_a_list_that_cannot_be_read_changes_nothing_and_is_said(tmp_path: Path) 
     assert looks.denied == {"arm", "base"}
 
 
+@pytest.mark.slow
 @pytest.mark.fault("E18")
 def test_a_name_that_cannot_be_cut_off_somewhere_keeps_none_from_being_cut_off(tmp_path: Path) -> None:
     made, said, denied = (

@@ -240,6 +240,7 @@ def tried(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], dict
     return found
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(97)
 @pytest.mark.fault("E20")
 @pytest.mark.parametrize("what", ["declare", "read", "write", "call", "create"])
@@ -251,6 +252,7 @@ def test_a_role_may_what_the_table_says_and_nothing_else(
     assert tried(way, role)[what] is (role in MAY[way, what])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("way", "role", "may"),
     [

@@ -57,6 +57,7 @@ class Drive:
         self.processes[name].wait(20)
 
 
+@pytest.mark.slow(kept_by="links/test_kernels.py::test_a_kernel_that_is_started_anew_goes_on_with_the_loss_counted")
 @pytest.mark.fault("E01")
 def test_the_middle_one_is_killed_in_mid_replay_and_what_was_lost_is_said(
     hosts: tuple[list[str], list[str]], tmp_path: Path

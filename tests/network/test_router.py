@@ -20,6 +20,8 @@ from aiorts_zenoh import Network
 from network.certificate_parts import folder
 from network.network_parts import free_port
 
+pytestmark = pytest.mark.slow
+
 WAIT = 20.0
 
 

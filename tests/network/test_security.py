@@ -38,6 +38,7 @@ def _services(address: str, certificates: Path, *, listens: bool) -> dict[str, A
     return {"zenoh": {"listen" if listens else "connect": address, "host": host, "certificates": certificates}}
 
 
+@pytest.mark.slow(kept_by="first")
 def test_two_kernels_with_certificates_lose_nothing(tmp_path: Path) -> None:
     folder(tmp_path, reader="component", writer="component")
 
@@ -70,6 +71,7 @@ def test_a_name_that_the_table_of_links_gives_picks_the_certificate(tmp_path: Pa
     asyncio.run(main())
 
 
+@pytest.mark.slow
 def test_a_kernel_of_another_authority_sees_nobody(tmp_path: Path) -> None:
     folder(tmp_path / "ours", reader="component", writer="component")
     folder(tmp_path / "theirs", reader="component", writer="component")
@@ -100,6 +102,7 @@ class SecuredFar(Far):
         return self.do(*words)
 
 
+@pytest.mark.slow(kept_by="network/test_access.py::test_what_a_name_may_send_is_its_own_and_forged_names_are_not")
 @pytest.mark.row(97)
 def test_a_viewer_looks_and_an_operator_controls(tmp_path: Path) -> None:
     roles = {"robot": "component", "arm": "component", "anna": "viewer", "otto": "operator", "lead": "coordinator"}
@@ -122,6 +125,7 @@ def test_a_viewer_looks_and_an_operator_controls(tmp_path: Path) -> None:
         far.close()
 
 
+@pytest.mark.slow(kept_by="network/test_certs_command.py::test_what_is_wrong_with_each_is_said_and_no_key_shown")
 def test_no_key_is_in_what_a_kernel_says_of_itself(tmp_path: Path) -> None:
     certs = folder(tmp_path / "certs", robot="component", otto="operator").path
     secrets = [line for file in certs.glob("*.key") for line in file.read_text().splitlines() if "-----" not in line]

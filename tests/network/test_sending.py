@@ -67,6 +67,7 @@ SIZES = st.lists(
 )
 
 
+@pytest.mark.slow
 @given(SIZES)
 def test_less_than_a_queue_is_under_way_and_all_comes_in_order(steps: list[tuple[int, int, int]]) -> None:
     budget, put = Budget(), []  # type: Budget, list[bytes]
@@ -171,6 +172,7 @@ def test_of_many_channels_those_that_have_refused_are_told_of_room_once() -> Non
     assert [way.rooms for way in ways] == [int(way is ways[3]) for way in ways]
 
 
+@pytest.mark.slow
 def test_of_thousands_of_channels_with_little_each_none_has_to_ask() -> None:
     budget, put = Budget(), []  # type: Budget, list[bytes]
     ways = [Way(budget, put) for _ in range(5_000)]
@@ -182,6 +184,7 @@ def test_of_thousands_of_channels_with_little_each_none_has_to_ask() -> None:
     assert {read(data).kind for data in put} == {FRAME}
 
 
+@pytest.mark.slow
 def test_it_is_asked_at_some_of_thousands_of_channels_at_a_time_and_all_that_was_lost_is_free() -> None:
     budget, put = Budget(), []  # type: Budget, list[bytes]
     ways = [Way(budget, put) for _ in range(5_000)]

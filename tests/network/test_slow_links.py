@@ -31,6 +31,7 @@ def memory(one: Linked, what: str) -> int:
     return next(int(line.split()[1]) << 10 for line in lines if line.startswith(what))
 
 
+@pytest.mark.slow(kept_by="links/test_simulated.py::test_where_the_newest_counts_each_comes_that_the_way_has_time_for")
 @pytest.mark.fault("E07")
 @pytest.mark.parametrize(("size", "every"), [(12_500, 0.01), (1_250, 0.001)], ids=["large", "small"])
 def test_of_ten_megabit_on_a_link_of_one_the_newest_comes_soon_and_calls_are_answered(
@@ -74,6 +75,7 @@ def test_of_ten_megabit_on_a_link_of_one_the_newest_comes_soon_and_calls_are_ans
     assert_in_order(tmp_path / "k")
 
 
+@pytest.mark.slow(kept_by="network/test_network.py::test_what_is_beyond_the_bounds_is_left_out_and_counted")
 @pytest.mark.fault("E24")
 @pytest.mark.parametrize("options", [{"length": 1_000}, {"push": "new"}], ids=["all", "newest"])
 def test_samples_that_flood_in_while_the_loop_is_held_up_take_little_memory(
@@ -112,6 +114,7 @@ async def until(holds: Callable[[], object]) -> None:
             await asyncio.sleep(0)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("E23")
 @pytest.mark.timeout(time_limit(900))
 def test_nothing_is_said_to_be_absent_right_after_a_reconnection() -> None:

@@ -16,6 +16,8 @@ pytest.importorskip("cryptography")
 
 from network.certificate_parts import folder
 
+pytestmark = pytest.mark.slow(kept_by="network/test_network.py::test_switched_on_alone_it_listens_nowhere")
+
 PYTHON = Path("/usr/bin/python3")
 """One that other users can run, too."""
 NOBODY = 65_534

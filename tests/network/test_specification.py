@@ -154,6 +154,7 @@ def test_a_session_is_gone_through_again() -> None:
     assert all(end.is_through for end in ends.values())
 
 
+@pytest.mark.slow
 def test_a_program_in_c_makes_and_reads_them(tmp_path: Path) -> None:
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
@@ -226,6 +227,7 @@ def test_a_sender_has_as_much_under_way_as_is_written() -> None:
     assert [envelope.read(one).kind for one in sent] == [envelope.FRAME]
 
 
+@pytest.mark.slow
 def test_they_are_in_what_is_installed(tmp_path: Path) -> None:
     from hatchling.builders.wheel import WheelBuilder
 

@@ -17,6 +17,10 @@ from campaign import CAMPAIGN
 from network.linked_parts import WAIT, Linked, assert_in_order, came, ended, settings, settled
 from network.network_parts import free_port
 
+pytestmark = pytest.mark.slow(
+    kept_by="links/test_protocol.py::test_a_reader_without_room_stops_the_writer_and_loses_nothing"
+)
+
 PAUSE = 8.0
 COUNT = 20_000 if CAMPAIGN else 2_000
 LONGEST = 0.5

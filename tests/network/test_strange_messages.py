@@ -40,6 +40,7 @@ def session(address: str) -> zenoh.Session:
     return zenoh.open(config)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("E10", "E15")
 def test_what_is_too_large_or_of_another_kind_harms_nothing_beside_it() -> None:
     async def main() -> None:

@@ -20,6 +20,10 @@ pytest.importorskip("zenoh")
 
 from network.network_parts import free_port
 
+pytestmark = pytest.mark.slow(
+    kept_by="network/test_network.py::test_an_address_that_is_not_of_this_machine_is_said_before_anything_runs"
+)
+
 WAIT = 30.0
 SYSTEM = """
 schema = 1

@@ -14,6 +14,8 @@ from aiorts.testing import simulate
 from aiorts.types import TimedDouble
 from campaign import CAMPAIGN
 
+pytestmark = pytest.mark.slow
+
 PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
 
 

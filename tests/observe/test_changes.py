@@ -162,6 +162,7 @@ async def operate(kernel: Kernel, operation: str, one: int, other: int) -> None:
         await context.set_rate(1.0 + one)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(84)
 @settings(max_examples=60)
 @example(SCRIPT)
@@ -189,6 +190,7 @@ def test_changes_applied_to_the_snapshot_give_the_later_snapshot(operations: lis
     simulate(main)
 
 
+@pytest.mark.slow(kept_by="test_a_watch_holds_as_many_changes_as_it_was_told_and_no_more")
 @pytest.mark.row(84)
 def test_a_slow_reader_gets_a_fresh_profile_and_knows_what_it_missed() -> None:
     async def main(clock: SimulatedClock) -> None:
@@ -294,6 +296,7 @@ def test_a_watch_ends_with_its_kernel_and_tells_the_end() -> None:
     simulate(main)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @example(SCRIPT)
 @given(OPERATIONS)
@@ -319,6 +322,7 @@ def test_a_profile_taken_in_turns_is_as_true_as_one_of_a_moment(operations: list
     simulate(main)
 
 
+@pytest.mark.slow
 def test_a_thousand_components_are_profiled_without_holding_the_loop() -> None:
     async def main(clock: SimulatedClock) -> None:
         turns = 0

@@ -477,6 +477,7 @@ def test_a_listener_that_raises_is_counted_and_harms_nobody(caplog: pytest.LogCa
     assert 1 <= len([r for r in caplog.records if "observer" in r.getMessage()]) <= 4
 
 
+@pytest.mark.slow
 def test_notes_are_bounded() -> None:
     async def main(clock: SimulatedClock) -> None:
         heard = Heard()
@@ -506,6 +507,7 @@ def test_who_cannot_be_listened_to_is_told() -> None:
     simulate(main)
 
 
+@pytest.mark.slow(kept_by="test_the_bus_hears_of_all_connectors_and_of_new_ones")
 @pytest.mark.parametrize("options", [{}, {"subscription": "periodic", "push_rate": 100.0}])
 async def test_who_listens_hears_again_when_a_real_time_thread_has_gone(
     options: dict[str, Any], anyio_backend: Any
@@ -553,6 +555,7 @@ OPTIONS = st.sampled_from(
 )
 
 
+@pytest.mark.slow(kept_by="test_what_the_push_policy_leaves_out_and_what_a_newer_sample_takes_the_place_of_is_told")
 @settings(max_examples=100)
 @given(OPERATIONS, OPTIONS, st.booleans())
 def test_each_sample_that_the_ledger_calls_skipped_or_superseded_is_told_once(
@@ -583,6 +586,7 @@ def test_each_sample_that_the_ledger_calls_skipped_or_superseded_is_told_once(
     simulate(main)
 
 
+@pytest.mark.slow(kept_by="test_who_is_not_listened_to_runs_the_very_code_it_ran_before")
 @settings(max_examples=150)
 @given(OPERATIONS, OPTIONS, st.booleans())
 def test_listening_changes_nothing_for_the_ports(operations: list[str], options: dict[str, Any], several: bool) -> None:
@@ -636,6 +640,7 @@ def test_listening_changes_nothing_for_the_ports(operations: list[str], options:
     simulate(main)
 
 
+@pytest.mark.slow
 async def test_a_port_that_a_thread_opens_while_a_listener_comes_is_open(anyio_backend: Any) -> None:
     async with Kernel() as kernel:
         source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))

@@ -53,6 +53,7 @@ def document(kernel: Kernel) -> Any:
     return told
 
 
+@pytest.mark.slow
 def test_schema_is_one() -> None:
     jsonschema.Draft202012Validator.check_schema(aiorts.profile_schema())
     assert aiorts.profile_schema()["$defs"]["ComponentReport"]["additionalProperties"] is False

@@ -396,6 +396,7 @@ class Course:
         await self.context(one).tick()
 
 
+@pytest.mark.slow(kept_by="observe/test_changes.py::test_changes_applied_to_the_snapshot_give_the_later_snapshot")
 @pytest.mark.row(84)
 @settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @example(COURSE)
@@ -435,6 +436,7 @@ def test_changes_applied_give_the_later_profile_of_any_system_and_the_schema_is_
     simulate(main)
 
 
+@pytest.mark.slow(kept_by="test_a_profile_tells_what_a_machine_does_and_remembers_and_the_mode")
 def test_the_course_gets_everywhere() -> None:
     """The example is worth something: all of it takes place."""
 

@@ -87,6 +87,7 @@ def through_json(value: Any) -> Any:
     return json.loads(json.dumps(profile_to_plain(value), allow_nan=False))
 
 
+@pytest.mark.slow(kept_by="test_a_profile_of_a_system_is_read_back_with_the_values_that_parameters_hold")
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__qualname__)
 def test_what_was_written_of_any_class_is_read_back(kind: Any) -> None:
     @settings(max_examples=cases(1_000), suppress_health_check=list(HealthCheck), deadline=None)
@@ -255,6 +256,7 @@ def parts_of(data: Any) -> Iterator[tuple[Any, Any]]:
             yield from parts_of(value)
 
 
+@pytest.mark.slow(kept_by="test_what_is_wrong_is_named_by_its_path")
 @settings(max_examples=cases(10_000), suppress_health_check=list(HealthCheck), deadline=None)
 @given(st.sampled_from([SystemProfile, Change, ProfileSnapshot]), st.data(), JSON | MSGPACK)
 def test_whatever_is_put_where_a_value_or_a_clean_error_comes_out(kind: Any, data: st.DataObject, part: Any) -> None:
@@ -273,6 +275,7 @@ def test_whatever_is_put_where_a_value_or_a_clean_error_comes_out(kind: Any, dat
         read.apply(profile_from_plain(SystemProfile, PLAIN)).structure()
 
 
+@pytest.mark.slow(kept_by="first")
 def test_reading_imports_no_loop_no_arrays_and_no_kernel() -> None:
     code = (
         "import sys; from aiorts import SystemProfile, profile_from_plain; from aiorts.events import Change;"

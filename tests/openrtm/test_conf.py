@@ -61,6 +61,7 @@ def test_lines_are_read_as_the_manager_reads_them() -> None:
     ]
 
 
+@pytest.mark.slow(kept_by="test_lines_are_read_as_the_manager_reads_them")
 @given(st.text(max_size=200))
 def test_any_text_is_read(text: str) -> None:
     for key, value, where in entries(text.replace("\0", "")):
@@ -104,6 +105,7 @@ Talking.Talker0.conf.default.step: 7
 """
 
 
+@pytest.mark.slow(kept_by="test_contexts_of_one_name_are_one")
 @pytest.mark.row(89)
 def test_a_managers_configuration_becomes_a_system_that_runs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -245,6 +247,7 @@ def test_contexts_of_one_name_are_one(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("conf", "said"),
     [

@@ -33,6 +33,7 @@ def refused(folder: Path, text: str | bytes, name: str = "bad.xml") -> str:
     return str(caught.value).replace(f"{folder}{os.sep}", "")
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -61,6 +62,7 @@ def test_xml_that_is_not_taken(tmp_path: Path, text: str | bytes, said: str) -> 
     assert refused(tmp_path, text).startswith(said)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("F02")
 @pytest.mark.parametrize(
     ("text", "said"),
@@ -86,6 +88,7 @@ def test_yaml_that_is_not_taken(tmp_path: Path, text: str, said: str) -> None:
     assert refused(tmp_path, text, "bad.yaml").startswith(said)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("inside", "said"),
     [

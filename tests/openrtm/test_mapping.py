@@ -28,6 +28,7 @@ def read(folder: Path, *parts: str) -> tuple[Wanted, list[str]]:
 # -- options of connections --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize(
     ("given", "options"),
     [
@@ -208,6 +209,7 @@ def test_rules_that_no_sequence_can_say_come_back_all_the_same(tmp_path: Path) -
 # -- other systems -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(107)
 @pytest.mark.parametrize(
     "file", ["hello/system.toml", "pid/system.toml", "manipulator/sim.toml", "roomba/system.toml", "flexi/vector.toml"]
@@ -256,6 +258,7 @@ def test_a_named_connection_keeps_its_name(tmp_path: Path) -> None:
     assert dict(wanted.connections[0].options) == expected
 
 
+@pytest.mark.slow(kept_by="test_rules_that_no_sequence_can_say_come_back_all_the_same")
 def test_other_tools_read_what_is_written_and_write_what_is_read(tmp_path: Path) -> None:
     rtsprofile = pytest.importorskip("rtsprofile.rts_profile", reason="rtsprofile-aist is not installed")
     (tmp_path / "s.toml").write_text(

@@ -93,6 +93,7 @@ def test_all_that_the_file_says_is_in_the_component(tmp_path: Path, capsys: pyte
     assert system["contexts"]["loop"]["rate"] == 50.0
 
 
+@pytest.mark.slow(kept_by="test_all_that_the_file_says_is_in_the_component")
 def test_it_runs_passes_its_test_and_every_checker(tmp_path: Path) -> None:
     assert arm(tmp_path) == 0
     folder = tmp_path / "arm"
@@ -104,6 +105,7 @@ def test_it_runs_passes_its_test_and_every_checker(tmp_path: Path) -> None:
     ran(folder, "pyright", "--pythonpath", sys.executable, ".")
 
 
+@pytest.mark.slow(kept_by="test_all_that_the_file_says_is_in_the_component")
 @pytest.mark.parametrize("conf", [CONF, "conf.default.gain: 12\n"], ids=["fits", "outside"])
 def test_it_runs_and_is_configured_by_its_conf(
     tmp_path: Path, conf: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -192,6 +194,7 @@ def test_any_text_is_itself_again(text: str) -> None:
     assert literal(text).isprintable()
 
 
+@pytest.mark.slow(kept_by="test_all_that_the_file_says_is_in_the_component")
 @pytest.mark.skipif(REAL is None, reason="the files of the robot arm are not here")
 def test_the_real_component_is_made_and_runs(tmp_path: Path) -> None:
     assert REAL is not None
@@ -294,6 +297,7 @@ DIO = """<rtc:DataPorts rtc:portType="DataInPort" rtc:name="DIO" rtc:type="RTC::
 <rtc:DataPorts rtc:portType="DataInPort" rtc:name="AI" rtc:type="RTC::TimedDouble"/>"""
 
 
+@pytest.mark.slow(kept_by="test_a_default_outside_its_constraint_costs_the_constraint_alone")
 def test_an_in_port_and_an_out_port_of_one_name_are_told_apart(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -64,6 +64,7 @@ def test_a_profile_comes_back_as_it_was(tmp_path: Path) -> None:
     assert canonicalize(converted(tmp_path, ARM), with_comments=True) == canonicalize(ARM, with_comments=True)
 
 
+@pytest.mark.slow(kept_by="test_a_profile_comes_back_as_it_was")
 @pytest.mark.row(107)
 @given(text=profiles())
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -71,6 +72,7 @@ def test_generated_profiles_come_back_as_they_were(tmp_path: Path, text: str) ->
     assert canonicalize(converted(tmp_path, text), with_comments=True) == canonicalize(text, with_comments=True)
 
 
+@pytest.mark.slow(kept_by="openrtm/test_mapping.py::test_systems_of_the_examples_go_over_and_come_back")
 @given(text=profiles())
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_yaml_says_the_same_system_and_comes_back(tmp_path: Path, text: str) -> None:
@@ -133,6 +135,7 @@ def test_a_component_that_is_gone_takes_its_connections(tmp_path: Path) -> None:
     assert 'rts:instanceName="Arm0"' in new
 
 
+@pytest.mark.slow
 def test_order_of_starting_goes_over_and_comes_back(tmp_path: Path) -> None:
     """A rule that is changed is in the sequence; read again it is the same rule."""
     converted(tmp_path, ARM)

@@ -17,6 +17,7 @@ from planning.generated import random_system
 from planning.test_apply import Broken, check_ledgers, check_order, texts
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G05")
 @pytest.mark.parametrize("fails", [False, True], ids=["to its end", "taken back"])
 def test_cancelled_at_any_turn_it_is_done_or_taken_back(fails: bool, monkeypatch: pytest.MonkeyPatch) -> None:

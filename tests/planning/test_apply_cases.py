@@ -13,6 +13,8 @@ from aiorts.planning import wanted_of
 from aiorts.system import build, load, wanted
 from planning.test_apply import FAILS, check_ledgers, fail_in_step, texts
 
+pytestmark = pytest.mark.slow
+
 PARTS = """
 from typing import Protocol
 from aiorts import Component, InPort, OutPort, Provided, Required

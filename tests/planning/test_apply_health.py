@@ -181,6 +181,7 @@ async def applied_beside(kernel: Kernel, wanted: Wanted) -> Applied:
         return await applying
 
 
+@pytest.mark.slow(kept_by="test_what_a_plan_is_meant_to_do_is_kept")
 @pytest.mark.anyio
 @pytest.mark.campaign
 @quiet
@@ -194,6 +195,7 @@ async def test_a_harmless_plan_is_kept_though_two_processes_begin_to_spin_in_its
             await kernel.sleep(0.2)
 
 
+@pytest.mark.slow(kept_by="test_a_plan_that_makes_it_worse_is_rolled_back_with_the_figure")
 @pytest.mark.anyio
 @pytest.mark.campaign
 @quiet
@@ -227,6 +229,7 @@ async def test_what_others_change_in_the_window_before_is_planned_too() -> None:
         assert plan(wanted_of(kernel), wanted).empty
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G05")
 @simulated
 async def test_who_is_cancelled_while_the_system_before_is_measured_gives_it_up() -> None:

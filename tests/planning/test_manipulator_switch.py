@@ -13,6 +13,8 @@ from aiorts.model.wanted.applied import Applied
 from aiorts.system import build, load, wanted
 from aiorts.testing import simulate
 
+pytestmark = pytest.mark.slow(kept_by="planning/test_roll_back.py::test_who_is_gone_ends_when_it_is_final")
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "manipulator"
 MOVED = "    def on_reload(self, old):\n        self.speed = old.speed\n"
 """Another type takes over how fast the arm is to move."""

@@ -36,6 +36,7 @@ def test_a_file_and_what_was_built_from_it_are_one_system(file: Path) -> None:
     simulate(both())
 
 
+@pytest.mark.slow(kept_by="test_a_file_and_what_was_built_from_it_are_one_system")
 @pytest.mark.anyio
 @pytest.mark.parametrize("file", APART, ids=lambda path: path.stem)
 async def test_a_file_with_processes_and_what_was_built_from_it_are_one_system(

@@ -113,6 +113,7 @@ def unread(component: Component) -> list[int]:
     return [sample.data for sample in component.inp.drain()]
 
 
+@pytest.mark.slow(kept_by="test_who_is_gone_ends_when_it_is_final")
 @pytest.mark.parametrize("kind", ["", "Other"], ids=["removed", "replaced"])
 def test_an_attribute_and_five_unread_samples_survive_a_roll_back(kind: str, files: Files) -> None:
     async def main() -> None:

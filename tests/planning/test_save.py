@@ -232,6 +232,7 @@ async def saved(file: Path, into: Path) -> str:
     return await asyncio.to_thread(into.read_text)
 
 
+@pytest.mark.slow(kept_by="test_what_a_program_made_is_saved_without_what_is_so_by_default")
 def test_a_file_with_a_bit_of_everything_is_saved_as_it_stands(tmp_path: Path) -> None:
     file = laid_out(tmp_path)
     text = simulate(saved(file, tmp_path / "again.toml"))
@@ -297,6 +298,7 @@ activate = false
     )
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_real_time_context_is_saved_with_what_it_asks_for(tmp_path: Path) -> None:
     async with Kernel() as kernel:

@@ -50,6 +50,7 @@ async def saved(system: SystemFile) -> str:
     return found.text
 
 
+@pytest.mark.slow(kept_by="planning/test_save.py::test_what_a_program_made_is_saved_without_what_is_so_by_default")
 @pytest.mark.parametrize("file", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_what_was_saved_is_the_same_system(file: Path, tmp_path: Path) -> None:
     changes: tuple[str, ...] = ()

@@ -75,6 +75,7 @@ def systems(draw: st.DrawFn) -> Wanted:
     return Wanted(components, connections, contexts, plugin_paths=(FOLDER,))
 
 
+@pytest.mark.slow(kept_by="planning/test_save.py::test_what_a_program_made_is_saved_without_what_is_so_by_default")
 @given(systems())
 def test_what_is_written_is_read_back(system: Wanted) -> None:
     text = system_text(system, FOLDER)

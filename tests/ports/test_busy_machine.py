@@ -19,6 +19,8 @@ from aiorts import Component, EventContext, InPort, Kernel, OutPort, PeriodicCon
 from aiorts.types import TimedLong
 from campaign import CAMPAIGN, cases
 
+pytestmark = pytest.mark.slow
+
 RELAYS = 8
 NOTHING: frozenset[int] = frozenset()
 

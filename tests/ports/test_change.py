@@ -366,6 +366,7 @@ class Blocked(Component):
             self.written += 1
 
 
+@pytest.mark.slow(kept_by="test_a_sample_of_a_foreign_thread_that_waits_for_room_comes_in_by_a_change")
 @pytest.mark.parametrize("fulls", [("block",), ("block", "overwrite")], ids=["block", "both"])
 async def test_a_writer_in_a_thread_loses_nothing_by_a_change(fulls: tuple[str, ...], anyio_backend: Any) -> None:
     """In whatever moment of its write the options change."""
@@ -576,6 +577,7 @@ class Once(Component):
         self.finish()
 
 
+@pytest.mark.slow(kept_by="first")
 async def test_a_real_time_thread_overwrites_the_oldest_of_more_than_the_length(anyio_backend: Any) -> None:
     async with Kernel() as kernel:
         writer, sink = await kernel.create(Once), await kernel.create(Sink)
@@ -591,6 +593,7 @@ async def test_a_real_time_thread_overwrites_the_oldest_of_more_than_the_length(
         assert data(sink.inp.drain()) == [2, 3, 99]
 
 
+@pytest.mark.slow(kept_by="first")
 async def test_a_real_time_thread_keeps_its_options(anyio_backend: Any) -> None:
     async with Kernel() as kernel:
         source, sink, wire = await connected(kernel, length=4)

@@ -280,6 +280,7 @@ CHANGES = st.tuples(st.just("change"), st.integers(0, 2), CHANGED, st.sampled_fr
 STEPS = st.lists(st.one_of(OPERATIONS, OPERATIONS, CHANGES), min_size=1, max_size=40)
 
 
+@pytest.mark.slow(kept_by="test_a_known_course")
 @pytest.mark.timeout(time_limit(600))
 @pytest.mark.parametrize("locked", [False, True], ids=["plain", "locked"])
 @settings(max_examples=cases(3_000), deadline=None)

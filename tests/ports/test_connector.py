@@ -14,6 +14,8 @@ from aiorts.testing.simulation import simulate
 from campaign import cases
 from ports.parts import Model, ModelConnector, Sink, Source, long
 
+pytestmark = pytest.mark.slow(kept_by="first")
+
 COMBINATIONS = [
     (subscription, push, full)
     for subscription, pushes in (

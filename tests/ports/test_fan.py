@@ -189,6 +189,7 @@ async def test_what_overwrites_is_read_when_it_arrived_and_not_in_the_place_of_t
 STEPS = ("write",) * 12 + ("read",) * 6 + ("latest", "drain", "disconnect", "connect", "activate")
 
 
+@pytest.mark.slow(kept_by="test_what_overwrites_is_read_when_it_arrived_and_not_in_the_place_of_the_old_one")
 @pytest.mark.row(43)
 @pytest.mark.campaign
 @settings(max_examples=cases(5_000), deadline=None)
@@ -262,6 +263,7 @@ def check_tokens(inp: InPort[Any]) -> None:
             assert dead <= connector.profile.length
 
 
+@pytest.mark.slow
 @pytest.mark.row(43)
 @pytest.mark.parametrize("quiet", [False, True], ids=["all write in turn", "one writes, the others are full"])
 async def test_overwriting_costs_the_same_beside_any_number_of_connectors(quiet: bool, anyio_backend: Any) -> None:
@@ -294,6 +296,7 @@ async def test_overwriting_costs_the_same_beside_any_number_of_connectors(quiet:
     assert await cost(200) < 1.2 * await cost(10)
 
 
+@pytest.mark.slow
 def test_order_and_ledgers_hold_through_every_mixture() -> None:
     """Overwriting, superseding, latest, disconnecting and blocked writers, against a plain list of what is unread."""
 

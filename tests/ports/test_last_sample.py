@@ -371,6 +371,7 @@ async def test_the_last_of_a_rendezvous(simulated_clock: SimulatedClock) -> None
             assert await last_of(kernel, source) == number
 
 
+@pytest.mark.slow(kept_by="test_the_end_of_a_queue_or_what_was_read_last")
 @pytest.mark.anyio
 @pytest.mark.parametrize("blocking", [False, True])
 async def test_a_connector_made_while_a_thread_writes_misses_nothing_and_has_nothing_twice(blocking: bool) -> None:

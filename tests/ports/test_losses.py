@@ -175,6 +175,7 @@ class Told(StateMachineComponent):
     chart = Chart(State("only", On("knock", to="only"), initial=True))
 
 
+@pytest.mark.slow
 @simulated
 async def test_events_that_find_no_room_are_told_by_their_machine_alone(caplog: pytest.LogCaptureFixture) -> None:
     async with Kernel() as kernel:

@@ -83,6 +83,7 @@ async def test_a_shape_is_checked_at_write_with_expected_and_got(anyio_backend: 
                 assert inp.read_nowait().data.tolist() == np.asarray(right).tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.fault("B03")
 async def test_of_1000_arrays_exactly_those_of_the_shape_pass_and_arrive_unchanged() -> None:
     chance = np.random.default_rng(3)
@@ -312,6 +313,7 @@ ANYTHING: st.SearchStrategy[Any] = st.one_of(
 )
 
 
+@pytest.mark.slow(kept_by="test_a_frozen_dataclass_is_checked_when_it_is_written_and_copied_where_it_can_change")
 @pytest.mark.fault("B05")
 @pytest.mark.campaign
 def test_a_port_takes_of_a_dataclass_what_the_wire_takes_and_delivers_what_it_would() -> None:
@@ -420,6 +422,7 @@ def test_a_write_waits_for_all_full_readers_together_and_one_error_names_them() 
     simulate(main)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("B07")
 async def test_a_blocked_write_ends_at_its_deadline_on_the_real_clock(anyio_backend: Any) -> None:
     async with Kernel() as kernel:
@@ -496,6 +499,7 @@ async def test_a_blocked_write_ends_when_its_reader_goes(how: str, anyio_backend
         assert (ledger.written, dict(ledger.dropped), ledger.buffered) == (3, {reason: 3}, 0)
 
 
+@pytest.mark.slow(kept_by="test_a_blocked_write_ends_when_its_reader_goes")
 @pytest.mark.fault("B08")
 async def test_disconnecting_at_any_moment_of_a_write_leaves_no_half_sample(anyio_backend: Any) -> None:
     """Both a disconnection and a cancellation, after any number of turns of three writers and a reader."""
@@ -571,6 +575,7 @@ async def test_a_cancelled_blocked_write_wrote_nothing_to_whom_it_waited_for(any
             assert connector.statistics.written == connector.statistics.delivered
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("B17")
 @pytest.mark.parametrize("options", [{"length": 100_000}, {}, {"full": "reject"}, {"full": "block", "timeout": None}])
 async def test_of_a_burst_of_100000_none_is_unexplained(options: dict[str, Any], anyio_backend: Any) -> None:

@@ -307,6 +307,7 @@ RENEWALS = st.tuples(st.just("renew"), st.integers(0, 3), OPTIONS, SLEEPS)
 STEPS = st.lists(st.one_of(OPERATIONS, OPERATIONS, RENEWALS), min_size=1, max_size=30)
 
 
+@pytest.mark.slow(kept_by="test_writers_that_wait_go_on")
 @pytest.mark.timeout(time_limit(600))
 @pytest.mark.parametrize("locked", [False, True], ids=["plain", "locked"])
 @settings(max_examples=cases(2_000), deadline=None)

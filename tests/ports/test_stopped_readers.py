@@ -147,6 +147,7 @@ def test_a_component_that_was_never_in_a_context_is_open_to_application_code() -
     simulate(main)
 
 
+@pytest.mark.slow(kept_by="test_a_blocked_writer_goes_on_when_its_reader_leaves")
 @given(steps=st.lists(st.sampled_from(["start", "stop", "activate", "deactivate", "sleep"]), max_size=12))
 @settings(max_examples=cases(2000), deadline=None)
 def test_a_writer_waits_only_while_its_reader_is_active_or_was_never_run(steps: list[str]) -> None:

@@ -23,6 +23,10 @@ from ports.parts import ModelConnector, Sink, Source, long
 from ports.systems import Link, World, Write
 from ports.test_connector import COMBINATIONS
 
+pytestmark = pytest.mark.slow(
+    kept_by="ports/test_connector.py::test_survivors_and_ledger_are_those_of_the_reference_model_after_every_step"
+)
+
 SOURCES = 3
 SINKS = 3
 STEPS = 60

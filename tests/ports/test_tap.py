@@ -132,6 +132,7 @@ async def test_it_may_be_made_longer_and_shorter_while_it_holds_samples() -> Non
         assert connector.statistics.balanced
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_what_a_thread_writes_is_taken_on_the_loop() -> None:
     async with Kernel() as kernel:

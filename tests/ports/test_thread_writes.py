@@ -188,6 +188,7 @@ async def test_room_that_is_made_lets_the_rest_in(debug: bool) -> None:
         assert connector.statistics.delivered == 50
 
 
+@pytest.mark.slow
 async def test_a_thread_blocks_while_1024_wait() -> None:
     async with Kernel() as kernel:
         source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
@@ -323,6 +324,7 @@ async def test_a_mutable_sample_is_copied_and_a_port_that_stamps_stamps_in_the_t
         assert before <= read.tm <= after
 
 
+@pytest.mark.slow
 async def test_wrong_uses_are_refused_with_what_to_do() -> None:
     async with Kernel() as kernel:
         source, fast = await kernel.add(Source("source")), await kernel.add(Source("fast"))
@@ -348,6 +350,7 @@ async def test_wrong_uses_are_refused_with_what_to_do() -> None:
         assert source.out.write_from_thread(long(2)) is True  # on the loop, it is one thread of many
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("full", ["reject", "block"])
 @pytest.mark.parametrize("often", [False, True])
 async def test_eight_threads_lose_nothing_uncounted_and_each_keeps_its_order(full: Any, often: bool) -> None:
@@ -458,6 +461,7 @@ async def test_a_neighbour_keeps_its_times_beside_a_million_writes_as_beside_thr
     assert writing <= 2 * computing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("full", ["overwrite", "block"])
 def test_whatever_happens_in_whatever_order_every_sample_is_read_or_counted_once(full: str) -> None:
     for seed in range(cases(1000)):

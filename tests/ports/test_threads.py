@@ -76,6 +76,7 @@ async def reached(condition: Any, seconds: float = 5.0) -> None:
         await asyncio.sleep(0.001)
 
 
+@pytest.mark.slow
 @pytest.mark.row(44)
 async def test_a_thread_waits_for_a_slow_reader_on_the_loop(anyio_backend: Any) -> None:
     count = 2_000
@@ -92,6 +93,7 @@ async def test_a_thread_waits_for_a_slow_reader_on_the_loop(anyio_backend: Any) 
         assert connector.statistics.written == count
 
 
+@pytest.mark.slow
 @pytest.mark.row(44)
 async def test_the_loop_waits_for_a_slow_reader_in_a_thread(anyio_backend: Any) -> None:
     count = 2_000
@@ -107,6 +109,7 @@ async def test_the_loop_waits_for_a_slow_reader_in_a_thread(anyio_backend: Any) 
         assert connector.statistics.dropped == {}
 
 
+@pytest.mark.slow(kept_by="test_the_ledger_balances_while_two_threads_hammer_the_connector")
 async def test_between_two_threads_nothing_is_lost_with_block(anyio_backend: Any) -> None:
     count = 2_000
     async with Kernel() as kernel:
@@ -119,6 +122,7 @@ async def test_between_two_threads_nothing_is_lost_with_block(anyio_backend: Any
         assert connector.statistics.dropped == {}
 
 
+@pytest.mark.slow(kept_by="test_the_ledger_balances_while_two_threads_hammer_the_connector")
 @pytest.mark.row(39)
 async def test_new_never_leaves_the_newest_sample_unread_across_threads(anyio_backend: Any) -> None:
     class Pairs(Component):
@@ -207,6 +211,7 @@ async def test_the_ledger_balances_while_two_threads_hammer_the_connector(full: 
         assert drainer.taken == sum(ledger.delivered for ledger in ledgers)
 
 
+@pytest.mark.slow(kept_by="test_a_thread_waits_for_data_and_room_in_virtual_time")
 @pytest.mark.fault("B07")
 async def test_a_thread_that_finds_no_room_ends_at_its_deadline(anyio_backend: Any) -> None:
     class Stuck(Component):
@@ -500,6 +505,7 @@ async def test_statistics_of_an_unshared_connector_are_read_on_the_loop(anyio_ba
             await asyncio.to_thread(lambda: connector.statistics)
 
 
+@pytest.mark.slow
 async def test_a_port_shared_with_a_thread_wakes_an_event_context_for_every_spell_of_data(anyio_backend: Any) -> None:
     class Counting(Component):
         inp = InPort(TimedLong)
@@ -604,6 +610,7 @@ class Listener(Component):
             self.seen.append(type(error))
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("comes_late", [True, False])
 async def test_what_vanishes_while_it_is_read_across_threads_was_never_there(comes_late: bool) -> None:
     """At a port without a lock a sample may be overwritten or disconnected between a look and the reading."""

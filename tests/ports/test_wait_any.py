@@ -225,6 +225,7 @@ STEPS = st.lists(
 )
 
 
+@pytest.mark.slow(kept_by="test_a_wait_ends_with_the_first_sample_at_any_of_its_ports")
 @settings(max_examples=cases(5_000), deadline=None)
 @given(STEPS, st.integers(0, 1_000_000))
 def test_any_waits_are_as_in_a_model(steps: list[tuple[str, Any]], seed: int) -> None:

@@ -249,6 +249,7 @@ async def test_connection_limit_minus_one_is_unlimited(anyio_backend: Any) -> No
         assert len(source.out.connectors) == 20
 
 
+@pytest.mark.slow(kept_by="test_closing_a_connector_is_disconnecting_it")
 @pytest.mark.fault("B09")
 async def test_reconnecting_in_flight_brings_no_old_data_and_no_duplicate(anyio_backend: Any) -> None:
     async with Kernel() as kernel:
@@ -403,6 +404,7 @@ async def test_the_ledger_balances_at_every_moment_it_is_read(anyio_backend: Any
             assert ledger.delivered == number // 3 + 1
 
 
+@pytest.mark.slow
 @pytest.mark.fault("B16")
 @pytest.mark.campaign
 async def test_connecting_and_disconnecting_leaves_nothing_in_memory(anyio_backend: Any) -> None:

@@ -43,6 +43,7 @@ async def test_the_cause_is_exact(body: str, text: str) -> None:
     assert any("boom" in line for line in ending.last_lines) == ("boom" in body)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.anyio
 @pytest.mark.parametrize(
     "body",
@@ -83,6 +84,7 @@ async def test_what_a_process_has_started_ends_with_it_and_its_neighbours_do_not
         assert not other.ended.done()
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_the_descriptor_is_there_and_nothing_else_is_inherited() -> None:
     async with started() as its, asyncio.timeout(WAIT):
@@ -96,6 +98,7 @@ async def test_the_descriptor_is_there_and_nothing_else_is_inherited() -> None:
         assert its.ours.recv(10) == b"hello"
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_environment_and_folder_are_those_of_now(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
     async with started() as its, asyncio.timeout(WAIT):
@@ -109,6 +112,7 @@ async def test_environment_and_folder_are_those_of_now(monkeypatch: pytest.Monke
         assert its.lines == [("stdout", f"'caf\\udce9' {tmp_path} False")]
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.anyio
 async def test_output_without_bound_holds_up_nobody_and_is_counted() -> None:
     async with started() as its, asyncio.timeout(WAIT):
@@ -124,6 +128,7 @@ async def test_output_without_bound_holds_up_nobody_and_is_counted() -> None:
     assert len(lines) < 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_memory_is_bounded_above_what_the_imports_took() -> None:
     async with started() as its, asyncio.timeout(WAIT):
@@ -137,6 +142,7 @@ async def test_memory_is_bounded_above_what_the_imports_took() -> None:
     assert child.granted == {"memory": "RLIMIT_AS, by the process itself after its imports"}
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_what_limits_get_is_said() -> None:
     async with started() as its, asyncio.timeout(WAIT):
@@ -166,6 +172,7 @@ async def test_a_number_of_processes_is_kept_or_refused() -> None:
         await child.ended
 
 
+@pytest.mark.slow(kept_by="test_what_a_process_has_started_ends_with_it_and_its_neighbours_do_not")
 @pytest.mark.anyio
 async def test_processes_that_start_others_without_end_are_all_killed() -> None:
     """Up to 100 at a time, which replace each other at once, in sessions of their own; for 6 s at the most."""
@@ -188,6 +195,7 @@ async def test_processes_that_start_others_without_end_are_all_killed() -> None:
                 await asyncio.sleep(0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_program_that_cannot_be_started_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     async with started() as its, asyncio.timeout(WAIT):
@@ -217,6 +225,7 @@ async def test_a_closed_launcher_starts_nothing_and_says_how_its_children_ended(
         await its.launcher.close()
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_start_that_is_cancelled_leaves_no_process() -> None:
     async with started() as its:
@@ -246,6 +255,7 @@ def test_the_text_says_what_is_known() -> None:
     assert Ending(None, None).text == "end not seen: the helper process was killed"
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_the_process_that_starts_others_adopts_and_waits_for_nothing_else() -> None:
     own = subprocess.Popen([sys.executable, "-S", "-c", "raise SystemExit(7)"])
@@ -258,6 +268,7 @@ async def test_the_process_that_starts_others_adopts_and_waits_for_nothing_else(
     assert own.wait(WAIT) == 7
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_helper_without_descriptors_refuses_and_its_children_go_on() -> None:
     async with started() as its, asyncio.timeout(WAIT):

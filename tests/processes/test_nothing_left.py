@@ -86,6 +86,7 @@ def names(folder: Path) -> list[str]:
     return [path.name for path in folder.iterdir()] + [name for name in os.listdir("/dev/shm") if "aiorts" in name]
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("body", [IDLE, STOPPED, LOCKED, DAEMONS], ids=["idle", "stopped", "locked", "daemons"])
 def test_nothing_is_left_of_a_parent_that_is_killed(body: str, folder: Path) -> None:
     with marked() as mark:
@@ -97,6 +98,7 @@ def test_nothing_is_left_of_a_parent_that_is_killed(body: str, folder: Path) -> 
     assert names(folder) == []
 
 
+@pytest.mark.slow(kept_by="test_nothing_is_left_of_a_parent_that_is_killed")
 @pytest.mark.timeout(time_limit(600))
 def test_nothing_is_left_of_a_parent_that_is_killed_at_any_moment(folder: Path) -> None:
     chosen, longest = random.Random(19), 0.0
@@ -112,6 +114,7 @@ def test_nothing_is_left_of_a_parent_that_is_killed_at_any_moment(folder: Path) 
     assert names(folder) == []
 
 
+@pytest.mark.slow(kept_by="test_nothing_is_left_of_a_parent_that_is_killed")
 def test_a_parent_that_has_forked_is_noticed_though_its_sockets_are_still_held() -> None:
     """multiprocessing forks, too: the copies of the socket stay open in processes that live on."""
     body = PARENT.replace("await asyncio.sleep(100)", "os.fork()\n    __import__('time').sleep(100)")
@@ -135,6 +138,7 @@ def test_a_parent_that_has_forked_is_noticed_though_its_sockets_are_still_held()
         assert all_gone(mark) == {}
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("body", [IDLE, STOPPED, DAEMONS], ids=["idle", "stopped", "daemons"])
 def test_nothing_is_left_when_parent_and_helper_are_killed_together(body: str) -> None:
     with marked() as mark:
@@ -147,6 +151,7 @@ def test_nothing_is_left_when_parent_and_helper_are_killed_together(body: str) -
         assert all_gone(mark) == {}
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.anyio
 @pytest.mark.parametrize("body", [IDLE, STOPPED, LOCKED, DAEMONS], ids=["idle", "stopped", "locked", "daemons"])
 async def test_a_helper_that_is_killed_takes_its_children_along_and_the_next_start_has_another(body: str) -> None:
@@ -179,6 +184,7 @@ def kill_marked(mark: str) -> None:
 BOMB = Path(__file__).with_name("bomb.py")
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 @pytest.mark.parametrize("ends", ["closed", "killed"])
 async def test_nothing_is_left_of_processes_that_start_one_another_anew(ends: str, tmp_path: Path) -> None:
@@ -213,6 +219,7 @@ async def test_nothing_is_left_of_processes_that_start_one_another_anew(ends: st
             kill_marked(mark)
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_helper_that_is_stopped_while_it_is_closed_goes_on_and_kills_what_is_left() -> None:
     """Killed in the place of it, it left what it had adopted of children that have ended."""
@@ -246,6 +253,7 @@ async def test_a_helper_that_is_stopped_while_it_is_closed_goes_on_and_kills_wha
             kill_marked(mark)
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_group_of_the_terminal_that_is_interrupted_leaves_helper_and_children_alone() -> None:
     async with started() as its, asyncio.timeout(WAIT):

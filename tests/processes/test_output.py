@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -51,6 +52,7 @@ def test_a_line_without_an_end_takes_no_memory() -> None:
     assert found == [("stdout", "z" * LONGEST), ("stderr", f"... 0 lines ({65_536_000 - LONGEST} bytes) left out")]
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(st.sampled_from(["stdout", "stderr"]), st.integers(0, 9000), st.integers(0, 9000)), max_size=12)
 )

@@ -659,6 +659,7 @@ async def test_real_time_ends_refuse_it_with_the_remedy(end: str) -> None:
         assert data(sink.inp.drain()) == [1000]
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])
 async def test_a_component_of_a_real_time_context_is_not_connected_with_it(anyio_backend: str) -> None:
@@ -698,6 +699,7 @@ async def test_a_restart_keeps_the_converter() -> None:
         assert data(sink.inp.drain()) == [2000]
 
 
+@pytest.mark.slow(kept_by="test_a_restart_keeps_the_converter")
 @pytest.mark.parametrize("end", ["Writer", "Reader"])
 @simulated
 async def test_a_reloaded_end_keeps_the_converter_and_what_is_unread(end: str, tmp_path: Path) -> None:

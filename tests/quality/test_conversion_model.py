@@ -137,6 +137,7 @@ class ConvertingSystem(System):
 PARTS = 20 if CAMPAIGN else 1
 
 
+@pytest.mark.slow(kept_by="test_a_few_of_them")
 @pytest.mark.campaign
 @pytest.mark.parametrize("part", range(PARTS))
 def test_random_systems_with_converters_do_what_the_reference_model_does(part: int) -> None:

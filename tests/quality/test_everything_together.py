@@ -408,6 +408,7 @@ _WEIGHTS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_whatever_is_done_every_sample_is_read_once_or_counted(seed: int) -> None:
     async def main() -> Counter[str]:

@@ -190,6 +190,7 @@ def run(connectors: list[tuple[str, str, int, bool]], changes: list[tuple[str, i
     simulate(main, seed=seed)
 
 
+@pytest.mark.slow(kept_by="test_a_known_course")
 @pytest.mark.timeout(time_limit(1200))
 @settings(max_examples=cases(5_000), deadline=None)
 @given(CONNECTORS, CHANGES, st.integers(0, 1_000))

@@ -147,6 +147,7 @@ def run(options: dict[str, Any], changes: list[tuple[str, int]], seed: int) -> N
     simulate(main, seed=seed)
 
 
+@pytest.mark.slow(kept_by="quality/test_gaps.py::test_a_gap_is_found_within_two_of_them_and_its_end_at_once")
 @pytest.mark.timeout(time_limit(1200))
 @settings(max_examples=cases(5_000), deadline=None)
 @given(OPTIONS, CHANGES, st.integers(0, 1_000))

@@ -118,6 +118,7 @@ OPTIONS = st.sampled_from(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=CASES, deadline=None)
 @given(st.lists(STEPS, max_size=40), OPTIONS, st.integers(1, 4), st.integers(1, 30))
 def test_the_figures_are_those_of_what_was_read(
@@ -259,6 +260,7 @@ async def carried(options: dict[str, Any], steps: list[str], *, switched: bool) 
         return data, connector.statistics, second.statistics
 
 
+@pytest.mark.slow
 @given(st.sampled_from(WIRES), st.lists(st.sampled_from(STEPS), max_size=30))
 @settings(max_examples=CASES, deadline=None)
 def test_measuring_may_begin_and_end_at_any_time_and_changes_no_sample(

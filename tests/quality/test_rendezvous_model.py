@@ -394,6 +394,7 @@ def long(number: int) -> TimedLong:
     return TimedLong(0, number)
 
 
+@pytest.mark.slow(kept_by="quality/test_rendezvous_neighbours.py::test_in_debug_mode_it_is_the_same")
 @pytest.mark.row(38)
 @pytest.mark.campaign
 @pytest.mark.parametrize("options", [{"threads": True}, {"debug": True}], ids=["threads", "debug"])
@@ -406,6 +407,7 @@ def test_nor_do_locks_or_checks_change_anything(options: dict[str, Any]) -> None
 PARTS = 10 if CAMPAIGN else 1
 
 
+@pytest.mark.slow(kept_by="quality/test_rendezvous.py::test_a_write_that_waits_is_unread_data")
 @pytest.mark.row(38)
 @pytest.mark.campaign
 @pytest.mark.parametrize("part", range(PARTS))

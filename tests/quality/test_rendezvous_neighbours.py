@@ -85,6 +85,7 @@ EDITS = {
 }
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("options", [{"length": 0}, {"length": 1, "full": "block"}], ids=["rendezvous", "block"])
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("edit", EDITS)
@@ -395,6 +396,7 @@ members = ["taking"]
 """
 
 
+@pytest.mark.slow(kept_by="test_a_thread_that_waits_for_a_read_ends_with_its_context")
 def test_every_sample_of_threads_is_taken_or_timed_out() -> None:
     """The writers' time-outs end while the reader takes: each sample is one or the other."""
     count = 3_000 if CAMPAIGN else 300

@@ -74,6 +74,7 @@ class Flipping(Schedule):
             super().compare(step)
 
 
+@pytest.mark.slow(kept_by="test_in_virtual_time_samples_cross_at_exact_moments")
 @pytest.mark.row(39, 40, 41)
 @pytest.mark.campaign
 def test_a_crossing_connector_obeys_the_reference_model_also_when_it_becomes_one_in_between() -> None:
@@ -166,6 +167,7 @@ async def stress(
         return seen, connector, auditor
 
 
+@pytest.mark.slow(kept_by="test_a_ledger_is_not_read_in_the_middle_of_a_write")
 @settings(
     max_examples=cases(1000),
     deadline=None,
@@ -293,6 +295,7 @@ class Echo(Component):
         self.seen.append((await self.inp.read()).data)
 
 
+@pytest.mark.slow(kept_by="test_in_virtual_time_samples_cross_at_exact_moments")
 @pytest.mark.row(9, 44)
 async def test_loop_to_real_time_and_back_loses_nothing_with_block() -> None:
     count = 3_000
@@ -315,6 +318,7 @@ async def test_loop_to_real_time_and_back_loses_nothing_with_block() -> None:
         assert context.state(servo) is LifecycleState.ACTIVE
 
 
+@pytest.mark.slow(kept_by="test_a_sample_written_before_the_reader_is_armed_wakes_it_all_the_same")
 async def test_one_wake_up_is_asked_for_until_the_loop_runs_again(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = 0
 
@@ -349,6 +353,7 @@ async def test_one_wake_up_is_asked_for_until_the_loop_runs_again(monkeypatch: p
     assert asked == 1
 
 
+@pytest.mark.slow(kept_by="test_the_lock_of_a_port_is_never_taken_by_a_real_time_thread")
 async def test_a_real_time_writer_never_waits_for_a_full_reader() -> None:
     class Stubborn(Component):
         out = OutPort(TimedLong)
@@ -372,6 +377,9 @@ async def test_a_real_time_writer_never_waits_for_a_full_reader() -> None:
         assert stubborn.last_error is None
 
 
+@pytest.mark.slow(
+    kept_by="realtime/test_realtime_context.py::test_a_hook_that_suspends_is_an_error_that_names_it_and_says_what_to_do"
+)
 async def test_a_read_that_would_wait_is_an_error_of_the_component_that_names_the_port() -> None:
     class Waits(Component):
         inp = InPort(TimedLong)
@@ -387,6 +395,7 @@ async def test_a_read_that_would_wait_is_an_error_of_the_component_that_names_th
         assert "waits.inp: no unread sample, and a hook of a real-time context cannot wait" in str(waits.last_error)
 
 
+@pytest.mark.slow(kept_by="first")
 async def test_the_lock_of_a_port_is_never_taken_by_a_real_time_thread() -> None:
     """Held by somebody forever, it holds up nobody."""
 
@@ -440,6 +449,7 @@ async def test_the_lock_of_a_port_is_never_taken_by_a_real_time_thread() -> None
         await reached(lambda: blocker.seen == [1, 2])
 
 
+@pytest.mark.slow(kept_by="test_in_virtual_time_samples_cross_at_exact_moments")
 @pytest.mark.parametrize("writer_is_real_time", [True, False])
 async def test_between_a_thread_that_blocks_and_a_real_time_thread(writer_is_real_time: bool) -> None:
     count = 500
@@ -486,6 +496,7 @@ async def test_between_a_thread_that_blocks_and_a_real_time_thread(writer_is_rea
         assert dict(connector.statistics.dropped) == {}
 
 
+@pytest.mark.slow(kept_by="test_in_virtual_time_samples_cross_at_exact_moments")
 async def test_between_two_real_time_threads_and_with_fan_in_and_fan_out() -> None:
     class Counter(Component):
         out = OutPort(TimedLong)
@@ -512,6 +523,7 @@ async def test_between_two_real_time_threads_and_with_fan_in_and_fan_out() -> No
         assert [connector.statistics.delivered for connector in connectors] == [200] * 6
 
 
+@pytest.mark.slow(kept_by="test_in_virtual_time_samples_cross_at_exact_moments")
 @pytest.mark.row(39)
 @pytest.mark.parametrize("push", ["all", "fifo", "new", "skip"])
 async def test_a_periodic_connector_carries_out_of_and_into_a_real_time_thread(push: str) -> None:
@@ -545,6 +557,7 @@ async def test_a_periodic_connector_carries_out_of_and_into_a_real_time_thread(p
             assert ledger.dropped.get("superseded", 0) == 60 - len(servo.seen)
 
 
+@pytest.mark.slow(kept_by="test_a_sample_that_comes_in_while_its_connector_ends_is_dropped_as_disconnected")
 async def test_connections_come_and_go_and_components_change_their_context_while_samples_flow() -> None:
     class Counter(Component):
         out = OutPort(TimedLong)
@@ -608,6 +621,9 @@ def test_in_virtual_time_samples_cross_at_exact_moments() -> None:
     assert simulate(main) == [n * 100_000_000 for n in range(20)]
 
 
+@pytest.mark.slow(
+    kept_by="ports/test_in_port.py::test_samples_for_an_inactive_component_are_dropped_and_activation_starts_empty"
+)
 async def test_samples_for_an_inactive_real_time_reader_are_dropped_as_such() -> None:
     async with Kernel() as kernel:
         source, servo = await kernel.add(Source("source")), await kernel.add(Servo("servo"))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
+import pytest
+
 from aiorts import Component, InPort, Kernel, OutPort, RealtimeContext
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.kernel.ports.receiver import Receiver
@@ -19,6 +21,9 @@ class Reader(Component):
     inp = InPort(TimedLong)
 
 
+@pytest.mark.slow(
+    kept_by="realtime/test_lock_free_connector.py::test_a_sample_that_comes_in_while_its_connector_ends_is_dropped_as_disconnected"
+)
 def test_a_port_is_ordinary_again_when_its_real_time_connector_has_ended() -> None:
     async def main() -> tuple[type, int]:
         async with Kernel() as kernel:

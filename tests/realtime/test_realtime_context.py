@@ -65,6 +65,7 @@ def run_python(code: str, timeout: float = 30.0) -> subprocess.CompletedProcess[
 # -- cycles ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.row(9)
 def test_it_keeps_every_promise_of_an_execution_context() -> None:
     check_context(lambda: RealtimeContext(100.0))
@@ -88,6 +89,7 @@ def test_in_virtual_time_it_ticks_at_exact_moments_and_asks_for_nothing() -> Non
     assert context.statistics.lateness_max_ns == 0
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(9)
 @pytest.mark.row(31)
 async def test_it_runs_at_its_rate_in_one_thread_with_the_priority_and_processor_asked_for() -> None:
@@ -114,6 +116,7 @@ async def test_it_runs_at_its_rate_in_one_thread_with_the_priority_and_processor
     assert len(os.sched_getaffinity(0)) >= 1
 
 
+@pytest.mark.slow
 async def test_granted_names_the_processors_that_there_are_and_which_ones_are_missing() -> None:
     cpu = max(os.sched_getaffinity(0))
     async with Kernel() as kernel:
@@ -123,6 +126,7 @@ async def test_granted_names_the_processors_that_there_are_and_which_ones_are_mi
     assert granted.denied == {"cpus": f"cpus [4000]: not there for this process; it keeps to [{cpu}]"}
 
 
+@pytest.mark.slow(kept_by="test_it_runs_at_its_rate_in_one_thread_with_the_priority_and_processor_asked_for")
 async def test_it_wakes_close_to_its_deadlines() -> None:
     async with Kernel() as kernel:
         worker = await kernel.add(Worker("worker"))
@@ -134,6 +138,7 @@ async def test_it_wakes_close_to_its_deadlines() -> None:
     assert abs(late[len(late) // 2] - 2 * MS) < 1 * MS
 
 
+@pytest.mark.slow(kept_by="test_a_deadline_shorter_than_the_period_counts_and_skips_nothing")
 async def test_a_cycle_over_its_deadline_is_an_overrun_though_it_is_done_within_the_period() -> None:
     async with Kernel() as kernel:
         worker = await kernel.add(Worker("worker", lambda: time.sleep(0.012)))
@@ -154,6 +159,7 @@ def test_a_deadline_shorter_than_the_period_counts_and_skips_nothing() -> None:
     assert (plan.overruns, plan.skipped) == (1, 0)
 
 
+@pytest.mark.slow(kept_by="execution/test_fairness.py::test_missing_most_deadlines_is_said_once")
 async def test_one_that_is_always_late_lets_the_loop_and_others_run() -> None:
     def burn() -> None:
         end = time.monotonic() + 0.003
@@ -181,6 +187,7 @@ async def test_one_that_is_always_late_lets_the_loop_and_others_run() -> None:
     assert statistics.skipped > statistics.cycles
 
 
+@pytest.mark.slow(kept_by="first")
 async def test_a_request_wakes_a_thread_that_sleeps_for_long() -> None:
     async with Kernel() as kernel:
         worker = await kernel.add(Worker("worker"))
@@ -193,6 +200,7 @@ async def test_a_request_wakes_a_thread_that_sleeps_for_long() -> None:
         assert time.monotonic() - began < 2.0  # a slice of sleep for each would be 4 s
 
 
+@pytest.mark.slow(kept_by="test_a_request_wakes_a_thread_that_sleeps_for_long")
 @pytest.mark.parametrize("rate", [0.01, 10.0, 200.0])
 async def test_requests_and_a_stop_reach_a_thread_that_sleeps(rate: float) -> None:
     async with Kernel() as kernel:
@@ -223,6 +231,7 @@ class Relay(Component):
             await self.out.write(TimedLong(sample.tm, sample.data * self.gain))
 
 
+@pytest.mark.slow(kept_by="ports/test_in_port.py::test_awaited_reads_and_writes_give_the_loop_a_turn_within_256_calls")
 async def test_awaited_reads_and_writes_work_in_any_number_without_a_turn_of_the_loop() -> None:
     async with Kernel() as kernel:
         relay, idle = await kernel.add(Relay("relay")), await kernel.add(Ends("ends"))
@@ -243,6 +252,7 @@ class Ends(Component):
     out = OutPort(TimedLong)
 
 
+@pytest.mark.slow(kept_by="first")
 async def test_a_hook_that_suspends_is_an_error_that_names_it_and_says_what_to_do() -> None:
     closed = threading.Event()
 
@@ -267,6 +277,7 @@ async def test_a_hook_that_suspends_is_an_error_that_names_it_and_says_what_to_d
         await until(lambda: len(worker.begun) > before)
 
 
+@pytest.mark.slow(kept_by="kernel/test_declarations.py::test_returned_value_is_an_error_at_the_first_call")
 async def test_a_plain_hook_that_returns_something_and_an_async_one_are_told_as_everywhere() -> None:
     class Returns(Component):
         async def on_execute(self) -> Any:
@@ -279,6 +290,7 @@ async def test_a_plain_hook_that_returns_something_and_an_async_one_are_told_as_
         assert "returned int 1" in str(returns.last_error)
 
 
+@pytest.mark.slow(kept_by="contexts/test_thread.py::test_members_rate_and_parameters_change_while_the_thread_runs")
 async def test_members_come_and_go_parameters_change_and_a_source_finishes() -> None:
     class Source(Component):
         def on_execute(self) -> None:
@@ -305,6 +317,7 @@ async def test_members_come_and_go_parameters_change_and_a_source_finishes() -> 
             await kernel.start(RealtimeContext(10.0), one)
 
 
+@pytest.mark.slow(kept_by="first")
 async def test_a_failure_is_contained_and_logged_on_the_loop(caplog: pytest.LogCaptureFixture) -> None:
     threads: list[int] = []
 
@@ -354,6 +367,9 @@ def test_a_line_is_rendered_when_it_is_logged_and_a_bad_template_is_left_to_the_
     assert [(record.msg, record.args) for record in records] == [("values [1]", None), ("%s %s", (1,))]
 
 
+@pytest.mark.slow(
+    kept_by="supervision/test_blocking_hooks.py::test_one_that_was_left_behind_and_returns_after_all_finds_its_context_gone_on"
+)
 def test_a_hook_that_never_returns_is_left_behind_and_settings_are_restored() -> None:
     release = threading.Event()
 
@@ -376,6 +392,7 @@ def test_a_hook_that_never_returns_is_left_behind_and_settings_are_restored() ->
 # -- the process -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="test_what_the_user_changed_meanwhile_stays")
 async def test_collector_and_switch_interval_are_restored_after_the_last_context() -> None:
     gc.unfreeze()  # CPython 3.12 has frozen a few hundred objects of its own
     before = (gc.isenabled(), gc.get_freeze_count(), sys.getswitchinterval())
@@ -392,6 +409,7 @@ async def test_collector_and_switch_interval_are_restored_after_the_last_context
         assert (gc.isenabled(), gc.get_freeze_count(), sys.getswitchinterval()) == before
 
 
+@pytest.mark.slow(kept_by="test_what_the_user_changed_meanwhile_stays")
 async def test_what_a_host_has_frozen_stays_frozen() -> None:
     gc.collect()
     gc.freeze()
@@ -423,6 +441,7 @@ async def test_what_the_user_changed_meanwhile_stays() -> None:
         sys.setswitchinterval(before)
 
 
+@pytest.mark.slow(kept_by="test_garbage_is_collected_when_there_is_slack_or_when_it_is_long_overdue")
 async def test_memory_stays_flat_though_automatic_collection_is_off() -> None:
     alive = 0
 
@@ -494,6 +513,7 @@ UNPRIVILEGED = """
 """
 
 
+@pytest.mark.slow(kept_by="test_it_runs_at_its_rate_in_one_thread_with_the_priority_and_processor_asked_for")
 @pytest.mark.skipif(sys.platform != "linux", reason="privileges of Linux")
 @pytest.mark.row(31)
 def test_what_privileges_deny_is_said_once_with_what_to_do_and_it_runs_all_the_same() -> None:
@@ -507,6 +527,7 @@ def test_what_privileges_deny_is_said_once_with_what_to_do_and_it_runs_all_the_s
         assert words in lines[0]
 
 
+@pytest.mark.slow
 def test_a_process_that_forgets_its_context_ends() -> None:
     done = run_python(
         """
@@ -525,6 +546,9 @@ def test_a_process_that_forgets_its_context_ends() -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow(
+    kept_by="contexts/test_schedule.py::test_a_tick_that_begins_when_newer_ones_are_due_gives_way_to_the_newest"
+)
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_after_a_process_was_stopped_and_goes_on_there_is_no_burst_of_ticks() -> None:
     done = run_python(
@@ -553,6 +577,7 @@ def test_after_a_process_was_stopped_and_goes_on_there_is_no_burst_of_ticks() ->
     assert done.stdout.split() == ["True", "True", "True"], done.stderr
 
 
+@pytest.mark.slow(kept_by="test_arguments_out_of_range_are_refused_by_name")
 def test_a_system_file_says_what_it_asks_for(tmp_path: Path) -> None:
     (tmp_path / "source.py").write_text(
         "from aiorts import Component, OutPort\n"
@@ -584,6 +609,7 @@ def test_arguments_out_of_range_are_refused_by_name(arguments: dict[str, Any]) -
         RealtimeContext(100.0, **arguments)
 
 
+@pytest.mark.slow(kept_by="contexts/test_thread.py::test_a_thread_context_can_be_started_again")
 async def test_it_can_be_started_again() -> None:
     async with Kernel() as kernel:
         worker = await kernel.add(Worker("worker"))

@@ -95,6 +95,7 @@ SCRIPT = st.lists(
 )
 
 
+@pytest.mark.slow(kept_by="reload/test_moments.py::test_anything_else_in_the_midst_of_a_reload")
 @pytest.mark.row(23)
 @pytest.mark.timeout(time_limit(900))
 @settings(max_examples=ORDERS, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])

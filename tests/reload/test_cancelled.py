@@ -39,6 +39,9 @@ async def turn_for_threads() -> None:
     await asyncio.sleep(0)
 
 
+@pytest.mark.slow(
+    kept_by="reload/test_requests.py::test_a_caller_that_is_cancelled_ends_nothing_and_nobody_else_is_called"
+)
 @pytest.mark.row(23)
 @pytest.mark.fault("G05")
 def test_cancelled_at_every_turn_a_reload_is_seen_through(source: Callable[[str], Source]) -> None:

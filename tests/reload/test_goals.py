@@ -28,6 +28,7 @@ class Driver(services.goal_parts.Driver):
 """
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("who", ["Car", "Driver"])
 def test_a_reload_ends_goals_in_order(who: str, source: Make) -> None:
     @simulated

@@ -179,6 +179,7 @@ def test_anything_else_in_the_midst_of_a_reload(what: str, after: float, source:
     run()
 
 
+@pytest.mark.slow
 @simulated
 async def test_a_component_in_two_contexts_changes_in_both_at_once(source: Make) -> None:
     file = source(SLOW)
@@ -312,6 +313,7 @@ async def test_an_on_initialize_that_never_returns_keeps_nobody_from_reloading(i
         assert kernel.components["slow"].version == 2  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 @simulated
 async def test_a_file_that_never_ends_is_left_behind(source: Make) -> None:
     file = source(SLOW)

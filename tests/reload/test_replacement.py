@@ -390,6 +390,7 @@ async def test_a_writer_that_waits_for_room_goes_on_waiting_and_gets_it(source: 
         assert unread_of(connector) == 1
 
 
+@pytest.mark.slow(kept_by="reload/test_whole.py::test_all_of_a_context_change_in_the_same_moment")
 @pytest.mark.anyio
 async def test_in_a_thread_the_code_changes_at_the_border_of_a_cycle(source: Make) -> None:
     file = source("""
@@ -645,6 +646,7 @@ async def test_old_code_that_cannot_start_anew_is_in_error(source: Make) -> None
         assert isinstance(old.last_error, AssertionError)
 
 
+@pytest.mark.slow(kept_by="test_tasks_of_old_code_that_comes_back_are_started_anew_and_no_sample_is_lost")
 @pytest.mark.anyio
 async def test_in_a_thread_no_sample_is_refused_between_a_failure_and_the_return_of_the_old_code(source: Make) -> None:
     file = source("""

@@ -214,6 +214,7 @@ if __name__ == "__main__":
 '''
 
 
+@pytest.mark.slow
 def test_a_program_reloads_a_component_of_its_own_file(tmp_path: Path) -> None:
     script = tmp_path / "program.py"
     script.write_text(SCRIPT, encoding="utf-8")

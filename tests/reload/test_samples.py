@@ -71,6 +71,7 @@ class Last(Component):
     data = InPort(TimedDouble)
 
 
+@pytest.mark.slow(kept_by="reload/test_replacement.py::test_unread_samples_and_their_order_stay")
 @pytest.mark.row(23)
 @pytest.mark.timeout(time_limit(900))
 @settings(max_examples=cases(1500), suppress_health_check=[HealthCheck.function_scoped_fixture])

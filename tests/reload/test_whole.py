@@ -103,6 +103,7 @@ def test_all_of_a_context_change_in_the_same_moment(good: bool, source: Make) ->
     run()
 
 
+@pytest.mark.slow
 @simulated
 async def test_others_are_not_late(source: Make) -> None:
     file = source(MANY)
@@ -124,6 +125,7 @@ async def test_others_are_not_late(source: Make) -> None:
             assert {two - one for one, two in zip(neighbour.at, neighbour.at[1:], strict=False)} == {period}
 
 
+@pytest.mark.slow(kept_by="test_new_code_that_is_taken_back_is_finalized")
 @pytest.mark.timeout(time_limit(600))
 def test_old_classes_are_collected_and_nothing_grows(source: Make) -> None:
     declared = "data = InPort(TimedDouble)\n    out = OutPort(TimedDouble)\n    gain = Param(1.0)\n    seen = []"

@@ -67,6 +67,9 @@ def near_and_gripper(kernel: Kernel) -> list[LifecycleState | None]:
 # -- ports -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_an_exported_port_of_a_member_elsewhere_carries_samples(tmp_path: Path) -> None:
     async with left(tmp_path), right() as kernel:
         source = await kernel.create(Local, "source")
@@ -87,6 +90,9 @@ async def test_an_exported_port_of_a_member_elsewhere_carries_samples(tmp_path: 
 # -- lifecycle -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_the_lifecycle_of_the_composite_is_that_of_the_member_elsewhere(tmp_path: Path) -> None:
     async with left(tmp_path), right() as kernel:
         arm = await arm_of(kernel)
@@ -97,6 +103,9 @@ async def test_the_lifecycle_of_the_composite_is_that_of_the_member_elsewhere(tm
         assert (near_and_gripper(kernel), await state_there()) == ([ACTIVE, ACTIVE], "active")
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_an_activation_that_fails_elsewhere_activates_nothing(tmp_path: Path) -> None:
     async with left(tmp_path), right() as kernel:
         arm = await arm_of(kernel, activate=False)
@@ -110,6 +119,9 @@ async def test_an_activation_that_fails_elsewhere_activates_nothing(tmp_path: Pa
         assert (near_and_gripper(kernel), await state_there()) == ([ACTIVE, ACTIVE], "active")
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_an_activation_that_fails_here_is_taken_back_elsewhere(tmp_path: Path) -> None:
     class Stuck(Local):
         async def on_activated(self) -> None:
@@ -123,6 +135,9 @@ async def test_an_activation_that_fails_here_is_taken_back_elsewhere(tmp_path: P
         assert (near_and_gripper(kernel), await state_there()) == ([ERROR, INACTIVE], "inactive")
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_what_is_asked_of_the_member_in_its_own_kernel_happens_in_the_composite(tmp_path: Path) -> None:
     async with left(tmp_path), right() as kernel:
         await arm_of(kernel)
@@ -132,6 +147,9 @@ async def test_what_is_asked_of_the_member_in_its_own_kernel_happens_in_the_comp
         await until(lambda: near_and_gripper(kernel) == [ACTIVE, ACTIVE])
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_a_source_that_has_finished_elsewhere_has_finished_here(tmp_path: Path) -> None:
     async with left(tmp_path), right() as kernel:
         source = await kernel.create(Local, "source")
@@ -142,6 +160,9 @@ async def test_a_source_that_has_finished_elsewhere_has_finished_here(tmp_path: 
         assert near_and_gripper(kernel) == [ACTIVE, INACTIVE]
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 @pytest.mark.parametrize("before", ["active", "inactive"])
 async def test_a_member_that_leaves_is_as_it_was_before_it_came(tmp_path: Path, before: str) -> None:
     async with left(tmp_path, activate=before == "active"):
@@ -171,6 +192,9 @@ async def test_a_member_that_leaves_is_as_it_was_before_it_came(tmp_path: Path, 
 # -- configuration ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_values_and_sets_are_those_of_the_member_elsewhere(tmp_path: Path) -> None:
     async with left(tmp_path), right() as kernel:
         await arm_of(kernel)
@@ -189,6 +213,9 @@ async def test_values_and_sets_are_those_of_the_member_elsewhere(tmp_path: Path)
         await until(lambda: gripper.configuration.values["factor"] == 7)
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_a_configuration_of_several_members_is_in_force_in_all_or_in_none(tmp_path: Path) -> None:
     async with left(tmp_path), right() as kernel:
         await arm_of(kernel)
@@ -214,6 +241,9 @@ AFTER = {"stop": (ERROR, INACTIVE), "report": (ERROR, ACTIVE), "isolate": (ACTIV
 """The states of the composite and of the member here, by the policy, when the one elsewhere has failed."""
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 @pytest.mark.row(15)
 @pytest.mark.parametrize("errors", AFTER)
 async def test_an_error_elsewhere_is_one_here_and_a_reset_is_one_there(tmp_path: Path, errors: str) -> None:
@@ -231,6 +261,9 @@ async def test_an_error_elsewhere_is_one_here_and_a_reset_is_one_there(tmp_path:
         assert (near_and_gripper(kernel), await state_there()) == ([ACTIVE, ACTIVE], "active")
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 @pytest.mark.row(15)
 @pytest.mark.parametrize("errors", AFTER)
 async def test_a_member_whose_kernel_is_killed_is_in_error_until_that_is_back_and_it_is_reset(
@@ -261,6 +294,9 @@ async def test_a_member_whose_kernel_is_killed_is_in_error_until_that_is_back_an
 # -- refused ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_members_that_cannot_be_had_are_refused_with_the_reason_and_nothing_is_left(tmp_path: Path) -> None:
     async with left(tmp_path), right() as kernel:
         for member, error, why in (
@@ -274,12 +310,18 @@ async def test_members_that_cannot_be_had_are_refused_with_the_reason_and_nothin
             assert not kernel.components
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_a_kernel_that_lets_others_look_only_has_no_members(tmp_path: Path) -> None:
     async with left(tmp_path, "left", "--control", "view"), right() as kernel:
         with pytest.raises(DeniedError, match=r"left/gripper: .*/left lets this kernel look only"):
             await kernel.add(Composite("arm", "left/gripper"))
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_a_component_is_a_member_of_one_composite_at_a_time_which_the_error_names(tmp_path: Path) -> None:
     async with left(tmp_path), right() as one, right("other") as two:
         await one.add(Composite("arm", "left/gripper"))
@@ -289,6 +331,7 @@ async def test_a_component_is_a_member_of_one_composite_at_a_time_which_the_erro
         await two.add(Composite("hand", "left/gripper"))
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G05")
 async def test_what_is_cancelled_while_it_looks_for_a_member_leaves_nothing(tmp_path: Path) -> None:
     async with left(tmp_path), right() as kernel:
@@ -303,6 +346,7 @@ async def test_what_is_cancelled_while_it_looks_for_a_member_leaves_nothing(tmp_
         await kernel.add(Composite("arm", "left/gripper"))
 
 
+@pytest.mark.slow
 async def test_changes_there_while_it_is_activated_and_deactivated_here_hold_nothing_up(tmp_path: Path) -> None:
     async with left(tmp_path), right() as kernel:
         arm, over = await arm_of(kernel, activate=False), False
@@ -325,6 +369,7 @@ async def test_changes_there_while_it_is_activated_and_deactivated_here_hold_not
             await changing
 
 
+@pytest.mark.slow
 async def test_a_change_here_while_one_there_is_taken_over_is_in_force_in_both(tmp_path: Path) -> None:
     async with left(tmp_path), right() as kernel:
         await arm_of(kernel)
@@ -346,6 +391,7 @@ async def test_a_change_here_while_one_there_is_taken_over_is_in_force_in_both(t
                     await asyncio.sleep(0.02)
 
 
+@pytest.mark.slow
 async def test_a_reset_that_was_refused_there_can_be_asked_for_again(tmp_path: Path) -> None:
     async with AsyncExitStack() as stack:
         process = await stack.enter_async_context(left(tmp_path))

@@ -58,6 +58,9 @@ def aiorts(*words: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow(
+    kept_by="remote/test_two_kernels.py::test_a_member_elsewhere_has_the_ports_the_lifecycle_the_values_and_the_errors_of_the_component"
+)
 async def test_a_file_with_a_member_elsewhere_is_checked_runs_and_is_saved_as_it_was(tmp_path: Path) -> None:
     file = tmp_path / "right.toml"
     file.write_text(FILE)
@@ -80,6 +83,7 @@ async def test_a_file_with_a_member_elsewhere_is_checked_runs_and_is_saved_as_it
     assert "components.gripper" not in saved
 
 
+@pytest.mark.slow
 async def test_a_plan_right_after_the_start_is_empty_and_one_that_changes_links_is_carried_out(tmp_path: Path) -> None:
     def of(name: str, text: str) -> Any:
         (tmp_path / name).write_text(text)
@@ -114,6 +118,7 @@ async def test_a_plan_right_after_the_start_is_empty_and_one_that_changes_links_
         assert ports == {("source.output", "gripper.inp"), ("gripper.force", "show.input0")}
 
 
+@pytest.mark.slow
 async def test_a_file_whose_members_are_all_elsewhere_runs(tmp_path: Path) -> None:
     file = tmp_path / "alone.toml"
     file.write_text(
@@ -135,6 +140,7 @@ async def test_a_file_whose_members_are_all_elsewhere_runs(tmp_path: Path) -> No
         assert [await state_there(name) for name in ("gripper", "finger")] == ["inactive", "inactive"]
 
 
+@pytest.mark.slow
 @pytest.mark.row(56)
 async def test_a_kernel_that_was_killed_is_started_anew_beside_what_the_other_one_kept(tmp_path: Path) -> None:
     file = tmp_path / "right.toml"

@@ -51,6 +51,7 @@ KEPT: dict[str, Callable[[np.ndarray], object]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trust", [True, False], ids=["views", "copies"])
 def test_whatever_is_kept_of_dead_records_keeps_its_values(trust: bool) -> None:
     async def run() -> None:
@@ -85,6 +86,7 @@ def test_arrays_are_not_copied_out_of_a_ring_of_one_program() -> None:
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_a_ring_of_arrays_that_are_kept_for_ever_holds_nobody_up() -> None:
     async def run() -> int:
         ends = near, _ = pair()
@@ -152,6 +154,7 @@ def test_large_parts_do_not_wait_for_a_ring_that_the_other_end_never_takes(monke
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_what_dies_in_any_thread_is_given_back() -> None:
     async def run() -> None:
         ends = near, _ = pair()

@@ -227,6 +227,7 @@ def test_a_check_notes_no_open_port_that_a_rule_connects(tmp_path: Path) -> None
     ]
 
 
+@pytest.mark.slow(kept_by="test_ports_are_connected_by_pattern_and_type_as_they_come_and_go")
 async def test_a_file_and_a_plan_have_the_rule_and_not_its_connectors(tmp_path: Path) -> None:
     (tmp_path / "parts.py").write_text(PARTS)
     file = tmp_path / "system.toml"

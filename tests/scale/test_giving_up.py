@@ -59,6 +59,7 @@ async def seconds(count: int, place: Callable[[AsyncExitStack], Awaitable[Any]],
         return (time.thread_time() - began) / len(waiting)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("last_first", [False, True], ids=["first first", "last first"])
 @pytest.mark.parametrize("place", [with_a_buffer, without_one, to_another_kernel])
 async def test_each_of_many_writers_that_give_up_costs_what_each_of_few_does(

@@ -93,6 +93,7 @@ async def figures(components: int, folder: Path) -> dict[str, float]:
     return found
 
 
+@pytest.mark.slow(kept_by="planning/test_apply.py::test_the_system_is_the_wanted_one_afterwards")
 @pytest.mark.anyio
 async def test_a_thousand_components_are_planned_in_seconds(tmp_path: Path) -> None:
     await figures(100, tmp_path)  # imports all that is imported late
@@ -118,6 +119,7 @@ def exchanged(components: int, folder: Path) -> dict[str, float]:
     return found
 
 
+@pytest.mark.slow(kept_by="openrtm/test_round_trips.py::test_a_profile_comes_back_as_it_was")
 def test_a_thousand_components_become_a_profile_and_a_system_file_in_seconds(tmp_path: Path) -> None:
     exchanged(100, tmp_path)  # imports all that is imported late
     small, whole = exchanged(100, tmp_path), exchanged(1000, tmp_path)
@@ -126,6 +128,7 @@ def test_a_thousand_components_become_a_profile_and_a_system_file_in_seconds(tmp
         assert seconds < TIMES * GENEROUS * max(small[what], 0.005), (what, small[what], seconds)
 
 
+@pytest.mark.slow(kept_by="planning/test_apply.py::test_the_system_is_the_wanted_one_afterwards")
 @pytest.mark.anyio
 async def test_one_changed_parameter_does_not_hold_the_loop_up(tmp_path: Path) -> None:
     wanted = large(1000)

@@ -54,6 +54,7 @@ print(json.dumps(asyncio.run(parts.ring_bytes(300, CONTEXT))))
 """In a process of its own: behind other tests, whose classes share less, a component has up to 190 bytes more."""
 
 
+@pytest.mark.slow(kept_by="test_ten_thousand_components_within_five_seconds")
 @pytest.mark.parametrize(
     ("context", "most"),
     [
@@ -76,6 +77,7 @@ def test_a_component_with_ports_connector_and_context_is_small(context: str, mos
     assert figures["total"] <= most, figures
 
 
+@pytest.mark.slow(kept_by="first")
 def test_user_attributes_slots_and_weak_references() -> None:
     class Slotted(Node):
         __slots__ = ("count",)
@@ -268,6 +270,7 @@ async def fan_out_shaped(lines: Lines, count: int) -> None:
     await fan_out(lines, count, Sequences, Shaped)
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G07")
 @pytest.mark.parametrize("what", [ring, at_once, one_context, tasks, fan_out, fan_out_shaped, fan_in])
 def test_six_times_as_many_take_six_times_as_long(what: Callable[[Lines, int], Coroutine[Any, Any, None]]) -> None:
@@ -282,6 +285,7 @@ def test_six_times_as_many_take_six_times_as_long(what: Callable[[Lines, int], C
     assert grown == {}, "lines run for each, of 20 and of 120"
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G07")
 def test_ten_thousand_parameters_and_ports() -> None:
     wide: Any = type("Wide", (Component,), {f"p{number}": Param(0.0) for number in range(10_000)})
@@ -315,6 +319,7 @@ def test_ten_thousand_components_within_five_seconds(named: bool) -> None:
 # -- G07: connections ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G07")
 def test_one_out_port_with_thousands_of_readers() -> None:
     figures = asyncio.run(parts.fan_out(10_000 if CAMPAIGN else 1000))
@@ -326,6 +331,7 @@ def test_one_out_port_with_thousands_of_readers() -> None:
 # -- G06: a thousand periodic contexts -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G06")
 def test_hundreds_of_periodic_contexts_are_all_on_time() -> None:
     async def main(clock: SimulatedClock) -> None:
@@ -356,6 +362,7 @@ def test_thousand_components_at_ten_hertz() -> None:
 # -- G03, G04: no growth -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("G04")
 @pytest.mark.timeout(time_limit(3600))
 @pytest.mark.parametrize("components", [100, 100_000 if CAMPAIGN else 1000])
@@ -388,6 +395,7 @@ class Last(Component):
         self.count += len(self.inp.drain())
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G03")
 @pytest.mark.timeout(time_limit(3600))
 @pytest.mark.parametrize("messages", [2_000, 10_000_000 if CAMPAIGN else 20_000])

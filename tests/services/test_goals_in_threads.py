@@ -33,6 +33,7 @@ class Stepping(Car):
                     goal.succeed("home")
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("context", [ThreadContext, RealtimeContext])
 async def test_a_provider_in_a_thread_advances_its_goal(context: Callable[[float], Any]) -> None:
     async with Kernel() as kernel:

@@ -371,6 +371,7 @@ OPS = (
 )
 
 
+@pytest.mark.slow(kept_by="services/test_goals.py::test_a_provider_that_goes_has_failed")
 @pytest.mark.timeout(time_limit(1200))
 @settings(max_examples=cases(5000))
 @given(

@@ -315,6 +315,7 @@ def systems(draw: st.DrawFn) -> tuple[list[bool], list[tuple[int, ...]], bool]:
     return loose, plans, draw(st.booleans())
 
 
+@pytest.mark.slow(kept_by="test_two_hooks_that_call_one_another_do_not_wait_for_ever")
 @settings(max_examples=ORDERS)
 @given(systems(), st.integers(0, ORDERS))
 def test_no_system_of_calls_ever_waits_for_a_deadline(

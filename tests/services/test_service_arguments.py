@@ -183,6 +183,7 @@ def fits(hint: Any, value: Any) -> bool:
     return type(value) is (type(None) if hint is None else hint)
 
 
+@pytest.mark.slow(kept_by="test_what_is_inside_an_answer_is_looked_at_too")
 @given(HINTS, VALUES)
 def test_a_value_is_of_a_type_when_everything_inside_it_is(hint: Any, value: Any) -> None:
     check = check_of(hint)

@@ -393,6 +393,7 @@ async def test_waiting_until_somebody_is_there() -> None:
             await waiting
 
 
+@pytest.mark.slow
 @pytest.mark.fault("B20")
 @pytest.mark.anyio
 async def test_the_five_ways_to_fail_in_real_time(anyio_backend: Any) -> None:

@@ -68,6 +68,7 @@ KINDS = [lambda: ThreadContext(200.0), ThreadContext, lambda: RealtimeContext(20
 NAMES = ["thread", "freely", "realtime"]
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.anyio
 @pytest.mark.parametrize("make", KINDS, ids=NAMES)
 async def test_a_provider_in_a_thread_answers_between_its_cycles_in_that_thread(anyio_backend: Any, make: Any) -> None:
@@ -94,6 +95,7 @@ async def test_a_provider_in_a_thread_answers_between_its_cycles_in_that_thread(
         assert threading.get_ident() in brake.threads
 
 
+@pytest.mark.slow(kept_by="services/test_service_call.py::test_every_call_has_a_deadline_of_its_own")
 @pytest.mark.anyio
 async def test_a_thread_that_is_long_in_a_call_costs_the_caller_its_deadline_and_no_more(anyio_backend: Any) -> None:
     async with Kernel() as kernel:
@@ -281,6 +283,7 @@ async def test_a_thread_that_waits_for_an_answer_can_be_stopped(anyio_backend: A
         await until(lambda: brake.notes == ["begun", "cancelled"])
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_call_that_is_served_when_the_thread_stops_ends(anyio_backend: Any) -> None:
     async with Kernel() as kernel:
@@ -311,6 +314,7 @@ async def test_only_the_thread_of_a_hook_may_block(anyio_backend: Any) -> None:
         await asyncio.to_thread(elsewhere)
 
 
+@pytest.mark.slow(kept_by="test_what_a_thread_cannot_run_is_refused")
 @pytest.mark.anyio
 async def test_a_real_time_hook_waits_for_nobody(anyio_backend: Any) -> None:
     class Hurried(Blocking):

@@ -132,6 +132,7 @@ async def test_what_was_left_half_made_is_removed_by_the_next_reader(runtime: st
         assert set(os.listdir(place)) == before | {"note.txt"}
 
 
+@pytest.mark.slow(kept_by="test_a_full_disk_leaves_nothing_and_the_run_goes_on")
 @pytest.mark.anyio
 async def test_who_holds_the_folder_for_long_keeps_others_from_no_run(
     runtime: str, caplog: pytest.LogCaptureFixture
@@ -163,6 +164,7 @@ async def test_a_folder_that_is_deleted_harms_no_run(runtime: str) -> None:
         assert kernel.state == "open"
 
 
+@pytest.mark.slow(kept_by="control/test_socket.py::test_a_name_that_is_held_is_refused_with_its_holder")
 @pytest.mark.fault("F15")
 def test_of_two_that_begin_at_once_with_one_name_one_is_told_who_has_it() -> None:
     words = [sys.executable, "-m", "aiorts", "run", "--name", "both", str(ROOT / "examples/pid/system.toml")]
@@ -187,6 +189,7 @@ def test_of_two_that_begin_at_once_with_one_name_one_is_told_who_has_it() -> Non
 # -- other users, children, systems ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0 or not hasattr(socket, "SO_PEERCRED"), reason="needs root, and Linux")
 @pytest.mark.anyio
 async def test_a_client_of_another_user_is_refused(caplog: pytest.LogCaptureFixture) -> None:

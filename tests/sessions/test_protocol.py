@@ -262,6 +262,7 @@ async def test_who_it_is_cannot_write_into_the_terminal_of_the_log(caplog: pytes
     assert line.startswith('who="a [2J b  [process ')
 
 
+@pytest.mark.slow(kept_by="test_a_wrong_frame_ends_its_own_session_with_the_reason")
 @given(st.lists(CALLS, min_size=1, max_size=8))
 @settings(max_examples=cases(500), deadline=None)
 def test_calls_of_any_shape_are_answered_or_refused_and_the_next_client_is_served(messages: list[Any]) -> None:
@@ -307,6 +308,7 @@ async def test_a_number_that_is_in_use_is_refused_and_the_first_call_goes_on() -
     assert "end" in ended
 
 
+@pytest.mark.slow(kept_by="test_a_number_that_is_in_use_is_refused_and_the_first_call_goes_on")
 @pytest.mark.anyio
 async def test_so_many_calls_and_streams_run_at_a_time_and_as_many_again_once_they_were_cancelled() -> None:
     def use(client: Client) -> int:
@@ -372,6 +374,7 @@ async def test_a_call_that_is_cancelled_has_a_last_answer_and_a_line_in_the_log(
     assert line.endswith('outcome="cancelled"' if "error" in answer else 'outcome="done"')
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_who_waits_while_the_loop_is_held_is_told_so() -> None:
     import time

@@ -127,6 +127,7 @@ def test_the_same_bytes_give_the_same_answers_and_an_end(answers: list[dict[str,
 # -- what a session says of itself -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(kept_by="test_a_busy_kernel_is_said_to_be_so_before_its_hello")
 @pytest.mark.anyio
 async def test_who_comes_while_the_loop_is_held_is_let_in() -> None:
     """The kernel says that it is busy before it says hello."""

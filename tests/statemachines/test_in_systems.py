@@ -29,6 +29,7 @@ from aiorts.types import TimedDouble, TimedLong
 from statemachines.test_state_machine import Buttons, Door, Player, Sorter, Told
 
 
+@pytest.mark.slow(kept_by="first")
 def test_a_machine_passes_the_suite_that_every_component_passes() -> None:
     check_component(Door)
     check_component(Player)
@@ -67,6 +68,7 @@ def test_an_action_over_its_deadline_is_cancelled_and_what_was_entered_is_left()
 moves = st.lists(st.tuples(st.sampled_from(["button", "obstacle"]), st.floats(0.0, 3.0)), max_size=15)
 
 
+@pytest.mark.slow
 @pytest.mark.row(103)
 @settings(max_examples=15, suppress_health_check=[HealthCheck.too_slow])
 @given(moves)
@@ -182,6 +184,7 @@ async def test_a_machine_in_two_contexts_is_one_machine(kind: Any) -> None:
         assert door.told == ["motor on", "motor off"]
 
 
+@pytest.mark.slow(kept_by="statemachines/test_state_machine.py::test_a_machine_of_plain_actions_runs_in_a_thread")
 @pytest.mark.anyio
 @pytest.mark.row(103)
 async def test_a_machine_of_plain_actions_runs_in_a_real_time_thread() -> None:

@@ -119,6 +119,7 @@ moves = st.one_of(
 )
 
 
+@pytest.mark.slow(kept_by="test_of_two_that_leave_the_same_states_the_one_further_inside_is_taken_wherever_it_stands")
 @settings(max_examples=EXAMPLES, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
 @given(charts(), st.lists(moves, max_size=12))
 @pytest.mark.row(102)

@@ -38,6 +38,7 @@ def valid(text: str) -> None:
     assert root.find(f"{W3C}transition") is None
 
 
+@pytest.mark.slow(kept_by="test_components_charts_go_there_and_back")
 @pytest.mark.row(104)
 @settings(max_examples=30, suppress_health_check=[HealthCheck.too_slow])
 @given(charts())

@@ -652,6 +652,7 @@ def test_what_an_action_takes_is_checked_for_ports_whose_event_begins_with_its_n
             def told_door(self, what: TimedDouble) -> None: ...
 
 
+@pytest.mark.slow(kept_by="test_a_connector_names_its_event_and_its_buffer_policy_holds_for_events")
 @pytest.mark.row(102)
 async def test_an_event_port_connected_with_defaults_loses_no_event_before_the_machines_queue_is_full(
     caplog: pytest.LogCaptureFixture,

@@ -165,6 +165,9 @@ async def play(clock: SimulatedClock, actions: list[str], faults: Faults, asking
             assert len(kernel.connectors) == 3
 
 
+@pytest.mark.slow(
+    kept_by="supervision/test_whole_restart.py::test_two_that_fail_together_are_connected_as_before_and_not_twice"
+)
 @pytest.mark.fault("A18")
 @settings(max_examples=ORDERS, suppress_health_check=[HealthCheck.too_slow])
 @example(  # `c` was supervised anew in the midst of its restart, and was gone

@@ -114,6 +114,7 @@ CONTEXTS: dict[str, Callable[..., Context]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 @pytest.mark.parametrize(
     ("kind", "how", "where"),
@@ -150,6 +151,7 @@ async def test_a_hook_that_blocks_longer_than_its_deadline_is_an_error_when_it_r
         assert blocker.ran == ran
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 @pytest.mark.parametrize("kind", ["periodic", "event", "external", "shared", "lane", "realtime"])
 async def test_an_async_hook_that_does_not_wait_is_held_to_it_too(kind: str) -> None:
@@ -184,6 +186,7 @@ class Source(Component):
     output = OutPort(TimedLong)
 
 
+@pytest.mark.slow(kept_by="test_a_wait_in_a_thread_that_lasts_already_is_judged_when_it_is_over")
 @pytest.mark.anyio
 async def test_what_the_hook_raised_itself_is_told_and_not_its_deadline() -> None:
     class Raises(Component):
@@ -202,6 +205,7 @@ async def test_what_the_hook_raised_itself_is_told_and_not_its_deadline() -> Non
         assert isinstance(two.last_error, ValueError)
 
 
+@pytest.mark.slow(kept_by="test_a_wait_in_a_thread_takes_the_time_of_a_simulated_clock")
 @pytest.mark.anyio
 async def test_a_supervised_blocker_is_helped() -> None:
     async with Kernel() as kernel:
@@ -216,6 +220,7 @@ async def test_a_supervised_blocker_is_helped() -> None:
             assert kernel.supervised[component.name].attempts == 1
 
 
+@pytest.mark.slow(kept_by="testing/test_faults.py::test_blocking_takes_no_virtual_time")
 @simulated
 async def test_code_that_blocks_takes_no_time_of_a_simulated_clock(simulated_clock: SimulatedClock) -> None:
     async with Kernel() as kernel:
@@ -303,6 +308,7 @@ def release() -> Iterator[threading.Event]:
     event.set()
 
 
+@pytest.mark.slow(kept_by="test_a_wait_in_a_thread_that_lasts_already_is_judged_when_it_is_over")
 @pytest.mark.anyio
 @pytest.mark.parametrize("late", [False, True])
 @pytest.mark.parametrize("kind", ["thread", "realtime"])
@@ -610,6 +616,7 @@ async def test_the_time_for_an_initialization_is_the_kernels() -> None:
         assert time.monotonic() - begun < 30.0
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_an_initialization_that_blocks_is_judged_when_it_returns() -> None:
     async with Kernel(initialize_timeout=LIMIT) as kernel:

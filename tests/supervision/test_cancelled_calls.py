@@ -162,6 +162,7 @@ async def cancelled_after(turns: int, call: Call, clock: SimulatedClock, kind: t
     return under_way
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("G05")
 @pytest.mark.parametrize("name", CALLS)
 def test_cancelled_at_every_turn_it_leaves_nothing_behind(name: str) -> None:

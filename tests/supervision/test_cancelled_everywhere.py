@@ -178,6 +178,7 @@ ELSEWHERE = {
 }
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("G05")
 @pytest.mark.parametrize("name", CALLS)
 def test_cancelled_at_every_turn_it_leaves_nothing_behind(name: str) -> None:
@@ -188,6 +189,7 @@ def test_cancelled_at_every_turn_it_leaves_nothing_behind(name: str) -> None:
     assert at > 0
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("G05")
 @pytest.mark.parametrize("name", sorted(FILES))
 def test_files_are_whole_or_untouched_whenever_it_is_cancelled(name: str, tmp_path: Path) -> None:

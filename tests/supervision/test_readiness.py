@@ -264,6 +264,7 @@ def test_wrong_rules_are_refused(wrong: object) -> None:
 NAMES = [f"n{number}" for number in range(8)]
 
 
+@pytest.mark.slow(kept_by="test_start_follows_conditions_and_stop_goes_the_other_way_round")
 @given(
     edges=st.lists(
         st.tuples(st.sampled_from(NAMES), st.sampled_from(NAMES)).filter(lambda e: e[0] != e[1]), max_size=20

@@ -118,6 +118,7 @@ async def test_a_composite_that_is_supervised_brings_back_those_round_it(simulat
         assert parts.states("one beside before outer") == {"one": A, "beside": A, "before": A, "outer": A}
 
 
+@pytest.mark.slow
 @simulated
 async def test_who_was_deactivated_on_purpose_stays_off(simulated_clock: SimulatedClock) -> None:
     async with Kernel() as kernel:
@@ -214,6 +215,7 @@ async def test_one_that_cannot_be_helped_says_that_its_composite_stays_stopped(
         )
 
 
+@pytest.mark.slow
 @simulated
 async def test_one_that_fails_alone_stops_nobody_and_says_nothing_of_a_composite(
     simulated_clock: SimulatedClock, caplog: pytest.LogCaptureFixture

@@ -65,6 +65,7 @@ POLICIES = st.builds(
 )
 
 
+@pytest.mark.slow(kept_by="test_default_budget_is_five_in_thirty_seconds_with_doubling_delays")
 @given(policy=POLICIES, ups=st.lists(st.floats(0.0, 200.0), max_size=60))
 @budgeted(max_examples=cases(10_000))
 @pytest.mark.campaign

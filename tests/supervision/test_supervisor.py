@@ -59,6 +59,7 @@ def crasher(crashes: int) -> type[Crasher]:
     return type("Crasher", (Crasher,), {"crashes": crashes, "made": 0, "resets": 0})
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("A18")
 @pytest.mark.row(17)
 @pytest.mark.parametrize("action", ["reset", "restart"])
@@ -142,6 +143,7 @@ async def test_restart_keeps_parameters_order_contexts_and_connectors(simulated_
         assert [sample.data for sample in last.inp.drain()] == [8.0]
 
 
+@pytest.mark.slow(kept_by="supervision/test_restart_policy.py::test_never_is_never")
 @simulated
 async def test_in_the_old_world_a_component_in_error_stays_there(simulated_clock: SimulatedClock) -> None:
     kind = crasher(1)
@@ -156,6 +158,7 @@ async def test_in_the_old_world_a_component_in_error_stays_there(simulated_clock
         assert one.state is A
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("fails_in", ["__init__", "on_initialize", "on_activated", "factory name"])
 @simulated
 async def test_a_new_instance_that_cannot_come_up_uses_the_budget_too(
@@ -219,6 +222,7 @@ async def test_closing_removing_and_replacing_the_policy_end_what_is_under_way(
     assert kind.made == 2
 
 
+@pytest.mark.slow
 @simulated
 async def test_a_hook_left_behind_cannot_be_reset_but_restarted(
     simulated_clock: SimulatedClock, caplog: pytest.LogCaptureFixture

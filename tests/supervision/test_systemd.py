@@ -82,6 +82,7 @@ class Part(Component):
             await self.released.wait()
 
 
+@pytest.mark.slow
 @pytest.mark.fault("G12")
 @pytest.mark.row(17)
 @pytest.mark.parametrize("systemd", ["path", "abstract"], indirect=True)
@@ -104,6 +105,7 @@ async def test_ready_comes_after_activation_and_stopping_at_the_end(systemd: Sys
     assert systemd.all() == ["STOPPING=1", "STATUS=robot stops"]
 
 
+@pytest.mark.slow(kept_by="test_no_two_pings_are_further_apart_than_half_the_time")
 @pytest.mark.fault("G12")
 async def test_pings_come_in_half_the_time_and_only_while_contexts_get_on(
     systemd: Systemd, caplog: pytest.LogCaptureFixture
@@ -130,6 +132,7 @@ async def test_pings_come_in_half_the_time_and_only_while_contexts_get_on(
         one.released.set()
 
 
+@pytest.mark.slow(kept_by="observe/test_heartbeats.py::test_each_context_and_component_beats_and_a_stuck_one_says_so")
 @ONE_LOOP
 async def test_a_thread_that_is_stuck_is_a_context_that_does_not_get_on(systemd: Systemd) -> None:
     class Blocks(Component):
@@ -214,6 +217,7 @@ asyncio.run(main())
 """
 
 
+@pytest.mark.slow(kept_by="test_no_two_pings_are_further_apart_than_half_the_time")
 @pytest.mark.fault("G12")
 def test_a_blocked_loop_sends_nothing_and_systemd_would_start_it_again(systemd: Systemd, tmp_path: Path) -> None:
     script = tmp_path / "blocks.py"

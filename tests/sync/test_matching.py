@@ -72,6 +72,7 @@ def test_each_policy_matches_what_it_says(
     assert MODELS[policy](streams, within) == matches
 
 
+@pytest.mark.slow(kept_by="test_each_policy_matches_what_it_says")
 @settings(max_examples=cases(10_000), deadline=None)
 @given(STREAMS, st.integers(0, 12), st.integers(0, 1 << 30))
 def test_no_match_of_nearest_ones_is_given_out_before_it_is_known(
@@ -116,6 +117,7 @@ def test_every_sample_is_counted_by_what_became_of_it() -> None:
     assert fed(matching, [(0, 10), (1, 10)]) == [(10, 10)], "after that the stamps may begin anew"
 
 
+@pytest.mark.slow(kept_by="test_each_policy_matches_what_it_says")
 @settings(max_examples=cases(10_000), deadline=None)
 @given(st.sampled_from(sorted(POLICIES)), STREAMS, st.integers(0, 12), st.booleans(), st.integers(0, 1 << 30))
 def test_any_streams_match_as_in_the_model_in_whatever_order_they_come(
@@ -137,6 +139,7 @@ def test_any_streams_match_as_in_the_model_in_whatever_order_they_come(
         assert counts.dropped.get("late", 0) == len(stream) - len(rising(stream))
 
 
+@pytest.mark.slow(kept_by="test_every_sample_is_counted_by_what_became_of_it")
 @settings(max_examples=cases(10_000), deadline=None)
 @given(st.sampled_from(sorted(POLICIES)), STREAMS, st.integers(1, 4), st.integers(0, 12), st.integers(0, 1 << 30))
 def test_with_little_room_every_sample_is_still_counted_and_no_match_is_wrong(

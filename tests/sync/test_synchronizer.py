@@ -177,6 +177,7 @@ def test_a_hook_in_a_thread_matches_too() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.slow(kept_by="test_a_match_is_one_sample_of_each_port_in_their_order")
 @pytest.mark.parametrize("policy", ["exact", "nearest", "latest"])
 def test_the_same_samples_give_the_same_matches_in_any_context_and_order(policy: str) -> None:
     """The writers take turns as it comes, and what is ready at one instant runs in another order for each seed."""

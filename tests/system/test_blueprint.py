@@ -230,6 +230,7 @@ async def test_a_source_in_error_has_ended_too(make: Callable[..., SystemFile]) 
         assert kernel.components["source"].state is LifecycleState.ERROR
 
 
+@pytest.mark.slow(kept_by="system/test_ending.py::test_what_was_sent_to_a_reader_that_was_stopped_is_not_waited_for")
 async def test_samples_that_nobody_wants_are_named_and_not_waited_for(make: Callable[..., SystemFile]) -> None:
     async with Kernel() as kernel:
         await build(kernel, make(CHAIN.replace("parts.py:Sink", "parts.py:Deaf")))

@@ -128,6 +128,7 @@ def test_the_broken_roomba_says_what_is_wrong_where(tmp_path: Path) -> None:
     assert "did you mean 'turn_rate'" in errors[4].remedy
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.row(78)
 @pytest.mark.fault("F03")
 def test_eighteen_of_twenty_typing_mistakes_get_the_right_hint(write: Write) -> None:
@@ -456,6 +457,7 @@ members = ["one", "two"]
 """
 
 
+@pytest.mark.slow
 @pytest.mark.row(38)
 def test_a_rendezvous_within_one_context_or_composite_is_an_error(write: Write) -> None:
     meets = BESIDE.replace('full = "block"', "length = 0")

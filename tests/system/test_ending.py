@@ -224,6 +224,7 @@ async def test_a_source_that_waits_to_be_helped_has_not_finished(action: str) ->
         assert source.state is LifecycleState.INACTIVE
 
 
+@pytest.mark.slow(kept_by="test_a_source_that_has_finished_stays_so_wherever_it_goes")
 @pytest.mark.anyio
 async def test_a_source_in_a_thread_is_asked_for_in_the_same_way() -> None:
     class Polled(Component):
@@ -379,6 +380,7 @@ async def test_a_source_that_has_finished_stays_so_wherever_it_goes() -> None:
         await asyncio.wait_for(ending, 5.0)
 
 
+@pytest.mark.slow
 @simulated
 async def test_a_source_that_is_switched_on_again_while_the_rest_is_taken_is_waited_for() -> None:
     class Slow(Sink):

@@ -41,6 +41,7 @@ def doubling(count: int, form: str) -> str:
     )
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("F01")
 @pytest.mark.parametrize(
     ("text", "message"),
@@ -78,6 +79,7 @@ def test_what_grows_without_end_is_refused_at_once(write: Callable[..., Path], t
     assert message in refused_at_once(write(text))
 
 
+@pytest.mark.slow(kept_by="system/test_include.py::test_what_is_wrong_is_said_where_it_stands")
 @pytest.mark.fault("F01")
 def test_files_that_include_each_other_many_times_are_refused_at_once(put: Callable[..., Path]) -> None:
     def many(name: str) -> str:
@@ -98,6 +100,7 @@ def test_a_part_that_is_left_out_does_not_include_without_end(put: Callable[...,
     assert load(path).components == {}
 
 
+@pytest.mark.slow(kept_by="system/test_repeat.py::test_what_is_repeated_is_as_if_each_were_written_out")
 def test_as_much_as_is_allowed_is_expanded(write: Callable[..., Path]) -> None:
     text = """\
 schema = 1
@@ -195,6 +198,7 @@ def as_text(document: dict[str, object]) -> str:
     return "".join(f"{key} = {toml(value)}\n" for key, value in document.items())
 
 
+@pytest.mark.slow(kept_by="system/test_repeat.py::test_a_part_that_is_wrong_says_so")
 @pytest.mark.fault("F01")
 @pytest.mark.timeout(time_limit(900))
 @settings(max_examples=cases(10_000), deadline=None)

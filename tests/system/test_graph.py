@@ -104,6 +104,7 @@ def test_an_empty_system_is_a_drawing_too() -> None:
         assert graph(parse("schema = 1\n", Path("s.toml")), form)
 
 
+@pytest.mark.slow(kept_by="test_the_roomba_flows_from_left_to_right")
 def test_a_long_chain_with_a_way_back_is_laid_out_without_end_of_recursion() -> None:
     names = [f"c{n}" for n in range(1500)]
     text = "schema = 1\n" + "".join(f'[components.{name}]\ntype = "x.py:X"\n' for name in names)
@@ -175,6 +176,7 @@ def records_are_balanced(label: str) -> bool:
     return depth == 0
 
 
+@pytest.mark.slow(kept_by="test_svg_is_well_formed_within_its_frame_and_no_box_covers_another")
 @given(systems())
 @settings(max_examples=cases(5_000))
 @pytest.mark.timeout(time_limit(600))

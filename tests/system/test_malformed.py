@@ -158,6 +158,7 @@ STRANGE = st.recursive(
 )
 
 
+@pytest.mark.slow(kept_by="test_a_table_of_another_form_is_named_with_its_place")
 @pytest.mark.parametrize("value", [5, "", [], {}, [[]], [{}], True, [["x", []]], {"x": [{}]}], ids=str)
 def test_check_raises_of_no_value_anywhere(write: Write, value: Any) -> None:
     path = write(TABLES)
@@ -165,6 +166,7 @@ def test_check_raises_of_no_value_anywhere(write: Write, value: Any) -> None:
         said_of(replaced(way, value), path)
 
 
+@pytest.mark.slow(kept_by="test_a_table_of_another_form_is_named_with_its_place")
 @given(way=st.sampled_from(list(keys(GOOD))), value=STRANGE)
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_check_raises_of_nothing_and_what_it_accepts_is_built(write: Write, way: Any, value: Any) -> None:

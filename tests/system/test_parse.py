@@ -183,6 +183,7 @@ def test_only_a_time_out_may_be_for_ever() -> None:
     assert parse(GOOD.replace("= 4", "= inf"), HERE).connections[0].options["dataport.buffer.length"] == float("inf")
 
 
+@pytest.mark.slow(kept_by="test_every_mistake_is_named_with_what_was_meant")
 @pytest.mark.fault("F01")
 @given(st.data())
 @settings(max_examples=cases(10_000))

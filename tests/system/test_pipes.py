@@ -98,12 +98,14 @@ def through(data: bytes, cuts: list[int] | None = None, loop: str = "asyncio") -
     return filter_
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
 def test_every_line_goes_through_in_order(loop: str) -> None:
     data = b"".join(b'{"data": %d}\n' % number for number in range(5000))
     assert through(data, loop=loop).numbers == [2 * number for number in range(5000)]
 
 
+@pytest.mark.slow(kept_by="test_every_line_goes_through_in_order")
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.integers(0, 60), max_size=8), st.sampled_from([b"\n", b"\r\n"]), st.booleans())
 def test_where_the_bytes_are_cut_does_not_matter(cuts: list[int], end: bytes, ended: bool) -> None:
@@ -143,6 +145,7 @@ def test_input_of_every_kind_comes_to_its_end(what: str, tmp_path: Path) -> None
         os.close(descriptor)
 
 
+@pytest.mark.slow(kept_by="test_input_of_every_kind_comes_to_its_end")
 def test_a_directory_is_an_error_of_the_component(tmp_path: Path) -> None:
     async def main() -> None:
         found = Filter()
@@ -174,6 +177,7 @@ class Stuck(Double):
         await asyncio.Event().wait()
 
 
+@pytest.mark.slow(kept_by="test_after_count_samples_no_more_are_written_and_somebody_is_told")
 def test_a_reader_that_takes_nothing_holds_back_who_writes_to_us() -> None:
     """Otherwise a fast writer would fill our memory."""
 

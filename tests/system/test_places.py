@@ -136,6 +136,7 @@ def documents(draw: st.DrawFn) -> str:
     return "\n".join(lines)
 
 
+@pytest.mark.slow(kept_by="test_every_value_of_the_examples_is_found")
 @given(documents())
 @settings(max_examples=cases(10_000))
 @pytest.mark.timeout(time_limit(600))

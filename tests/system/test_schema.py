@@ -33,6 +33,7 @@ def faults(text: str) -> list[str]:
     return [error.message for error in VALIDATOR.iter_errors(tomllib.loads(text))]
 
 
+@pytest.mark.slow(kept_by="test_the_system_file_of_every_example_validates")
 def test_it_is_a_schema() -> None:
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     json.dumps(SCHEMA, allow_nan=False)
@@ -169,6 +170,7 @@ def test_templates_that_are_wrong_do_not_validate(old: str, new: str) -> None:
     assert faults(TEMPLATES.replace(old, new, 1)) != []
 
 
+@pytest.mark.slow
 def test_it_has_every_option_of_a_connection_and_no_other() -> None:
     assert set(OPTIONS) == set(options.OWN_KEYS)
     for key, one in OPTIONS.items():
@@ -297,6 +299,7 @@ def systems(draw: st.DrawFn) -> str:
     return text
 
 
+@pytest.mark.slow(kept_by="test_the_system_file_of_every_example_validates")
 @pytest.mark.row(78)
 @given(systems())
 @settings(max_examples=cases(20_000))

@@ -59,6 +59,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow(kept_by="services/test_service_wiring.py::test_a_system_file_connects_service_ports")
 def test_a_call_goes_through_a_connection_of_the_file(file: Path) -> None:
     command = [sys.executable, "-m", "aiorts", "run", str(file), "--simulate", "--for", "1"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=50, check=False)

@@ -133,6 +133,7 @@ def test_a_table_that_says_nothing_is_refused(write: Write) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_member_that_is_restarted_stays_in_its_composite_with_its_set(write: Write) -> None:
     frail = 'type = "frail.py:Frail"\nsupervision.restart = "restart"\nactive = "stiff"\nsets.stiff.gain = 3.0\n'
     path = write(changed('[components.two]\ntype = "parts.py:Middle"\n', f"[components.two]\n{frail}"))

@@ -169,6 +169,7 @@ def test_dots_and_brackets_in_comments_and_texts_are_neither_keys_nor_nesting(li
     )
 
 
+@pytest.mark.slow(kept_by="test_as_many_texts_as_five_minutes_allow_are_read_or_refused_by_name")
 @given(st.text("ab.[]{}\"'#\\\n =1", max_size=60))
 @settings(max_examples=cases(20_000))
 def test_what_a_toml_reader_takes_with_little_in_it_is_taken(text: str) -> None:
@@ -216,6 +217,7 @@ def test_what_is_no_file_is_refused_at_once(tmp_path: Path, make: Callable[[Path
     assert (finding.line, finding.severity) == (0, "error")
 
 
+@pytest.mark.slow(kept_by="test_what_is_no_toml_has_line_column_and_reason")
 def test_many_mistakes_take_no_longer_than_a_few() -> None:
     text = "schema = 1\n" + "".join(f"k{n} = {n}\n" for n in range(40_000))
     begun = time.thread_time()
@@ -233,6 +235,7 @@ def mutated(text: str, chance: random.Random) -> str:
     return text
 
 
+@pytest.mark.slow(kept_by="test_what_is_no_toml_has_line_column_and_reason")
 @pytest.mark.fault("F01")
 @given(st.randoms(use_true_random=False))
 @settings(max_examples=cases(20_000))

@@ -124,6 +124,7 @@ def test_coverage_counts_every_machine_and_names_what_is_missing() -> None:
     everything.check()
 
 
+@pytest.mark.slow(kept_by="test_all_transitions_of_the_door_have_a_path_of_the_fewest_moves")
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(charts())
 def test_every_path_that_is_found_leads_there(states: tuple[Any, ...]) -> None:

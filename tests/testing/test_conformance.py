@@ -142,6 +142,7 @@ def test_wrong_service_is_refused_by_the_check_of_that_promise(what: str) -> Non
     assert caught.value.check == name
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("name", CODEC_CHECKS)
 def test_codec_of_aiorts_keeps_every_promise(name: str) -> None:
     check_codec(MsgpackCodec(), only=[name])
@@ -151,6 +152,7 @@ def test_codec_with_the_limits_of_control_frames_keeps_to_them() -> None:
     check_codec(MsgpackCodec(CONTROL), only=["keeps_to_its_limits"])
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("what", WRONG_CODECS)
 def test_wrong_codec_is_refused_by_the_check_of_that_promise(what: str) -> None:
     cls, name = WRONG_CODECS[what]
@@ -162,12 +164,14 @@ def test_wrong_codec_is_refused_by_the_check_of_that_promise(what: str) -> None:
         check_codec(codec)
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("name", COMPONENT_CHECKS)
 @pytest.mark.parametrize("make", [Smoother, functools.partial(faults.Flooding, 50)])
 def test_good_component_keeps_every_promise(make: Callable[[], Component], name: str) -> None:
     check_component(make, {"raw": [1.0, -2.0, 0.5]}, deterministic=True, only=[name])
 
 
+@pytest.mark.slow(kept_by="functions/test_function_use.py::test_it_conforms_in_a_thread")
 def test_component_for_a_thread_is_checked_in_one() -> None:
     check_component(
         lambda: faults.Blocking("on_execute", 0.11, times=1),
@@ -176,6 +180,7 @@ def test_component_for_a_thread_is_checked_in_one() -> None:
     )
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.parametrize("what", wrong_components.WRONG)
 def test_wrong_component_is_refused_by_the_check_of_that_promise(what: str) -> None:
     make, name = wrong_components.WRONG[what]
@@ -184,6 +189,7 @@ def test_wrong_component_is_refused_by_the_check_of_that_promise(what: str) -> N
     assert caught.value.check == name
 
 
+@pytest.mark.slow
 def test_a_component_that_blocks_is_refused_at_the_first_cycle_that_takes_too_long() -> None:
     executed: list[int] = []
 

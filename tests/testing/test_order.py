@@ -43,6 +43,7 @@ def test_without_a_seed_first_come_first_served() -> None:
     assert simulate(race()) == [*range(5)] * 3
 
 
+@pytest.mark.slow(kept_by="test_callbacks_keep_their_order_and_no_task_passes_one")
 def test_a_seed_gives_an_order_of_its_own_each_time() -> None:
     orders = {seed: simulate(race(), seed=seed) for seed in range(200)}
     assert {seed: simulate(race(), seed=seed) for seed in range(200)} == orders

@@ -76,6 +76,7 @@ def _run_suite(folder: Path) -> str:
     return done.stdout + done.stderr
 
 
+@pytest.mark.slow(kept_by="test_simulated_test_runs_in_virtual_time")
 def test_fixtures_of_the_plugin_work_in_a_suite_of_a_user(tmp_path: Path) -> None:
     report = _run_suite(tmp_path)
     assert "5 passed, 1 error" in report, report
@@ -88,6 +89,7 @@ def test_plugin_is_declared_as_entry_point() -> None:
     assert declared == {"aiorts": pytest_plugin.__name__}
 
 
+@pytest.mark.slow
 def test_plugin_loads_nothing_of_the_test_kit() -> None:
     code = (
         "import sys, aiorts; before = set(sys.modules); import aiorts.testing.pytest_plugin;"

@@ -207,6 +207,7 @@ async def test_advance_runs_every_tick_that_is_due() -> None:
         assert rig.clock.monotonic_ns() == 510_000_000
 
 
+@pytest.mark.slow(kept_by="first")
 async def test_ticks_of_a_rate_do_not_drift() -> None:
     async with Rig(Plant(), rate=3.0) as rig:
         await rig.tick(300)
@@ -465,6 +466,7 @@ async def _play() -> list[tuple[float, float]]:
         return list(zip(rig.times("position"), rig.values("position"), strict=True))
 
 
+@pytest.mark.slow(kept_by="test_one_test_serves_every_kind_of_context")
 def test_every_loop_plays_the_same() -> None:
     """The standard loop and the fastest there is, both moved by hand, and the simulated loop."""
     played = [run(_play(), loop="asyncio"), run(_play(), loop="auto"), simulate(_play())]

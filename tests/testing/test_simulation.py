@@ -78,6 +78,7 @@ def test_a_main_of_another_form_is_told_what_to_write(main: Any, said: str) -> N
         simulate(main)
 
 
+@pytest.mark.slow(kept_by="test_asyncio_and_anyio_deadlines_are_exact")
 @pytest.mark.campaign
 def test_sleeps_add_up_exactly() -> None:
     """10^6 times a tenth of a second: no drift and no spinning turn."""
@@ -93,6 +94,7 @@ def test_sleeps_add_up_exactly() -> None:
     assert simulate(main) == (count * S // 10, count * S // 10 / 1e9)
 
 
+@pytest.mark.slow(kept_by="contexts/test_ten_hours.py::test_ticks_counted_one_by_one_neither_drift_nor_get_lost")
 def test_hour_at_100_hz_takes_seconds() -> None:
     async def main(clock: SimulatedClock) -> int:
         ticks = 0
@@ -267,6 +269,7 @@ def _work() -> str:
     return "done"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "work", [_executor, _own_executor, _asyncio_thread, _anyio_thread, _anyio_thread_of_a_limiter, _own_thread]
 )
@@ -310,6 +313,7 @@ def test_loopback_sockets_work_and_stop_time_while_data_is_on_its_way() -> None:
     assert simulate(main) == b"hello\n"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes are no readers there")
 def test_registered_reader_stops_time_until_it_is_removed(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
@@ -338,6 +342,7 @@ def test_registered_reader_stops_time_until_it_is_removed(
     assert f"waiting for descriptors [{read}]" in caplog.text
 
 
+@pytest.mark.slow
 def test_time_stands_still_while_a_child_process_runs() -> None:
     async def main(clock: SimulatedClock) -> int:
         code = "import time; time.sleep(0.1)"
@@ -515,6 +520,7 @@ print(len(log), log)
 """
 
 
+@pytest.mark.slow(kept_by="determinism/test_determinism.py::test_two_processes_on_two_loops_each_give_the_same_bytes")
 def test_order_is_the_same_on_every_loop_and_with_every_hash_seed() -> None:
     loops = ["simulated", "asyncio"]
     with contextlib.suppress(ImportError):

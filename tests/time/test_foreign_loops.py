@@ -132,6 +132,7 @@ async def tick_for(seconds: float, rate: float, **options: Any) -> tuple[Ticker,
         return ticker, context
 
 
+@pytest.mark.slow(kept_by="test_a_loop_that_is_not_asyncios_at_all_serves_with_its_own_timers")
 @pytest.mark.parametrize("start", [0.0, 1e3, 1.7e9], ids=str)
 def test_on_a_simulators_loop_time_is_the_simulators(start: float) -> None:
     loop = Simulator(start)

@@ -30,6 +30,7 @@ OPERATIONS = st.lists(
 )
 
 
+@pytest.mark.slow(kept_by="test_advance_fires_in_order_of_deadline_then_creation_at_exact_times")
 @pytest.mark.campaign
 @settings(max_examples=cases(10_000), deadline=None)
 @given(OPERATIONS)

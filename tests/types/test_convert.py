@@ -136,6 +136,7 @@ SOURCES = st.one_of(
 )
 
 
+@pytest.mark.slow(kept_by="test_value_out_of_range_is_an_error_unless_a_policy_is_asked_for")
 @pytest.mark.row(65)
 @pytest.mark.fault("B05")
 @pytest.mark.campaign
@@ -171,6 +172,7 @@ def _rounded(number: Fraction, rounding: str) -> int:
     return {"round": round, "truncate": math.trunc, "floor": math.floor}[rounding](number)
 
 
+@pytest.mark.slow(kept_by="test_conversion_gives_what_the_text_or_number_says")
 @pytest.mark.fault("B05")
 @pytest.mark.campaign
 @settings(max_examples=cases(50_000))
@@ -201,6 +203,7 @@ def test_arrays_convert_exactly_as_their_items_do(
     assert repr(result.tolist()) == repr(one_by_one)
 
 
+@pytest.mark.slow(kept_by="test_value_out_of_range_is_an_error_unless_a_policy_is_asked_for")
 @settings(max_examples=cases(20_000))
 @given(st.integers(-(2**70), 2**70), st.sampled_from(INTEGERS))
 def test_wrap_is_modulo_and_saturate_is_the_nearest_limit(value: int, to: str) -> None:

@@ -146,6 +146,7 @@ def test_what_travels_is_as_documented() -> None:
     assert "'c': 1" in repr(FULL)
 
 
+@pytest.mark.slow
 def test_a_hundred_invented_ones_come_back() -> None:
     dice = random.Random(7)
     for _ in range(100):

@@ -125,6 +125,7 @@ def test_numbers_of_other_libraries_are_taken_when_nothing_changes() -> None:
     assert TimedChar(0, "é").data == "é"
 
 
+@pytest.mark.slow(kept_by="test_negative_zero_and_infinities_are_kept")
 @pytest.mark.fault("B04")
 @given(st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True))
 def test_float_fields_keep_every_value_bit_for_bit(value: float) -> None:
@@ -132,6 +133,7 @@ def test_float_fields_keep_every_value_bit_for_bit(value: float) -> None:
     assert TimedDoubleSeq(0, [value]).data.tobytes() == struct.pack("<d", value)
 
 
+@pytest.mark.slow(kept_by="test_numbers_of_other_libraries_are_taken_when_nothing_changes")
 @given(st.floats(width=32, allow_nan=False))
 def test_float32_field_holds_the_nearest_float32(value: float) -> None:
     assert TimedFloat(0, value).data == value
@@ -212,6 +214,7 @@ NUMBERS = {
 }
 
 
+@pytest.mark.slow(kept_by="test_array_of_wrong_shape_dtype_or_content_is_refused")
 @pytest.mark.fault("B03")
 @settings(max_examples=cases(1_000) * 5)
 @given(st.data(), st.sampled_from(["b1", "f8", "f4", "i4", "u1"]), st.sampled_from("<>"), st.integers(1, 3))

@@ -314,12 +314,14 @@ def test_sequence_items_are_checked_and_named() -> None:
         TimedStringSeq(0, "ab")
 
 
+@pytest.mark.slow(kept_by="cli/test_run.py::test_help_and_version_are_fast_and_load_no_system")
 def test_importing_types_and_wire_loads_neither_numpy_nor_uvloop() -> None:
     code = "import sys, aiorts.types, aiorts.wire; print('numpy' in sys.modules, 'uvloop' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=100)
     assert done.stdout.split() == ["False", "False"], done.stdout
 
 
+@pytest.mark.slow
 def test_creating_a_checked_record_costs_at_most_four_plain_ones() -> None:
     class Plain:
         __slots__ = ("data", "tm")

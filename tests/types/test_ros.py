@@ -74,6 +74,7 @@ def test_a_name_of_ros_that_nobody_has_is_told_with_near_ones() -> None:
         find_type("my_msgs/msg/Thing")
 
 
+@pytest.mark.slow(kept_by="test_each_is_found_by_the_name_of_ros_alone")
 def test_they_are_loaded_when_one_is_asked_for() -> None:
     code = (
         "import sys, aiorts.types as t\nfrom aiorts import Kernel\n"
@@ -84,6 +85,7 @@ def test_they_are_loaded_when_one_is_asked_for() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
+@pytest.mark.slow(kept_by="test_each_comes_back_from_bytes_and_from_plain_data")
 def test_a_frame_that_names_one_is_decoded_where_none_was_loaded() -> None:
     frame = MsgpackCodec().encode(ros.TwistStamped(twist=ros.Twist(ros.Vector3(1.0, 2.0, 3.0))))
     code = f"from aiorts.wire import MsgpackCodec\nprint(MsgpackCodec().decode({frame!r}).twist.linear.y)"
@@ -158,6 +160,7 @@ def spelled(desc: Any) -> str:
     return str(what) if kind == 2 else f"{spelled(what[0])}[{what[1] or ''}]"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distribution", ["HUMBLE", "JAZZY", "KILTED"])
 def test_names_and_types_of_all_fields_are_those_of_ros(distribution: str) -> None:
     typesys = pytest.importorskip("rosbags.typesys")

@@ -117,6 +117,7 @@ def bits(value: Any) -> Any:
     return type(value), value
 
 
+@pytest.mark.slow(kept_by="test_record_of_zeros_comes_back")
 @pytest.mark.fault("B04")
 @pytest.mark.campaign
 @settings(max_examples=cases(25_000))
@@ -151,6 +152,7 @@ def test_nan_payloads_and_special_floats_keep_their_bits(pattern: int) -> None:
     assert math.isnan(CODEC.decode(CODEC.encode(TimedFloat(0, math.nan))).data)
 
 
+@pytest.mark.slow(kept_by="test_record_of_zeros_comes_back")
 @pytest.mark.row(63)
 @given(st.sampled_from(ELEMENTS), st.sampled_from("<>"), st.data())
 def test_nd_array_of_any_type_order_and_stride_comes_back(code: str, order: str, data: st.DataObject) -> None:

@@ -36,6 +36,7 @@ NUMBER = LineReader({"input0": TimedDouble})
 BOTH = LineReader({"input0": TimedDouble, "input1": TimedLong})
 
 
+@pytest.mark.slow(kept_by="first")
 @each(record_types())
 def test_every_record_comes_back_from_its_line(cls: type) -> None:
     reader = LineReader({"other": cls})
@@ -201,6 +202,7 @@ JSON = st.recursive(
 )
 
 
+@pytest.mark.slow(kept_by="test_a_bad_line_says_what_is_wrong")
 @pytest.mark.parametrize("cls", [TimedDouble, TimedBoolean, TimedString, TimedDoubleSeq, RangeData, float])
 @given(st.one_of(st.text(max_size=30), JSON.map(json.dumps)))
 @example('{"data": {"data": {"data": 1}}}')

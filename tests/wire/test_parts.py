@@ -210,6 +210,7 @@ def test_limits_hold_on_both_sides() -> None:
             tight.decode_parts(head, parts, type(sample))
 
 
+@pytest.mark.slow
 @settings(max_examples=cases(5_000))
 @given(
     st.sampled_from([Cloud, Reading, TimedMap, PointCloud, TimedVelocity2D]),

@@ -71,6 +71,7 @@ def _refused_in(codec: MsgpackCodec, data: bytes) -> float:
     return time.thread_time() - started
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.fault("E13")
 @pytest.mark.parametrize("wrapped", [True, False], ids=["as fields", "as frame"])
 @pytest.mark.parametrize("bomb", BOMBS)
@@ -88,6 +89,7 @@ def test_bomb_is_refused_within_10_ms_and_20_mib(bomb: str, wrapped: bool) -> No
         assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - resident) * 1024 < 20 * MIB
 
 
+@pytest.mark.slow
 @pytest.mark.fault("E13")
 def test_values_of_a_frame_are_counted_and_an_array_is_one() -> None:
     assert count_values(msgpack.packb([1, "a", {"b": [None, 1.5]}]), DATA) == 8
@@ -155,6 +157,7 @@ def test_limits_are_those_promised() -> None:
         Limits(values=0)
 
 
+@pytest.mark.slow(kept_by="test_sender_and_receiver_keep_the_same_limits")
 @given(
     st.recursive(
         st.none() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text() | st.binary(max_size=300),
@@ -206,6 +209,7 @@ def test_array_head_that_is_true_is_accepted() -> None:
         CODEC.decode(msgpack.packb([1, "TimedNDArray", {"tm": 0, "data": b"\x0c"}]))
 
 
+@pytest.mark.slow(kept_by="test_array_head_that_lies_is_refused_before_anything_is_allocated")
 @pytest.mark.fault("E14")
 @pytest.mark.campaign
 def test_damaged_frame_gives_a_record_or_a_wire_error_and_nothing_else() -> None:

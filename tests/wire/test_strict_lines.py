@@ -44,6 +44,7 @@ def forbidden(name: str) -> None:
     raise AssertionError(f"{name} is not JSON")
 
 
+@pytest.mark.slow
 @each(RECORDS)
 def test_another_parser_reads_what_we_write_and_writes_what_we_read(cls: type) -> None:
     reader, writer = LineReader({"inp": cls}), LineWriter("out", cls)
@@ -63,6 +64,7 @@ def test_another_parser_reads_what_we_write_and_writes_what_we_read(cls: type) -
             assert line_of("out", read) == line
 
 
+@pytest.mark.slow(kept_by="test_a_line_of_brackets_is_refused_at_any_depth")
 @given(st.floats(), st.integers(0, 2**32 * 10**9 - 1))
 @settings(max_examples=cases(10_000))
 def test_every_float_survives_to_the_bit(value: float, tm: int) -> None:
@@ -92,6 +94,7 @@ def test_integers_of_64_bits_are_written_in_full(cls: type, value: int) -> None:
     assert LineReader({"inp": cls}).sample(line, 0)[1] == cls(7, value)
 
 
+@pytest.mark.slow(kept_by="test_enumerations_are_names_and_a_record_without_data_is_an_object_of_its_other_fields")
 @given(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=40))
 @settings(max_examples=cases(10_000))
 def test_every_text_survives_and_prints(text: str) -> None:

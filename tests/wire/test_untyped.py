@@ -97,6 +97,7 @@ def untyped(sample: Any) -> Any:
     return untyped_decoder(layout_text(type(sample)))(head, parts)
 
 
+@pytest.mark.slow
 @each(TYPES)
 def test_every_type_is_decoded_without_its_class(cls: type) -> None:
     dice = random.Random(cls.__name__)
@@ -179,6 +180,7 @@ _ANY = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=cases(10_000), deadline=None)
 @given(
     st.sampled_from(["packed", "positions"]), _ANY, st.binary(max_size=64), st.lists(st.binary(max_size=9), max_size=2)

@@ -32,12 +32,12 @@ def _topics(ctx: click.Context, param: click.Parameter, incomplete: str) -> list
         return items(CODES, incomplete)
     group = ctx.find_root().command
     names = group.list_commands(ctx) if isinstance(group, click.Group) else []
-    return items((*names, "errors", *SECTIONS, *(page.name for page in pages())), incomplete)
+    return items((*names, "commands", "errors", *SECTIONS, *(page.name for page in pages())), incomplete)
 
 
 @click.command("help", short_help="Help for a command, an error code or a topic; the guide.")
 @click.argument(
-    "topic", nargs=-1, metavar="[COMMAND | errors [E-CODE] | TOPIC [HEADING] | NAME]", shell_complete=_topics
+    "topic", nargs=-1, metavar="[COMMAND | commands | errors [E-CODE] | TOPIC [HEADING] | NAME]", shell_complete=_topics
 )
 @click.option("--list", "listed", is_flag=True, help="List the pages of the guide.")
 @click.option("--search", metavar="WORDS", help="Find the pages that answer a question.")
@@ -63,11 +63,12 @@ def help_(
     serve: bool,
     port: int,
 ) -> int:
-    """Show the help of COMMAND, the meaning of an error code, the page TOPIC of the guide or a part of it, or what a
-    public NAME of aiorts is.
+    """Show the help of COMMAND or the list of all commands, the meaning of an error code, the page TOPIC of the guide
+    or a part of it, or what a public NAME of aiorts is.
 
     \b
     aiorts help run
+    aiorts help commands
     aiorts help errors E-LINE
     aiorts help tutorial
     aiorts help policies
@@ -92,6 +93,8 @@ def help_(
         say("\n\n".join(_explained(code) for code in codes) if codes else _all_codes())
         return exits.DONE
     command: click.Command = root.command
+    if topic == ("commands",):
+        return _all_commands(root)
     if topic and isinstance(command, click.Group) and topic[0] not in command.list_commands(ctx):
         return _show(ctx, topic[0], " ".join(topic[1:]))
     context = root
@@ -104,6 +107,14 @@ def help_(
         context = click.Context(found, parent=context, info_name=found_name)
         command = found
     say(command.get_help(context))
+    return exits.DONE
+
+
+def _all_commands(root: click.Context) -> int:
+    group: Any = root.command
+    formatter = root.make_formatter()
+    group.format_all(formatter)
+    say(formatter.getvalue().strip("\n"))
     return exits.DONE
 
 
@@ -129,7 +140,7 @@ def _show(ctx: click.Context, name: str, heading: str) -> int:
         root = ctx.find_root().command
         commands = root.list_commands(ctx) if isinstance(root, click.Group) else []
         names = dict.fromkeys([*commands, *(one.name for one in pages()), *headings(named[0].text)], "")
-        otherwise = "aiorts --help lists commands, aiorts help --list topics"
+        otherwise = "aiorts help commands lists commands, aiorts help --list topics"
     if not shown:
         wanted = heading if found else name
         known = {one.lower(): one for full in reversed(names) for one in (full, full.rpartition(".")[2])}

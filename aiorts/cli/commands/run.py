@@ -87,35 +87,8 @@ def run(
 ) -> int:
     """Run a system file, or one component alone.
 
-    A component is FILE.py:Class, package.module:Class, or the name of an installed one. Alone, a component runs when
-    data arrives, or in the context that its class names (`alone`); without in-ports, or with --rate, it runs
-    periodically. --set takes PARAM=VALUE, or active=NAME for one of its configuration sets.
-
-    Its in-ports read JSON lines from standard input where that is a pipe or a file, as `aiorts NAME` does. The run ends
-    at the end of the input, with status 1 after a bad line. A terminal, /dev/null (systemd) and a socket are not read;
-    with --simulate, and for a system file, nothing is. A pipe without a writer is waited for. A pipe that ends without
-    a line (cron) ends a component that runs when data arrives, but not one with a rate.
-
-    A component that reads lines, or has no in-ports, prints its samples as JSON lines on standard output, unless
-    --quiet. A slow reader of that output slows it down. --count ends the run after so many samples printed, or read
-    where nothing is printed.
-
-    The run ends when every source has finished, was removed, has stopped with its contexts, or is in error without
-    recovery, and no sample is on its way. It also ends when a component requests it, after --for, and on Ctrl-C; a
-    second Ctrl-C ends it at once.
-
-    With --watch a changed file of the system, one that it includes too, is checked, and the difference applied; the
-    code of components is replaced. A file with errors changes nothing, and a change that makes the system do worse is
-    taken back. `aiorts apply --help` says more.
-
-    Exit status: that of the component's request; 1 when a component could not be created, or when a coroutine was never
-    awaited, unless --lenient; 2 when the file or the command line is wrong; 3 when a component ended in error without
-    recovery, unless --lenient; 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP. `aiorts help` lists all. Failures
-    while the run stops count too, also with --lenient: 3 when a component ended in error or its task failed, else 1.
-
-    SIGUSR1 prints state and stacks. The log names code that blocks the event loop for 0.2 s; [watch_loop] in the file
-    can end the run for it. An on_initialize may take 30 s. Where NOTIFY_SOCKET is set, systemd gets readiness, status
-    and keep-alive messages. With --log-file, standard error gets only warnings and errors.
+    A component is FILE.py:Class, package.module:Class, or the name of an installed one. `aiorts help run-system` says
+    what is read and printed, when it ends, and with which status.
     """
     if window is not None and not watch:
         raise click.UsageError("--window is for --watch")

@@ -1,0 +1,67 @@
+"""How much of aiorts stays the same: three tiers, and which commands and pages of the guide belong to the latter two.
+
+What neither names is stable. The page `stability` of the guide says what a tier promises, and lists the stable names.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+
+class Tier(NamedTuple):
+    """A tier that promises less than stable."""
+
+    name: str
+    promise: str
+    """What may happen to its names, in half a sentence."""
+    things: tuple[str, ...]
+    commands: frozenset[str]
+    pages: frozenset[str]
+
+    @property
+    def line(self) -> str:
+        """The line that a command's help has."""
+        return f"{self.name}: {self.promise} (`aiorts help stability`)."
+
+    @property
+    def note(self) -> str:
+        """The line below the title of a page, in Markdown."""
+        return f"*{self.name}: {self.promise} ([what stays the same](../explanation/stability.md)).*"
+
+
+PROVISIONAL: Final = Tier(
+    "Provisional",
+    "may change with a minor version",
+    ("control", "links", "isolation", "plan and apply", "services", "state machines"),
+    frozenset(
+        (
+            *("ls", "cat", "find", "top", "hz", "bw", "delay", "print", "inject", "vlog", "watch", "conf", "connect"),
+            *("disconnect", "activate", "deactivate", "reset", "comp", "ctx", "call", "goal", "fsm", "save", "batch"),
+            *("exit", "stop", "act", "con", "deact", "dis", "plan", "apply"),
+        )
+    ),
+    frozenset(
+        (
+            *("look-into", "control", "save-system", "change-system", "measure-live", "samples-live", "live-log"),
+            *("connect-processes", "links", "isolate-components", "move", "services", "goals", "state-machines"),
+        )
+    ),
+)
+EXPERIMENTAL: Final = Tier(
+    "Experimental",
+    "may change or go at any time",
+    ("the network (zenoh)", "OpenRTM", "reload of code", "Foxglove"),
+    frozenset(("at", "certs", "router", "import", "export", "reload", "foxglove")),
+    frozenset(("connect-hosts", "secure-network", "run-fleet", "openrtm-files", "replace-code", "foxglove-live")),
+)
+LATTER: Final = (PROVISIONAL, EXPERIMENTAL)
+
+
+def tier_of_command(name: str) -> Tier | None:
+    """The tier of a command that is not stable."""
+    return next((one for one in LATTER if name in one.commands), None)
+
+
+def tier_of_page(name: str) -> Tier | None:
+    """The tier of a page about something that is not stable."""
+    return next((one for one in LATTER if name in one.pages), None)

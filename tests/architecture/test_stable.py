@@ -1,0 +1,54 @@
+"""The stable names: the list that the guide shows is of names that there are, and none goes by accident."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from importlib.metadata import entry_points
+
+from test_layers import ROOT
+
+import aiorts.types
+from aiorts.guide import headings, page
+from aiorts.tiers import LATTER
+
+FEWEST = {"aiorts": 28, "aiorts.testing": 5, "aiorts.types": 182, "aiorts_log": 12}
+"""How many names of a module were stable once: the list of the page cannot be made shorter unnoticed."""
+
+
+def stable() -> dict[str, list[str]]:
+    """Module -> its stable names, as the page `stability` lists them."""
+    found = page("stability")
+    assert found is not None
+    block = headings(found.text)["The stable names"].partition("```text\n")[2].partition("```")[0]
+    parts = re.split(r"^(\S+):\n", block, flags=re.MULTILINE)
+    return {module: names.split() for module, names in zip(parts[1::2], parts[2::2], strict=True)}
+
+
+def test_every_stable_name_is_there_and_public() -> None:
+    gone = []
+    for module, names in stable().items():
+        loaded = importlib.import_module(module)
+        gone += [f"{module}.{name}" for name in names if name not in loaded.__all__ or not hasattr(loaded, name)]
+    assert gone == [], "deprecate it first: aiorts/guide/pages/explanation/stability.md"
+
+
+def test_the_list_is_not_made_shorter() -> None:
+    listed = stable()
+    assert {module: len(listed[module]) for module in FEWEST if len(listed[module]) < FEWEST[module]} == {}
+    assert set(listed["aiorts.types"]) == set(aiorts.types.__all__)
+
+
+def test_the_flexi_components_are_there() -> None:
+    offered = {one.name for one in entry_points(group="aiorts.components") if one.value.startswith("aiorts_flexi")}
+    assert offered >= {f"Flexi{name}" for name in ("Add", "Const", "Dump", "Dupe", "Filter", "Logger", "Select")}
+
+
+def test_readme_and_the_page_name_what_belongs_to_each_tier() -> None:
+    found = page("stability")
+    assert found is not None
+    texts = [" ".join(text.split()) for text in (found.text, (ROOT / "README.md").read_text(encoding="utf-8"))]
+    for text in texts:
+        for tier in LATTER:
+            for thing in tier.things:
+                assert thing.lower() in text.lower(), (tier.name, thing)
