@@ -43,7 +43,7 @@ def _tests(body: list[ast.stmt], inherited: list[ast.expr], prefix: str) -> Iter
 
 
 @cache
-def defined(folder: Path = TESTS) -> dict[str, list[ast.expr]]:
+def defined(folder: Path) -> dict[str, list[ast.expr]]:
     """Every test, in the order of files and lines, and the expressions in which its marks stand."""
     return {
         name: marks
@@ -65,9 +65,9 @@ def keeper_of(marks: list[ast.expr], file: str) -> str | None:
     """What keeps the promise of a test in the quick tier, by its nearest mark `slow`; None of a test without one."""
     alone = [part for mark in marks for part in (mark.elts if isinstance(mark, ast.List) else [mark])]
     for mark in reversed(alone):
-        if ast.unparse(mark) == "pytest.mark.slow":
+        if isinstance(mark, ast.Attribute) and mark.attr == "slow":
             return ALONE
-        if isinstance(mark, ast.Call) and ast.unparse(mark.func) == "pytest.mark.slow":
+        if isinstance(mark, ast.Call) and isinstance(mark.func, ast.Attribute) and mark.func.attr == "slow":
             keeper = str(ast.literal_eval(mark.keywords[0].value))
             return keeper if keeper == FIRST or ".py::" in keeper else f"{file}::{keeper}"
     return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from test_layers import ROOT
 
 import tiers
 
@@ -37,6 +38,12 @@ def test_both_loops_are_among_the_quick_cases_and_a_test_keeps_its_own() -> None
     assert len(quick) == 200
     assert 60 < sum("uvloop" in case for case in quick) < 140
     assert [case for case, slow in zip(cases[6:8], are_slow(*cases[6:8]), strict=True) if not slow] == quick[3:4]
+
+
+def test_no_session_runs_a_failed_test_again() -> None:
+    said = (ROOT / "noxfile.py").read_text(encoding="utf-8") + (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    again = ("--last-failed", "--lf", "--failed-first", "--reruns", "lastfailed", "UNSTEADY")
+    assert [word for word in again if word in said] == []
 
 
 def test_far_from_quick_is_what_takes_four_times_the_limit_and_is_not_meant_to() -> None:

@@ -117,6 +117,7 @@ def test_the_first_screen_has_the_daily_commands_on_sixty_lines_whatever_plugins
         assert len(set(named)) == len(named) < 25
 
 
+@pytest.mark.slow(kept_by="test_the_first_screen_has_the_daily_commands_on_sixty_lines_whatever_plugins_there_are")
 def test_every_command_has_its_sentence_in_the_list_of_all_and_in_its_own_help(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -89,7 +89,13 @@ def cases(folder: Path) -> tuple[Case, ...]:
         ("import asyncio", "what any asyncio program imports", ["-c", "import asyncio"], None, ()),
         ("import aiorts", "names are imported on use", ["-c", "import aiorts"], None, (Aim("python -c pass"),)),
         (_KERNEL, "with the kernel", ["-c", _KERNEL], None, (Aim("import asyncio", factor=1.7),)),
-        ("aiorts --help", "the command", [*_AIORTS, "--help"], "Components, as filters", (Aim(click, factor=1.3),)),
+        (
+            "aiorts --help",
+            "the command",
+            [*_AIORTS, "--help"],
+            "Components are commands, too",
+            (Aim(click, factor=1.3),),
+        ),
         ("aiorts --version", "the command", [*_AIORTS, "--version"], "aiorts", (Aim(click, factor=1.3),)),
         (
             *("first sample", "aiorts run of a system file with two components, to its end after one sample"),
