@@ -290,6 +290,7 @@ class Supervisor:
         await kernel.add(new)
         kernel.registry.on_link_lost[one.name] = place.on_link_lost
         one.component = new
+        cell(new).was_active = cell(old).was_active
         _limit(new, one.policy)
         kept = place.standing.kept
         self._connect([one for one in place.connectors if one[0].name in kept])

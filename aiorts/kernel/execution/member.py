@@ -115,6 +115,8 @@ class Member:
     @state.setter
     def state(self, state: LifecycleState) -> None:
         self._state = state
+        if state is _ACTIVE:
+            self.cell.was_active = True
         self.settle()
 
     @property
