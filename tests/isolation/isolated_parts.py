@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import ctypes
 import logging
 import os
@@ -52,6 +53,17 @@ class Scale(Component):
     def check_configuration(self, values: Mapping[str, Any]) -> None:
         if values["factor"] == 13:
             raise ValueError("13 is no factor")
+
+
+class Stubborn(Scale):
+    """Its hook goes on for two seconds, whatever cancels it; its process answers meanwhile."""
+
+    async def on_execute(self) -> None:
+        for _ in self.inp.drain():
+            until = time.monotonic() + 2.0
+            while time.monotonic() < until:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(0.05)
 
 
 def misbehave(what: int) -> None:

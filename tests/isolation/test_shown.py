@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,29 @@ async def test_it_is_shown_saved_and_planned_as_any_other(tmp_path: Path, capsys
         await until(lambda: one.busy)
         status, text = await commanded(capsys, "cat", "one")
         assert f"process  {one.pid}, busy for" in text
+
+
+@pytest.mark.parametrize("kind", ["Scale", "Stubborn"])
+async def test_a_hook_over_its_deadline_in_a_process_is_told_with_the_state(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where it holds the process nobody can ask which hook it is."""
+    (tmp_path / "isolated_parts.py").write_text(Path(__file__).with_name("isolated_parts.py").read_text())
+    path = tmp_path / "system.toml"
+    text = SYSTEM.replace('[contexts.a]\nkind = "event"', '[contexts.a]\nkind = "event"\ndeadline = 0.3')
+    path.write_text(text.replace(".py:Scale", f".py:{kind}", 1).replace("params.factor = 3\n", ""))
+    async with Kernel() as kernel:
+        await build(kernel, load(path))
+        one: Any = kernel.components["one"]
+        await until(lambda: one.state is LifecycleState.ACTIVE)
+        source: Any = kernel.components["source"]
+        source.out.write_nowait(TimedLong(0, -4))
+        await until(lambda: kernel.profile().components["one"].overdue)
+        late = kernel.profile().components["one"].overdue["a"]
+        assert (late.hook, late.deadline_ns) == ("" if kind == "Scale" else "on_execute", 300_000_000)
+        _, text = await commanded(capsys, "ls", "-l", "one")
+        word = "a hook" if kind == "Scale" else "on_execute"
+        assert re.search(rf"active, {word} for \d\.\d s \(deadline 0\.3 s\)", text), text
 
 
 async def test_a_plan_changes_a_value_in_the_process_too(tmp_path: Path) -> None:

@@ -38,11 +38,12 @@ from aiorts.isolation import (
     taken,
 )
 from aiorts.kernel.component import Component
+from aiorts.kernel.execution.context import Context
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.loop.bus import PortAdded, PortRemoved, StateChanged
 from aiorts.kernel.ports import InPort
 from aiorts.links import Caller, Links, Peer, UnixTransport
-from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.lifecycle import LifecycleState, OverdueHook
 from aiorts.model.reading import from_plain
 from aiorts.processes import DESCRIPTOR, limit_memory
 from aiorts.running import run
@@ -121,7 +122,7 @@ class _Process:
                 self._over.set()
                 return done(None)
             if name == "ping":
-                return done([one.statistics for one in self._kernel.contexts.values()])
+                return done([(one.statistics, _overdue(one)) for one in self._kernel.contexts.values()])
             if name == "ports":
                 self._told = True
                 return done(described(self._kernel.components[self._first.component]))
@@ -208,6 +209,11 @@ class _Process:
             await self._links.ask(self._parent, REPORT, report.to_bytes(), _REPORT_SECONDS)
         except LinkError as error:
             logging.getLogger(__name__).warning("%s: not reported: %s", report.state, error)
+
+
+def _overdue(context: Context) -> OverdueHook | None:
+    """The hook of its member that runs longer than its deadline."""
+    return next(filter(None, map(context._overdue, context.runner.members)), None)
 
 
 def _unsent(_message: object, _sent: object) -> None:
