@@ -10,7 +10,7 @@ resources).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from typing import Any
 
@@ -23,6 +23,13 @@ class LifecycleState(StrEnum):
     INACTIVE = "inactive"
     ACTIVE = "active"
     ERROR = "error"
+
+
+def joint(states: Iterable[LifecycleState]) -> LifecycleState | None:
+    """What a component is said to be that has these states in its contexts; None without any."""
+    there = set(states)
+    order = (LifecycleState.ERROR, LifecycleState.ACTIVE, LifecycleState.INACTIVE)
+    return next((state for state in order if state in there), None)
 
 
 @dataclass(frozen=True, slots=True)
