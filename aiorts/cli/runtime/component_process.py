@@ -97,6 +97,7 @@ class _Process:
             self._links.use(self._transport)
             self._transport.answer(OPERATE, self._operate)
             await self._links.opened()
+            self._links.expect(first.component)
             self._transport.presence(self._present)
             kernel.bus.subscribe(StateChanged, self._changed)
             kernel.bus.subscribe(PortAdded, self._ports_changed)
