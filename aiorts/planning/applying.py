@@ -238,6 +238,7 @@ class Application:
 
     async def _remove(self, step: Remove) -> None:
         kernel, name = self._kernel, step.component.name
+        await kernel.service(Supervising).settle(name)
         component = kernel.components.get(name)
         if component is None:
             return

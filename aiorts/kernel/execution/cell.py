@@ -173,6 +173,8 @@ class Cell(PortHost):
     """The instance that has its place now, while that is not final: requests to this one go to that."""
     held_open: bool = False
     """Whether its in-ports take samples wherever it is: it is on its way to another place, and nothing is dropped."""
+    removals: int = 0
+    """How often its removal was asked for."""
     changes_queued: int = 0
     """Changes of its parameters that wait for the end of a cycle."""
 
