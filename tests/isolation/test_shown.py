@@ -128,6 +128,24 @@ async def test_a_plan_changes_a_value_in_the_process_too(tmp_path: Path) -> None
         assert (await sink.inp.read(timeout=20.0)).data == 14
 
 
+async def test_a_plan_adds_one_with_its_context_and_takes_both_away(tmp_path: Path) -> None:
+    """The plan made a context of this process, in which the component could not run."""
+    (tmp_path / "isolated_parts.py").write_text(Path(__file__).with_name("isolated_parts.py").read_text())
+    whole, less = tmp_path / "whole.toml", tmp_path / "less.toml"
+    whole.write_text(SYSTEM)
+    less.write_text("schema = 1\n[control]\nname = 'unit'\n[components.source]\ntype = 'isolated_parts.py:Source'\n")
+    async with Kernel() as kernel:
+        await build(kernel, load(whole))
+        for _ in range(2):
+            await kernel.apply(wanted(prepare(load(less))))
+            assert (set(kernel.components), set(kernel.contexts)) == ({"source"}, set())
+            await kernel.apply(wanted(prepare(load(whole))))
+            source: Any = kernel.components["source"]
+            sink: Any = kernel.components["sink"]
+            source.out.write_nowait(TimedLong(0, 2))
+            assert (await sink.inp.read(timeout=20.0)).data == 6
+
+
 async def test_what_a_file_asks_of_a_connector_between_processes_and_cannot_be_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "isolated_parts.py").write_text(Path(__file__).with_name("isolated_parts.py").read_text())
     path = tmp_path / "system.toml"
