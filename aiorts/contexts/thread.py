@@ -402,6 +402,11 @@ class ThreadDriver:
         if limit is not None:
             self._since = _Since(self.hooks_run, f"{member.component.name}.{hook}", self._now_ns(), limit)
 
+    def held_by(self, member: Member) -> tuple[int, float] | None:
+        """When the hook of this member that runs now began, and its deadline; None without one. From any thread."""
+        since = self._held_to(self.hooks_run) if self._member is member else None
+        return None if since is None or since.limit is None else (since.begun_ns, since.limit)
+
     def _end_carefully(self, member: Member, hook: str, error: BaseException | None) -> BaseException | None:
         """End such a hook, in time or not. Once a stop began, only the stop's countdown counts."""
         since = self._held_to(self.hooks_run)

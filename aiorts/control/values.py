@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from aiorts.late import dataclass
+from aiorts.model.lifecycle import OverdueHook
 
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
@@ -37,6 +38,8 @@ class Names:
     """Risks of its settings, for `aiorts doctor`, each with its remedy behind "; "."""
     pid: int = 0
     """Of its process; 0 where it is not said."""
+    overdue: Mapping[str, Mapping[str, OverdueHook]] = field(default_factory=lambda: _NOTHING)
+    """The hooks that run longer than their deadlines by context, of each component that has one."""
 
 
 @dataclass(frozen=True, slots=True)

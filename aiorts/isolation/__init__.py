@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from aiorts.isolation.isolating import Isolation
     from aiorts.isolation.messages import MARK, OPERATE, REPORT, First, Report, asked, done, refused
     from aiorts.isolation.moving import move
-    from aiorts.isolation.placing import given_of
+    from aiorts.isolation.placing import given_of, placed
     from aiorts.isolation.ports import described, fail, follow
     from aiorts.isolation.stand_in import RemoteComponent
     from aiorts.processes import Limits
@@ -40,6 +40,7 @@ __all__ = (
     "hold",
     "move",
     "packed",
+    "placed",
     "refused",
     "release",
     "state_of",
@@ -53,7 +54,7 @@ _late(
         "aiorts.isolation.isolating": "Isolation",
         "aiorts.isolation.messages": "MARK OPERATE REPORT First Report asked done refused",
         "aiorts.isolation.moving": "move",
-        "aiorts.isolation.placing": "given_of",
+        "aiorts.isolation.placing": "given_of placed",
         "aiorts.isolation.ports": "described fail follow",
         "aiorts.isolation.stand_in": "RemoteComponent",
         "aiorts.processes": "Limits",

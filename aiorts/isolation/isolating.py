@@ -24,6 +24,7 @@ from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.service import KernelService
 from aiorts.links import Caller, Links, UnixTransport
+from aiorts.model.lifecycle import OverdueHook
 from aiorts.model.profile import ContextStatistics
 from aiorts.model.reading import from_plain
 from aiorts.model.service_profile import ServiceConnectorProfile
@@ -171,6 +172,8 @@ def _log_line(component: RemoteComponent, level: int, text: str) -> None:
 
 
 def _count(component: RemoteComponent, counted: list[Any]) -> None:
-    for context, plain in zip(component.contexts, counted, strict=False):
+    for context, (plain, late) in zip(component.contexts, counted, strict=False):
         if isinstance(context, RemoteContext):
-            context.counted(from_plain(ContextStatistics, plain))
+            context.counted(
+                from_plain(ContextStatistics, plain), None if late is None else from_plain(OverdueHook, late)
+            )

@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
+from aiorts.clock import to_ns
 from aiorts.errors import StateError
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.execution.cycle import Wait
+from aiorts.model.lifecycle import OverdueHook
 from aiorts.model.profile import ContextStatistics, HookStatistics
 
 if TYPE_CHECKING:
@@ -35,6 +37,10 @@ class RemoteContext(Context):
         self.kind = given.kind  # type: ignore[misc] # that of the one it stands for
         self._rate = given.rate
         self._there = ContextStatistics(0)
+        self._late: OverdueHook | None = None
+        """The hook that is over its deadline there."""
+        self._late_ns = 0
+        """When that was said."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name in ("given", "name"):
@@ -60,9 +66,20 @@ class RemoteContext(Context):
         """What its process has said last, about twice a second; a process that is started anew counts from 0."""
         return replace(self._there, hooks={}, at_ns=super().counts.at_ns)
 
-    def counted(self, statistics: ContextStatistics) -> None:
-        """Its process says what the context has done there so far."""
+    def counted(self, statistics: ContextStatistics, overdue: OverdueHook | None) -> None:
+        """Its process says what the context has done there so far, and which hook is over its deadline there."""
         self._there, self.ticks = statistics, statistics.cycles
+        self._late, self._late_ns = overdue, self.runner.kernel.clock.monotonic_ns()
+
+    def _overdue(self, member: Any) -> OverdueHook | None:
+        process = member.component._process
+        if process is None or not process.runs:
+            return None
+        if process.busy:
+            late = process.deadline is not None and process.busy > process.deadline
+            return OverdueHook("", to_ns(process.busy), to_ns(process.deadline)) if late else None
+        passed_ns = self.runner.kernel.clock.monotonic_ns() - self._late_ns
+        return self._late and replace(self._late, running_ns=self._late.running_ns + passed_ns)
 
     def _hook_statistics(self) -> Mapping[str, HookStatistics]:
         return self._there.hooks

@@ -168,7 +168,7 @@ class _Change:
                 vars(component).pop(name, None)
         for name, value in new.values.items():
             if name not in old.values or old.values[name] is not value:
-                setattr(component, name, value)
+                vars(component)[name] = value  # past the guard of the attribute
 
     def _publish(self) -> None:
         kernel = cell(self._component).kernel

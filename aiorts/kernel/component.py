@@ -32,7 +32,7 @@ from aiorts.kernel.parameters import Declared
 from aiorts.kernel.ports import Port, PortDeclaration
 from aiorts.kernel.ports.port import wake_waiter
 from aiorts.model.configuration.sets import ConfigurationState
-from aiorts.model.lifecycle import HOOKS, LifecycleState
+from aiorts.model.lifecycle import HOOKS, LifecycleState, joint
 from aiorts.model.names import check_name
 from aiorts.model.profile import ComponentProfile
 
@@ -173,12 +173,12 @@ class Component(Configurable):
 
     @property
     def state(self) -> LifecycleState | None:
-        """The lifecycle state in the context at hand; None in no context."""
-        here = cell(self)
-        running = here.running
-        if running is not None:
-            return running.state
-        return here.members[0].state if here.members else None
+        """The lifecycle state in the context whose hook runs, else of all its contexts; None in no context.
+
+        Of several it is in error where one is, else active where one is; `states` has each.
+        """
+        running = cell(self).running
+        return joint(self.states.values()) if running is None else running.state
 
     @property
     def has_finished(self) -> bool:

@@ -8,12 +8,14 @@ replaced between cycles only, so a hook never sees half a change. The parameter 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from aiorts.errors import DeclarationError
-from aiorts.kernel.execution.cell import cell
+from aiorts.errors import ConfigurationError, DeclarationError
+from aiorts.kernel.execution.cell import cell, is_inside
 from aiorts.late import dataclass
 from aiorts.model.configuration.parameters import Constraint, ParameterSpec, validate
+from aiorts.model.values import shown
 
 if TYPE_CHECKING:
     from aiorts.kernel.execution.cell import ComponentSide
@@ -24,7 +26,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """What stands in a class body until the class is made."""
+    """A parameter as a class body declares it, and the guard of the attribute on instances.
+
+    It has no `__get__`: reading the attribute finds the value in the instance, as fast as any other.
+    """
 
     default: Any
     type: Any
@@ -34,6 +39,33 @@ class Declared:
     widget: str
     validator: Callable[[Any], object] | None = None
     file: str = ""
+    attribute: str = ""
+    """The name by which it is assigned; it is declared once for each."""
+
+    def __set_name__(self, owner: Any, name: str) -> None:
+        if self.attribute:
+            setattr(owner, name, replace(self, attribute=name))
+        else:
+            object.__setattr__(self, "attribute", name)
+
+    def __set__(self, component: Any, value: object) -> None:
+        """Take the value from the component's own code, unchecked; from others before it belongs to a kernel only.
+
+        Raises:
+            ConfigurationError: others change it with `configure`.
+        """
+        if cell(component).kernel is not None and not is_inside(component):
+            what = f"{component.name}.{self.attribute}"
+            raise ConfigurationError(
+                f"{what}: is not assigned from outside, where nothing checks it and a hook may be using it; "
+                f"await {component.name}.configure({self.attribute}={shown(value)})"
+            )
+        vars(component)[self.attribute] = value
+
+    def __delete__(self, component: Any) -> None:
+        """Let the component do without it."""
+        if vars(component).pop(self.attribute, self) is self:
+            raise AttributeError(self.attribute, name=self.attribute, obj=component)
 
     def named(self, name: str, owner: str) -> ParameterSpec:
         """The specification under its name; DeclarationError when the default does not fit."""

@@ -327,6 +327,7 @@ class Registry:
         if component in self._arriving:
             raise StateError(f"{component.name}: cannot be removed while its on_initialize runs")
         task = self._leaving.get(component)
+        cell(component).removals += 1
         if task is None:
             task = kernel_task(self._kernel.loop, self._leave(component), f"aiorts remove {component.name}")
             self._leaving[component] = task

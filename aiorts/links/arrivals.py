@@ -28,6 +28,7 @@ _AWAITED: Final = 1_000
 _UNTOLD: Final = 1_000
 """Links that ended while the other kernel was away, of which it is told, at the most."""
 _SECONDS: Final = 2.0
+_STARTED: Final = "{} is being started"
 
 
 async def told(kernels: Kernels, peer: Peer, what: str, body: bytes) -> bool:
@@ -68,6 +69,8 @@ class Arrivals:
         self._making = False
         self._starting: set[str] = set()
         """Components that were made and do not run yet."""
+        self._expected: set[str] = set()
+        """Components that are about to be made."""
         links.kernel.bus.subscribe(StateChanged, self._state_changed)
 
     def there(self, path: Path, caller: Caller, right: str) -> Port[Any] | Answer:
@@ -79,13 +82,21 @@ class Arrivals:
             caller.check(right, asked)  # before it is told what there is
             if path.component in kernel.components or not self._await(path.component, caller.peer):
                 raise
-            return Answer(absent=str(error))
+            return Answer(absent=_STARTED.format(path.component) if self._is_expected(path.component) else str(error))
         caller.check(right, port.path)  # that of a composite has the name that it has in its member
         # What is written to it would be dropped; what it writes must have a way; calls are answered in any state.
         is_coming = isinstance(port, InPort) and self._is_coming(path.component)
         if is_coming and self._await(path.component, caller.peer):
-            return Answer(absent=f"{path.component} is being started")
+            return Answer(absent=_STARTED.format(path.component))
         return port
+
+    def _is_expected(self, component: str) -> bool:
+        """Whether one that is not there is about to be, a restarted one included."""
+        from aiorts.supervision import Supervising  # late: few kernels supervise
+
+        supervising = self._links.kernel.attached(Supervising)
+        one = None if supervising is None else supervising.supervised.get(component)
+        return component in self._expected or (one is not None and one.helping)
 
     def _await(self, component: str, peer: Peer | None) -> bool:
         """Tell this kernel when the component comes; False: none asks, or it waits for too many."""
@@ -110,8 +121,13 @@ class Arrivals:
         finally:
             self._making = False
 
+    def expect(self, component: str) -> None:
+        """A component is about to be made: who asks for it meanwhile is not told that there is none."""
+        self._expected.add(component)
+
     def added(self, component: str) -> None:
         """A component is there."""
+        self._expected.discard(component)
         if self._making:
             self._starting.add(component)
         self._wake(component)

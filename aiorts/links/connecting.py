@@ -288,6 +288,10 @@ class Links(KernelService):
     def making(self) -> AbstractContextManager[None]:
         return self._arrivals.making()
 
+    def expect(self, component: str) -> None:
+        """A component is about to be made: other kernels that ask for it meanwhile are told so."""
+        self._arrivals.expect(component)
+
     def component_added(self, component: Component) -> None:
         self._arrivals.added(component.name)
 

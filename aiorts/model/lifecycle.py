@@ -10,7 +10,9 @@ resources).
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
+from typing import Any
 
 from aiorts.late import dataclass
 
@@ -21,6 +23,47 @@ class LifecycleState(StrEnum):
     INACTIVE = "inactive"
     ACTIVE = "active"
     ERROR = "error"
+
+
+def joint(states: Iterable[LifecycleState]) -> LifecycleState | None:
+    """What a component is said to be that has these states in its contexts; None without any."""
+    there = set(states)
+    order = (LifecycleState.ERROR, LifecycleState.ACTIVE, LifecycleState.INACTIVE)
+    return next((state for state in order if state in there), None)
+
+
+@dataclass(frozen=True, slots=True)
+class OverdueHook:
+    """A hook that runs longer than its deadline, at one moment."""
+
+    hook: str
+    """Its name; "" where it is not known which it is."""
+    running_ns: int
+    """For so long, on the kernel's clock."""
+    deadline_ns: int
+    """It was to take so long at the most."""
+
+
+def state_texts(states: Mapping[str, str], overdue: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """The state of a component in each context in words, with what of it hangs there.
+
+    Args:
+        states: lifecycle states by context.
+        overdue: the plain form of an `OverdueHook` for each context where one is.
+    """
+    return {
+        context: f"{state}, {_overdue_text(**overdue[context])}" if context in overdue else state
+        for context, state in states.items()
+    }
+
+
+def state_text(states: Mapping[str, str], overdue: Mapping[str, Mapping[str, Any]]) -> str:
+    """The same of all contexts in one line, in which each is said once."""
+    return ", ".join(dict.fromkeys(state_texts(states, overdue).values())) or "in no context"
+
+
+def _overdue_text(hook: str, running_ns: int, deadline_ns: int, **_later: Any) -> str:
+    return f"{hook or 'a hook'} for {running_ns / 1e9:.1f} s (deadline {deadline_ns / 1e9:g} s)"
 
 
 class Event(StrEnum):

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from aiorts.late import dataclass
 from aiorts.model.blame import GcPauses
+from aiorts.model.lifecycle import OverdueHook
 from aiorts.model.plain import plain
 from aiorts.model.profile import (
     ConnectorProfile,
@@ -136,6 +137,8 @@ class ComponentReport:
     composite: CompositeReport | None = None
     thread_writes: Mapping[str, ThreadWriteStatistics] = field(default_factory=lambda: _NOTHING)
     """The counts of `write_from_thread` of each out-port where a thread wrote."""
+    overdue: Mapping[str, OverdueHook] = field(default_factory=lambda: _NOTHING)
+    """The hook that runs longer than its deadline, by context, where one does at this moment."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,8 +236,8 @@ class SystemProfile:
         return json.dumps(self.to_plain(), ensure_ascii=False, allow_nan=False, indent=indent)
 
     def structure(self) -> SystemProfile:
-        """The same without what changes without an event: time, ledgers, statistics, log lines, pauses, what a state
-        machine remembers, timers, modes that are pending."""
+        """The same without what changes without an event: time, ledgers, statistics, log lines, pauses, hooks
+        that are late, what a state machine remembers, timers, modes that are pending."""
         return replace(
             self,
             sequence=0,
@@ -255,7 +258,7 @@ def _lasting(one: ComponentReport) -> ComponentReport:
         machine = MachineReport(machine.chart, machine.states)
     if modes is not None:
         modes = replace(modes, pending=None)
-    return replace(one, log=(), calls=_NOTHING, machine=machine, modes=modes, thread_writes=_NOTHING)
+    return replace(one, log=(), calls=_NOTHING, machine=machine, modes=modes, thread_writes=_NOTHING, overdue=_NOTHING)
 
 
 def _unused(one: ServiceConnectorReport) -> ServiceConnectorReport:

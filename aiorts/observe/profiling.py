@@ -17,6 +17,7 @@ from aiorts.diagnostics import DeadlineMonitor
 from aiorts.errors import format_error
 from aiorts.kernel.declarations import declarations, kinds_of
 from aiorts.kernel.execution.cell import cell, standing_error
+from aiorts.kernel.execution.member import overdue_hooks
 from aiorts.kernel.service import reports
 from aiorts.model.configuration.parameters import ParameterSpec
 from aiorts.observe import special_reports
@@ -123,6 +124,7 @@ def component_report(component: Component) -> ComponentReport:
         () if here.log is None else here.log.last_lines,
         special_reports.calls(ports),
         thread_writes=special_reports.thread_writes(ports),
+        overdue=overdue_hooks(component),
         **{field: report for one in kinds_of(component) for field, report in one.reports(component).items()},
     )
 

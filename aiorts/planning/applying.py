@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.composites import parts_of
 from aiorts.errors import StateError, WiringError, format_error
-from aiorts.isolation import Isolation
+from aiorts.isolation import Isolation, placed
 from aiorts.kernel.component import Component
 from aiorts.kernel.configuring import put
 from aiorts.kernel.declarations import declarations
@@ -240,6 +240,7 @@ class Application:
 
     async def _remove(self, step: Remove) -> None:
         kernel, name = self._kernel, step.component.name
+        await kernel.service(Supervising).settle(name)
         component = kernel.components.get(name)
         if component is None:
             return
@@ -431,7 +432,11 @@ class Application:
 
     async def _start(self, step: StartContext) -> None:
         if step.context.name not in self._kernel.contexts:
-            await self._kernel.start(self._made_or_again(step.context))
+            # Its members join it later on; where they run decides where it does.
+            system = self._now if self.goes_back else self._wanted
+            entry, there = system.contexts.get(step.context.name), self._kernel.components
+            members = [there[one] for one in (() if entry is None else entry.members) if one in there]
+            await self._kernel.start(placed(self._made_or_again(step.context), members))
 
     async def _stop(self, step: StopContext) -> None:
         context = self._kernel.contexts.get(step.context.name)

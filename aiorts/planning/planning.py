@@ -23,6 +23,7 @@ from aiorts.model.wanted.stepwise import finished
 from aiorts.model.wanted.system_text import Saved, system_text
 from aiorts.planning.canon import without_provenance
 from aiorts.planning.turns import in_turns
+from aiorts.supervision import Supervising
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -235,12 +236,16 @@ class Planning(KernelService):
         """The system of one moment; where nothing of it changes meanwhile, the loop has its turns."""
         from aiorts.planning.reading import reading, wanted_of
 
-        bus = self.kernel.bus
+        bus, supervising = self.kernel.bus, self.kernel.attached(Supervising)
         for _ in range(_TRIES if self._takes_turns else 0):
+            if supervising is not None:
+                await supervising.settle()  # who is between two instances is not gone
             before, notes[:] = bus.sequence, []
             found = await in_turns(reading(self.kernel, notes))
             if bus.sequence == before:
                 return found
+        if supervising is not None:
+            await supervising.settle()
         notes[:] = []
         return wanted_of(self.kernel, notes)
 

@@ -6,7 +6,7 @@ import contextlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.clock import SimulatedClock
 from aiorts.errors import AiortsError, ConfigurationError
@@ -15,6 +15,7 @@ from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.model.wanted.start_rules import in_order
 from aiorts.supervision import start_sequence
+from aiorts.supervision.readiness import until
 from aiorts.supervision.start_sequence import Patience
 from aiorts.supervision.supervisor import Supervisor
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from aiorts.model.wanted.start_rules import StartRule
     from aiorts.supervision.supervisor import Supervised
     from aiorts.supervision.systemd import SystemdLink
+
+_SETTLES: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +86,13 @@ class Supervising(KernelService):
     def supervised(self) -> Mapping[str, Supervised]:
         """The supervised components, by name; one that could not be replaced stays, exhausted."""
         return MappingProxyType({} if self._supervisor is None else self._supervisor.supervised)
+
+    async def settle(self, name: str | None = None) -> None:
+        """Wait until no component, or not this one, is between two instances; no longer than 10 s."""
+        kernel, supervised = self.kernel, self.supervised
+        await until(
+            kernel, lambda: not any(one.is_between for one in supervised.values() if name in (None, one.name)), _SETTLES
+        )
 
     async def start_in_order(self, rules: Sequence[StartRule], patience: Patience | None = None) -> None:
         """See `Kernel.start_in_order`; `patience` knows how long these rules have waited before."""

@@ -117,6 +117,11 @@ class Supervised:
         going = self.policy.restart != "never" and not self.exhausted
         return self._task is not None or (going and _in_error(self.component))
 
+    @property
+    def is_between(self) -> bool:
+        """Whether it is being restarted: the old instance goes, or the new one has not its whole place yet."""
+        return self._place is not None
+
     def __repr__(self) -> str:
         how = "exhausted" if self.exhausted else self.policy.restart
         return f"<Supervised {self.name} {how} {self.attempts} attempts>"
@@ -231,6 +236,8 @@ class Supervisor:
                     return None
                 error = raised
                 continue
+            if self.supervised.get(one.name) is not one:
+                return None
             if not _in_error(one.component):
                 back = await bring_back(one.component)
                 if back:
@@ -285,11 +292,16 @@ class Supervisor:
                 await kernel.remove(old)
             finally:
                 one._removing = False
+            if cell(old).removals > 1:  # not only for the restart: it is to be gone
+                one._place = None
+                self.supervised.pop(one.name, None)
+                return
         new = instance_of(kernel, one.name, one._factory)
         place.standing.configure(new)
         await kernel.add(new)
         kernel.registry.on_link_lost[one.name] = place.on_link_lost
         one.component = new
+        cell(new).was_active = cell(old).was_active
         _limit(new, one.policy)
         kept = place.standing.kept
         self._connect([one for one in place.connectors if one[0].name in kept])

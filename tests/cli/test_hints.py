@@ -39,6 +39,10 @@ class Every(Newest):
         for sample in self.raw.drain():
             await self.out.write(sample)
 
+class Starts(Every):
+    async def on_activated(self):
+        await self.out.write(TimedLong(0, 1))
+
 class Burst(Component):
     """Sends a hundred at once."""
     out = OutPort(TimedLong)
@@ -185,6 +189,34 @@ def test_the_warning_of_lost_samples_is_shown_whole_however_long_the_names_are(f
         "connector.statistics; "
         f"{SLOW_READER}"
     )
+
+
+LOOPED = """
+schema = 1
+components.first.type = "parts.py:Every"
+components.second.type = "parts.py:Starts"
+connections = [
+    { from = "first.out", to = "second.raw", length = 4 },
+    { from = "second.out", to = "first.raw", length = 4 },
+]
+contexts.reacts = { kind = "event", members = ["first"] }
+contexts.paces = { kind = "periodic", rate = 20.0, members = ["second"] }
+"""
+
+
+@pytest.mark.parametrize(("option", "told"), [("", 1), (", keep_last = true", 0)])
+def test_a_command_that_came_before_its_reader_was_active_is_told_with_the_cure(
+    folder: Path, option: str, told: int
+) -> None:
+    """The system stood still without a word: the count in `aiorts cat` alone had it."""
+    (folder / "system.toml").write_text(LOOPED.replace('"first.raw", length = 4', f'"first.raw", length = 4{option}'))
+    done = here(folder, "run", "system.toml", "--simulate", "--for", "0.1")
+    said = (
+        "aiorts: warning: W-INACTIVE: second.out -> first.raw: the first sample was dropped, first was not active yet: "
+        'connect with keep_last = true, or have the writer start later (start.after = "first active")'
+    )
+    lines = [line for line in done.stderr.splitlines() if "W-INACTIVE" in line]
+    assert [line.partition(";")[0] for line in lines] == [said] * told
 
 
 @pytest.mark.slow(kept_by="test_samples_that_a_reader_passed_over_unawares_are_told")

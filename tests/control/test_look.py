@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
+import re
 import signal
+import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 
 import pytest
 
-from aiorts import Component, EventContext, Kernel, PeriodicContext
+from aiorts import Component, EventContext, Kernel, PeriodicContext, ThreadContext
 from aiorts.cli.app import run_command
 from aiorts.cli.commands.live.look.ls import ls
+from aiorts.cli.commands.live.measure.table import View, tables, text_of
 from aiorts.cli.commands.live.target import complete, complete_changes
 from aiorts.sessions import Client
 from control_parts import WAIT, Counter, controlled, running, with_client
@@ -48,6 +52,57 @@ async def test_the_part_of_a_component_is_that_of_the_whole_profile() -> None:
         assert list(part["connectors"]) == ["counter0.out-reader0.in"]
         assert list(part["contexts"]) == ["loop"]
         assert part["service_connectors"] == {}
+
+
+class Held(Component):
+    """Its hook does not return before it is let go, whatever cancels it."""
+
+    begun: threading.Event
+    free: threading.Event
+
+    def on_execute(self) -> None:
+        self.begun.set()
+        assert self.free.wait(30.0)
+
+
+class Stubborn(Held):
+    async def on_execute(self) -> None:
+        self.begun.set()
+        while not self.free.is_set():
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.sleep(0.05)
+
+
+@pytest.mark.parametrize("kind", ["thread", "task"])
+async def test_a_hook_over_its_deadline_is_told_with_the_state_wherever_that_is_shown(
+    kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    late = r"active, on_execute for \d\.\d s \(deadline 0\.2 s\)"
+    async with controlled() as kernel:
+        held = await kernel.create(Held if kind == "thread" else Stubborn, "held0")
+        held.begun, held.free = threading.Event(), threading.Event()
+        context = {"thread": ThreadContext(rate=100.0, name="own", deadline=0.2),
+                   "task": PeriodicContext(rate=100.0, name="own", deadline=0.2)}[kind]  # fmt: skip
+        try:
+            await kernel.start(context, held, activate=True)
+            assert await asyncio.to_thread(held.begun.wait, WAIT)
+            assert "held0" not in {name for name, one in kernel.profile().components.items() if one.overdue}
+            await asyncio.sleep(0.4)
+            found = kernel.profile().components["held0"].overdue["own"]
+            assert (found.hook, found.deadline_ns) == ("on_execute", 200_000_000)
+            assert found.running_ns > 200_000_000
+            assert not kernel.profile().components["reader0"].overdue
+            _, text = await said(capsys, "ls", "-l", "unit/held0")
+            assert re.search(late, text), text
+            _, text = await said(capsys, "cat", "unit/held0")
+            assert re.search(late.replace("active", "active in own"), text), text
+            _, text = await said(capsys, "ls", "--json", "unit/held0")
+            assert json.loads(text)["kernels"][0]["components"][0]["overdue"]["own"]["hook"] == "on_execute"
+            counted = await with_client("unit", lambda client: client.call("statistics"))
+            (row,) = [line for line in text_of(tables(counted, None, {}), View()) if line.startswith("held0")]
+            assert re.search(late, row), row
+        finally:
+            held.free.set()
 
 
 @pytest.mark.row(121)

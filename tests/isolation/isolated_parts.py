@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import ctypes
 import logging
 import os
@@ -70,6 +71,17 @@ class OneByOne(Component):
 
     def on_deactivated(self) -> None:
         self.out.write_nowait(TimedLong(0, self.count))
+
+
+class Stubborn(Scale):
+    """Its hook goes on for two seconds, whatever cancels it; its process answers meanwhile."""
+
+    async def on_execute(self) -> None:
+        for _ in self.inp.drain():
+            until = time.monotonic() + 2.0
+            while time.monotonic() < until:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.sleep(0.05)
 
 
 def misbehave(what: int) -> None:

@@ -206,7 +206,10 @@ async def test_a_hook_that_holds_its_process_is_seen_and_killed_after_its_deadli
 
 @pytest.mark.slow
 @pytest.mark.parametrize("restart", ["reset", "restart"])
-async def test_one_that_is_supervised_comes_back_by_itself_from_a_kill(restart: str) -> None:
+async def test_one_that_is_supervised_comes_back_by_itself_from_a_kill(
+    restart: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It was said first that there was no such component, and then that it was being started."""
     async with Kernel() as kernel:
         source, scale, sink, _ = await chain(kernel, factor=3)
         kernel.supervise(scale, Supervision(restart=restart, backoff=0.05))
@@ -221,6 +224,7 @@ async def test_one_that_is_supervised_comes_back_by_itself_from_a_kill(restart: 
             await until(is_back)
             scale = kernel.components["scale"]
             assert await answer(source, sink, 4) == 12
+    assert [line for line in caplog.messages if "no component" in line] == []
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,29 @@ async def test_it_is_shown_saved_and_planned_as_any_other(tmp_path: Path, capsys
         assert f"process  {one.pid}, busy for" in text
 
 
+@pytest.mark.parametrize("kind", ["Scale", "Stubborn"])
+async def test_a_hook_over_its_deadline_in_a_process_is_told_with_the_state(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where it holds the process nobody can ask which hook it is."""
+    (tmp_path / "isolated_parts.py").write_text(Path(__file__).with_name("isolated_parts.py").read_text())
+    path = tmp_path / "system.toml"
+    text = SYSTEM.replace('[contexts.a]\nkind = "event"', '[contexts.a]\nkind = "event"\ndeadline = 0.3')
+    path.write_text(text.replace(".py:Scale", f".py:{kind}", 1).replace("params.factor = 3\n", ""))
+    async with Kernel() as kernel:
+        await build(kernel, load(path))
+        one: Any = kernel.components["one"]
+        await until(lambda: one.state is LifecycleState.ACTIVE)
+        source: Any = kernel.components["source"]
+        source.out.write_nowait(TimedLong(0, -4))
+        await until(lambda: kernel.profile().components["one"].overdue)
+        late = kernel.profile().components["one"].overdue["a"]
+        assert (late.hook, late.deadline_ns) == ("" if kind == "Scale" else "on_execute", 300_000_000)
+        _, text = await commanded(capsys, "ls", "-l", "one")
+        word = "a hook" if kind == "Scale" else "on_execute"
+        assert re.search(rf"active, {word} for \d\.\d s \(deadline 0\.3 s\)", text), text
+
+
 async def test_a_plan_changes_a_value_in_the_process_too(tmp_path: Path) -> None:
     """It was changed in the kernel's stand-in alone: the process went on with the old value."""
     (tmp_path / "isolated_parts.py").write_text(Path(__file__).with_name("isolated_parts.py").read_text())
@@ -104,6 +128,24 @@ async def test_a_plan_changes_a_value_in_the_process_too(tmp_path: Path) -> None
         sink: Any = kernel.components["sink"]
         source.out.write_nowait(TimedLong(0, 2))
         assert (await sink.inp.read(timeout=20.0)).data == 14
+
+
+async def test_a_plan_adds_one_with_its_context_and_takes_both_away(tmp_path: Path) -> None:
+    """The plan made a context of this process, in which the component could not run."""
+    (tmp_path / "isolated_parts.py").write_text(Path(__file__).with_name("isolated_parts.py").read_text())
+    whole, less = tmp_path / "whole.toml", tmp_path / "less.toml"
+    whole.write_text(SYSTEM)
+    less.write_text("schema = 1\n[control]\nname = 'unit'\n[components.source]\ntype = 'isolated_parts.py:Source'\n")
+    async with Kernel() as kernel:
+        await build(kernel, load(whole))
+        for _ in range(2):
+            await kernel.apply(wanted(prepare(load(less))))
+            assert (set(kernel.components), set(kernel.contexts)) == ({"source"}, set())
+            await kernel.apply(wanted(prepare(load(whole))))
+            source: Any = kernel.components["source"]
+            sink: Any = kernel.components["sink"]
+            source.out.write_nowait(TimedLong(0, 2))
+            assert (await sink.inp.read(timeout=20.0)).data == 6
 
 
 @pytest.mark.slow(kept_by="isolation/test_isolated.py::test_it_looks_like_any_other_and_runs_in_a_process_of_its_own")

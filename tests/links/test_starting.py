@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from anyio import fail_after
 
-from aiorts import Component, InPort, Kernel, OutPort
+from aiorts import Component, InPort, Kernel, OutPort, PeriodicContext, Supervision
+from aiorts.events import ComponentRemoved
 from aiorts.links import Links
 from aiorts.system import build, load, wait_finished
 from aiorts.testing import MemoryNetwork, simulate
@@ -127,6 +128,34 @@ async def test_a_system_that_ends_waits_for_its_links_and_says_what_was_not_take
         assert [one.name for one in unread] == ([] if is_there else ["writer.out-station/sink.inp"])
         (connector,) = robot.connectors.values()
         assert connector.statistics.acknowledged == (3 if is_there else 0)
+
+
+class Fussy(Sink):
+    async def on_initialize(self) -> None:
+        await self.sleep(1.0)
+
+    def on_execute(self) -> None:
+        raise ValueError("always")
+
+
+def test_a_component_between_two_instances_is_one_that_is_being_started() -> None:
+    async def main() -> str:
+        network = MemoryNetwork()
+        async with Kernel("station") as station, Kernel("robot") as robot:
+            for kernel in (station, robot):
+                kernel.service(Links).use(network.transport(kernel.name))
+                await kernel.service(Links).opened()
+            sink, source = await station.add(Fussy("sink")), await robot.add(Source("source"))
+            station.supervise(sink, Supervision("restart"))
+            removed = asyncio.Event()
+            station.bus.subscribe(ComponentRemoved, lambda _: removed.set())
+            await station.start(PeriodicContext(rate=10.0), sink, activate=True)
+            await removed.wait()
+            assert "sink" not in station.components
+            connector = await robot.connect(source.out, "station/sink.inp")
+            return str(robot.service(Links).report()[connector.name])
+
+    assert "sink is being started" in simulate(main())
 
 
 def test_a_component_that_comes_is_heard_of_by_whatever_way_its_kernel_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,6 +20,7 @@ from aiorts import (
     ThreadContext,
 )
 from aiorts.errors import SLOW_READER
+from aiorts.events import ComponentAdded
 from aiorts.statechart import Chart, On, State
 from aiorts.testing import simulated
 from aiorts.types import TimedLong
@@ -222,3 +223,73 @@ async def test_what_is_lost_after_a_restart_is_told_as_before(
         assert [line.partition(": ")[2][:22] for line in lines(caplog)] == (
             [] if options else ["12 samples lost so far"]
         )
+
+
+# -- samples that come before their reader ever was active -----------------------------------------------------------
+
+EARLY = (
+    "W-INACTIVE: source0.out -> sink0.inp: the first sample was dropped, sink0 was not active yet: connect with "
+    'keep_last = true, or have the writer start later (start.after = "sink0 active"); further ones are counted in '
+    "connector.statistics"
+)
+
+
+@pytest.mark.parametrize("before", ["the context", "the activation"])
+@simulated
+async def test_the_first_sample_that_came_too_early_is_said_with_the_cure(
+    before: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Kernel() as kernel:
+        source, sink, connector = await connected(kernel)
+        if before == "the context":
+            write(source, 1)
+        context = await kernel.start(PeriodicContext(rate=10.0), sink)
+        if before == "the activation":
+            write(source, 2)
+        await kernel.sleep(0.1)
+        assert lines(caplog) == [EARLY]
+        await kernel.connect((await kernel.create(Source)).out, sink.inp)
+        write(source, 3)
+        await kernel.sleep(0.1)
+        assert lines(caplog) == []  # once is enough
+        await context.activate(sink)
+        assert connector.statistics.dropped == {"inactive": 4 if before == "the context" else 5}
+
+
+@simulated
+async def test_what_a_reader_misses_that_was_active_or_keeps_the_last_is_not_said(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with Kernel() as kernel:
+        source, sink, _ = await connected(kernel)
+        context = await kernel.start(PeriodicContext(rate=10.0), sink, activate=True)
+        await context.deactivate(sink)
+        write(source, 2)
+        later = await kernel.create(Sink)
+        await kernel.connect(source.out, later.inp, keep_last=True)
+        await kernel.start(PeriodicContext(rate=10.0), later)
+        write(source, 2)
+        unused = await kernel.create(Sink)
+        await kernel.connect(source.out, unused.inp)
+        write(source, 2)
+        await kernel.sleep(0.1)
+    assert lines(caplog) == []
+
+
+@simulated
+async def test_a_restarted_reader_is_none_that_was_not_active_yet(caplog: pytest.LogCaptureFixture) -> None:
+    class Failing(Sink):
+        def on_execute(self) -> None:
+            for _ in self.inp.drain():
+                raise ValueError("once")
+
+    async with Kernel() as kernel:
+        source, sink = await kernel.create(Source), await kernel.create(Failing)
+        await kernel.connect(source.out, sink.inp)
+        kernel.supervise(sink, Supervision(restart="restart", backoff=0.1))
+        kernel.bus.subscribe(ComponentAdded, lambda event: write(source, 1) if event.component == sink.name else None)
+        await kernel.start(PeriodicContext(rate=100.0), sink, activate=True)
+        write(source, 1)
+        await kernel.sleep(1.0)
+        assert kernel.components[sink.name] is not sink
+    assert [line for line in lines(caplog) if "W-INACTIVE" in line] == []

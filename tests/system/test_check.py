@@ -408,7 +408,7 @@ members = ["two"]
 
 @pytest.mark.fault("B11")
 def test_a_cycle_on_events_alone_is_a_warning_with_its_path(write: Write) -> None:
-    one = only(write(CYCLE))
+    one = only(write(CYCLE), "warning", "error")
     assert (one.severity, one.code, one.line) == ("warning", "W-LOOP", 9)
     assert one.cause.startswith("one.output → two.input → two.output → one.input → one.output: ")
     himself = changed('to = "two.input"', 'to = "one.input"', CYCLE)
@@ -428,6 +428,40 @@ def test_a_cycle_on_events_alone_is_a_warning_with_its_path(write: Write) -> Non
 def test_a_cycle_that_something_paces_is_none(write: Write, old: str, new: str) -> None:
     codes = [one.code for one in found(write(changed(old, new, CYCLE)), "warning", "error")]
     assert codes == (["W-UNFED"] if "pull" in new else [])
+
+
+STARTS = """
+class Starts(Middle):
+    def on_activated(self):
+        self.output.write_nowait(TimedLong(0, 1))
+"""
+
+
+def test_a_circle_that_waits_for_itself_is_noted(write: Write) -> None:
+    one = only(write(CYCLE), "note")
+    assert (one.code, one.where, one.line) == ("N-CIRCLE", "connections[2]", 9)
+    ring = "one.output → two.input → two.output → one.input → one.output"
+    assert one.cause.startswith(f"{ring}: each waits for a sample of the one before, and none begins; write the first")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('kind = "event"', 'kind = "event"\nevery = 1.0'),
+        ('kind = "event"', 'kind = "periodic"\nrate = 1.0'),
+        ("parts.py:Middle", "parts.py:Starts"),
+        (
+            "[[connections]]",
+            '[components.source]\ntype = "parts.py:Source"\n[contexts.c]\nkind = "periodic"\nrate = 1.0\n'
+            'members = ["source"]\n[[connections]]\nfrom = "source.out"\nto = "one.input"\n[[connections]]',
+        ),
+    ],
+    ids=["every", "rate", "on_activated", "a source"],
+)
+def test_a_circle_that_something_starts_is_not_noted(write: Write, tmp_path: Path, old: str, new: str) -> None:
+    path = write(changed(old, new, CYCLE))
+    (tmp_path / "parts.py").write_text((tmp_path / "parts.py").read_text() + STARTS)
+    assert [one for one in found(path) if one.code in ("N-CIRCLE", "E-COMPONENT", "E-PLUGIN")] == []
 
 
 BESIDE = """\

@@ -329,6 +329,11 @@ CODES: Final[dict[str, Code]] = {
         "Its class, or the file, says `on_link_lost`, for a client that was killed or a network that was cut.",
         "Ignore the note.",
     ),
+    "N-CIRCLE": Code(
+        "Components that run on events wait for one another in a circle, and none begins: a note of aiorts check.",
+        "No sample comes into the circle from outside, and no member has on_activated, every or a rate.",
+        "Write the first sample in on_activated, with keep_last = true at its connection; or give one of them a rate.",
+    ),
     "N-COPY": Code(
         "A port's type is mutable: aiorts check notes that each write makes a snapshot.",
         "The dataclass is not frozen.",
@@ -373,6 +378,11 @@ CODES: Final[dict[str, Code]] = {
         "A composite of a system file exports a pattern that no port of a member fits.",
         "A misspelt component or port, or a port that was renamed.",
         "Correct the pattern, or remove it.",
+    ),
+    "W-INACTIVE": Code(
+        "A sample was dropped because its reader was not active yet; told once in a run.",
+        "It was written while the system started: in on_activated, or before the reader's context ran.",
+        'Connect with keep_last = true, or start the writer later: start.after = "READER active".',
     ),
     "W-LOOP": Code(
         "Components that all run on events feed each other in a circle and never rest.",

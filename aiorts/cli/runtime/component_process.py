@@ -38,12 +38,13 @@ from aiorts.isolation import (
     taken,
 )
 from aiorts.kernel.component import Component
+from aiorts.kernel.execution.context import Context
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.loop.bus import PortAdded, PortRemoved, StateChanged
 from aiorts.kernel.loop.deadlines import StopBudget
 from aiorts.kernel.ports import InPort
 from aiorts.links import Caller, Links, Peer, UnixTransport
-from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.lifecycle import LifecycleState, OverdueHook
 from aiorts.model.reading import from_plain
 from aiorts.processes import DESCRIPTOR, limit_memory
 from aiorts.running import run
@@ -98,6 +99,7 @@ class _Process:
             self._links.use(self._transport)
             self._transport.answer(OPERATE, self._operate)
             await self._links.opened()
+            self._links.expect(first.component)
             self._transport.presence(self._present)
             kernel.bus.subscribe(StateChanged, self._changed)
             kernel.bus.subscribe(PortAdded, self._ports_changed)
@@ -123,7 +125,7 @@ class _Process:
                 self._over.set()
                 return done(None)
             if name == "ping":
-                return done([one.statistics for one in self._kernel.contexts.values()])
+                return done([(one.statistics, _overdue(one)) for one in self._kernel.contexts.values()])
             if name == "ports":
                 self._told = True
                 return done(described(self._kernel.components[self._first.component]))
@@ -216,6 +218,11 @@ class _Process:
             await self._links.ask(self._parent, REPORT, report.to_bytes(), _REPORT_SECONDS)
         except LinkError as error:
             logging.getLogger(__name__).warning("%s: not reported: %s", report.state, error)
+
+
+def _overdue(context: Context) -> OverdueHook | None:
+    """The hook of its member that runs longer than its deadline."""
+    return next(filter(None, map(context._overdue, context.runner.members)), None)
 
 
 def _unsent(_message: object, _sent: object) -> None:

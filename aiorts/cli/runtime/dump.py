@@ -20,9 +20,12 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from aiorts.cli.console.report import printed
+from aiorts.kernel.execution.member import overdue_hooks
 from aiorts.kernel.loop.origins import place
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.service import reports
+from aiorts.model.lifecycle import state_texts
+from aiorts.model.plain import plain
 from aiorts.model.timing import Spans
 
 if TYPE_CHECKING:
@@ -73,10 +76,11 @@ def _listed(told: Mapping[str, Any]) -> str:
 
 
 def _component(component: Component) -> str:
-    states = ", ".join(f"{state.value} in {context}" for context, state in component.states.items())
+    said = {context: f"{state} in {context}" for context, state in component.states.items()}
+    states = ", ".join(state_texts(said, plain(overdue_hooks(component))).values()) or "in no context"
     error = component.last_error
     last = "" if error is None else f"; last error {type(error).__name__}: {error}"
-    return f"component {component.name} ({type(component).__name__}): {states or 'in no context'}{last}"
+    return f"component {component.name} ({type(component).__name__}): {states}{last}"
 
 
 def _context(context: Context) -> str:

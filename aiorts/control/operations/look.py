@@ -12,6 +12,7 @@ from aiorts.control.operation import Nothing, Operation, Right
 from aiorts.control.session import Session
 from aiorts.control.values import Names
 from aiorts.kernel.execution.cell import standing_error
+from aiorts.kernel.execution.member import overdue_hooks
 from aiorts.observe import SystemProfile, system_profile, system_profile_in_turns
 
 _HOLD_SECONDS: Final = 0.001
@@ -38,6 +39,9 @@ def _names(session: Session, _: Nothing) -> Names:
         notices=tuple(one.notice for one in kernel.services if one.notice),
         risks=tuple(one.risk for one in kernel.services if one.risk),
         pid=os.getpid(),
+        overdue=MappingProxyType(
+            {name: late for name, one in kernel.components.items() if (late := overdue_hooks(one))}
+        ),
     )
 
 

@@ -19,6 +19,7 @@ from aiorts.control.session import Session, Stream
 from aiorts.control.values import Done
 from aiorts.errors import AiortsError, ConfigurationError, StateError, WiringError
 from aiorts.kernel.execution.cell import cell, standing_error
+from aiorts.kernel.execution.member import overdue_hooks
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.last_sample import last_written
@@ -159,6 +160,8 @@ def _component(component: Component) -> dict[str, Any]:
         "states": {context: state.value for context, state in component.states.items()},
         "failed": standing_error(component) is not None,
     }
+    if late := overdue_hooks(component):
+        made["overdue"] = dict(late)
     ports = cell(component).ports
     if answered := calls(ports):
         made["calls"] = dict(answered)

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from threading import get_ident
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 from aiorts.errors import StateError
 from aiorts.kernel.execution.entry_lock import EntryLock
 from aiorts.kernel.loop.log import LogFields
+from aiorts.kernel.loop.tasks import owner_of
 from aiorts.kernel.ports import Port, Turns
 from aiorts.kernel.ports.host import KernelSide as PortKernelSide
 from aiorts.kernel.ports.host import PortHost
@@ -171,6 +173,8 @@ class Cell(PortHost):
     """The instance that has its place now, while that is not final: requests to this one go to that."""
     held_open: bool = False
     """Whether its in-ports take samples wherever it is: it is on its way to another place, and nothing is dropped."""
+    removals: int = 0
+    """How often its removal was asked for."""
     changes_queued: int = 0
     """Changes of its parameters that wait for the end of a cycle."""
 
@@ -235,6 +239,15 @@ def exchange_cells(one: ComponentSide, other: ComponentSide) -> None:
         setattr(first, name, others)
         setattr(second, name, mine)
     one._rt, other._rt = second, first
+
+
+def is_inside(component: ComponentSide) -> bool:
+    """Whether this is code of the component itself: its hook, a call that it serves, or a task that it started."""
+    here = cell(component)
+    if here.thread_id == get_ident():
+        return here.running is not None
+    task = asyncio.current_task() if asyncio._get_running_loop() is not None else None
+    return owner_of(task) is component
 
 
 def has_cell(component: object) -> bool:

@@ -15,6 +15,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Final
 
+from aiorts.clock import to_ns
 from aiorts.errors import ConfigurationError, StateError
 from aiorts.kernel.execution.apart import check_apart
 from aiorts.kernel.execution.cell import as_group, cell, check_free, flattened, group_among
@@ -27,7 +28,7 @@ from aiorts.kernel.ports import InPort
 from aiorts.kernel.ports.in_port import set_open
 from aiorts.kernel.ports.wiring import realtime_fault
 from aiorts.model.lifecycle import Event as Transition
-from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.lifecycle import LifecycleState, OverdueHook
 from aiorts.model.names import check_name
 from aiorts.model.profile import ContextProfile, ContextStatistics, HookStatistics
 
@@ -288,6 +289,14 @@ class Context:
 
     def _make_driver(self, kernel: KernelSide) -> Driver:
         return TaskDriver(self, self.runner.life.steps(), kernel.loop, kernel.call_at, kernel._call_later, kernel.bus)
+
+    def _overdue(self, member: Member) -> OverdueHook | None:
+        """The hook of a member that runs now, where it is over its deadline."""
+        held = None if self.runner.driver is None else self.runner.driver.held_by(member)
+        if held is None:
+            return None
+        hook, running_ns, deadline_ns = member.hook, self.runner.kernel.clock.monotonic_ns() - held[0], to_ns(held[1])
+        return OverdueHook(hook, running_ns, deadline_ns) if running_ns > deadline_ns else None
 
     def _new_member(self, component: ComponentSide) -> Member:
         self._order += 1

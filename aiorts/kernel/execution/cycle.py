@@ -125,6 +125,10 @@ class Driver(Protocol):
         """The member whose hook runs now."""
         ...
 
+    def held_by(self, member: Member) -> tuple[int, float] | None:
+        """When the hook of this member that runs now began, on the kernel's clock, and the seconds that it may take."""
+        ...
+
     def update_fast_path(self) -> None:
         """Observers of hooks came or went."""
         ...

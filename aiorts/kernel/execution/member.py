@@ -5,8 +5,9 @@ A `Visit` is its counterpart for code of a component that runs beside its hooks.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import StateError
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.execution.cell import ComponentSide
     from aiorts.kernel.execution.context import Context
     from aiorts.kernel.ports import Port
+    from aiorts.model.lifecycle import OverdueHook
 
 _ABSENT: Final[tuple[int, Callable[..., Any]]] = (HookKind.ABSENT, lambda *_error: None)
 """For every hook that the class does not define."""
@@ -115,6 +117,8 @@ class Member:
     @state.setter
     def state(self, state: LifecycleState) -> None:
         self._state = state
+        if state is _ACTIVE:
+            self.cell.was_active = True
         self.settle()
 
     @property
@@ -279,6 +283,12 @@ class Visit:
         """The component said, in a method that others call, that it has nothing more."""
         for context in self.component.contexts:
             context.runner.member(self.component).finish()
+
+
+def overdue_hooks(component: ComponentSide) -> Mapping[str, OverdueHook]:
+    """The hooks of a component that run longer than their deadlines at this moment, by the context's name."""
+    found = {member.context.name: member.context._overdue(member) for member in cell(component).members}
+    return MappingProxyType({context: one for context, one in found.items() if one is not None})
 
 
 def _raise(error: BaseException, *_args: Any) -> None:

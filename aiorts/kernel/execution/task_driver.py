@@ -162,6 +162,13 @@ class TaskDriver:
         """The member whose hook runs now."""
         return self._member
 
+    def held_by(self, member: Member) -> tuple[int, float] | None:
+        """When the hook of this member that runs now began, and its deadline; None without one."""
+        timer = self._timer
+        if timer is not None and self._member is member:
+            return None if timer.limit is None else (timer.begun_ns, timer.limit)
+        return next(filter(None, (helper.held_by(member) for helper in self.helpers)), None)
+
     @property
     def run(self) -> tuple[int, int, Member | None]:
         """Which run of a hook this is: equal for two moments of one run, and for no others while a hook runs."""

@@ -71,6 +71,8 @@ class PortHost:
     """What such a thread has done to an in-port that its component reads or writes to."""
     trial: tuple[object, ...] = ()
     """Members whose component takes samples even in error: new code that failed, until the old one is back."""
+    was_active: bool = False
+    """Whether its component was active at any time, or the one whose place it took."""
     stopping: bool = False
     """Whether that thread is to end: what blocks there gives up."""
     blocking: Blocking | None = None

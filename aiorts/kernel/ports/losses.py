@@ -5,11 +5,14 @@ fails on. How many more it has dropped is logged after 10 s, after twice as long
 ends; after a time without a loss it begins anew. One look names 8 connectors at the most. Where `connect` (`full`,
 `length`, `push`) or the port's own length chose what a slow reader loses, nothing is logged of that: the ledger has
 every count.
+
+A sample that came before its reader was active for the first time is lost in silence, and a system may wait for it
+forever: the first one of a kernel is logged, with what helps.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import TYPE_CHECKING, ClassVar, Final, Protocol
 
 from aiorts.errors import SLOW_READER
 from aiorts.kernel.loop.bus import ConversionFailed
@@ -30,13 +33,19 @@ _MOST_NAMED: Final = 8
 _SUMMARISED: Final = "further losses are summarised here, all are counted in connector.statistics"
 
 
+class LossListener(Protocol):
+    """Who hears of the first sample that a transport loses."""
+
+    def begin(self, connector: Connector) -> None: ...
+
+
 class Losses:
     """What one kernel's connectors have lost and was not reported yet."""
 
     reason: ClassVar[str] = "overwritten"
     lost: ClassVar[str] = "lost"
 
-    __slots__ = ("_kernel", "_named", "_reported", "_timer", "_unnamed", "_wait")
+    __slots__ = ("_early", "_kernel", "_named", "_reported", "_timer", "_unnamed", "_wait")
 
     def __init__(self, kernel: KernelSide) -> None:
         self._kernel = kernel
@@ -45,6 +54,8 @@ class Losses:
         self._timer: Cancellable | None = None
         self._wait = _FIRST_LOOK
         self._named = self._unnamed = 0
+        self._early = False
+        """Whether a sample that came too early was reported."""
 
     def listen(self, connector: Connector) -> None:
         """Hear of the next sample that it loses."""
@@ -60,6 +71,12 @@ class Losses:
             connector,
             f"the reader is slower than the writer; {_SUMMARISED}; {SLOW_READER}",
         )
+
+    def early(self, connector: Connector) -> None:
+        """It has dropped a sample, in this thread, since its reader was never active: report the first of all."""
+        if not self._early:
+            self._early = True
+            self._kernel.loop.call_soon_threadsafe(_report_early, connector)
 
     def stop(self, connector: Connector) -> None:
         """Its user has chosen what is lost: report what was not reported yet, and nothing from now on."""
@@ -165,6 +182,28 @@ class Unconverted(Losses):
     def _first(self, connector: Connector, fault: str) -> None:
         self._kernel.bus.publish(ConversionFailed(connector.name, fault))
         self._begun(connector, f"convert = {connector.profile.convert}: {fault}; {_SUMMARISED}")
+
+
+def note_early(connector: Connector) -> None:
+    """Its reader is not active and has dropped the first sample: have it reported where nobody asked for that."""
+    in_, host = connector.in_, connector.in_._host
+    if host is None or host.kernel is None or host.kernel.closed or host.was_active:
+        return
+    if not (connector.profile.keep_last or connector.out.is_tap or in_.is_tap or in_.is_far):
+        host.kernel.connections.losses.early(connector)
+
+
+def _report_early(connector: Connector) -> None:
+    out, in_ = connector.out.path, connector.in_.path
+    reader = in_.partition(".")[0]
+    _LOG.warning(
+        "W-INACTIVE: %s -> %s: the first sample was dropped, %s was not active yet: connect with keep_last = true, or "
+        'have the writer start later (start.after = "%s active"); further ones are counted in connector.statistics',
+        out,
+        in_,
+        reader,
+        reader,
+    )
 
 
 def _samples(count: int) -> str:

@@ -25,8 +25,9 @@ from aiorts.model.policy import Dataflow
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.kernel.ports.features import TransportKind
     from aiorts.kernel.ports.in_port import InPort
-    from aiorts.kernel.ports.transport import Kind, Transport
+    from aiorts.kernel.ports.transport import Transport
 
 
 _PULL: Final = Dataflow.PULL
@@ -65,7 +66,7 @@ class Receiver:
         "waiter",
     )
 
-    kind: ClassVar[Kind]
+    kind: ClassVar[TransportKind]
     """The row of the table of transports that names this class."""
     has_fast_path: ClassVar[bool] = True
     """Whether a port of this kind may read straight from a queue."""
@@ -97,7 +98,7 @@ class Receiver:
         self.extra: Any = None
         """What another kind of receiver keeps besides."""
 
-    def replace(self, kind: Kind, *, all_transports: bool) -> Receiver:
+    def replace(self, kind: TransportKind, *, all_transports: bool) -> Receiver:
         """Put a receiver of another kind in the place of this one, with all that it holds; and transports of that kind.
 
         On the loop; the caller holds the lock, and calls `refresh_all` afterwards.

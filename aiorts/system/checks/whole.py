@@ -11,6 +11,8 @@ from typing import Any
 from aiorts.contexts import EventContext
 from aiorts.errors import SLOW_READER, StateError, SystemFileError, WiringError
 from aiorts.kernel.declarations import declarations
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.hooks import HookKind
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.names import names_kernel
@@ -31,6 +33,8 @@ from aiorts.wire import excess
 NOTHING_RUNS = "no context runs anything; add [contexts.NAME] with kind and members"
 _MOST_NAMED = 12
 """Ports of a cycle that a message names."""
+_BY_THEMSELVES = ("on_initialize", "on_startup", "on_activated")
+"""Hooks that run though no sample came, and may write the first one."""
 _MOST_LISTED = 6
 """Ports that a message lists."""
 
@@ -46,6 +50,7 @@ def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -
             yield Said("error", SystemFileError.code, key, text)
         yield from _open_ports(found, drafts)
         yield from _unwoken(found, drafts)
+        yield from _unstarted(found, drafts)
     yield from _unsaid_files(found)
     yield from _too_many(found)
     yield from _left_alone(found)
@@ -120,10 +125,7 @@ def _open_ports(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
 
 def _unwoken(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
     """Components that run on events, and pull all that they read: nothing wakes them."""
-    runs: dict[str, list[Any]] = {}
-    for entry in found.system.contexts.values():
-        for member in entry.members:
-            runs.setdefault(member, []).append(found.contexts.get(entry.name))
+    runs = _contexts_of(found)
     feeds: dict[str, list[ConnectionEntry]] = {}
     for connection in found.system.connections:
         for reader in {path.partition(".")[0] for path in connection.ports[1:]}:
@@ -211,11 +213,7 @@ def _loops(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
 
     A connector that the reader pulls wakes nobody, and one of a period is paced: neither is part of such a cycle.
     """
-    contexts: dict[str, list[Any]] = {}
-    for entry in found.system.contexts.values():
-        for member in entry.members:
-            contexts.setdefault(member, []).append(found.contexts.get(entry.name))
-    eager = {name for name, those in contexts.items() if all(isinstance(one, EventContext) for one in those)}
+    eager = {name for name, those in _contexts_of(found).items() if all(isinstance(one, EventContext) for one in those)}
     edges: dict[str, dict[str, tuple[str, str, int]]] = {name: {} for name in found.system.components if name in eager}
     for connection in found.system.connections:
         profile = found.profiles.get(connection.number)
@@ -234,6 +232,56 @@ def _loops(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
             f"put one of them into a periodic context"
         )
         yield Said("warning", "W-LOOP", ("connections", number - 1), text, of_key=True)
+
+
+def _unstarted(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
+    """Circles whose members all wait for a sample of one another: none runs by itself, and no other sends it one."""
+    contexts = _contexts_of(found)
+    comes = _connected_later(found)
+
+    def sleeps(name: str) -> bool:
+        """Whether it runs only because a sample came."""
+        one = drafts[name]
+        return (
+            one.component is not None
+            and one.complete
+            and all(cell(one.component).hook_kinds[hook] == HookKind.ABSENT for hook in _BY_THEMSELVES)
+            and not any(isinstance(port, ServicePort) or comes(name, port) for port in one.ports.values())
+            and all(isinstance(context, EventContext) and context.every is None for context in contexts[name])
+        )
+
+    asleep = [name for name in found.system.components if name in contexts and name in drafts and sleeps(name)]
+    edges: dict[str, dict[str, tuple[str, str, int]]] = {name: {} for name in asleep}
+    woken = list[str]()
+    for connection in found.system.connections:
+        profile = found.profiles.get(connection.number)
+        if profile is not None and profile[0].dataflow is not Dataflow.PUSH:
+            continue  # a pull wakes nobody
+        out, *ins = connection.ports
+        for in_ in ins:
+            writer, reader = out.partition(".")[0], in_.partition(".")[0]
+            if writer in edges:
+                edges[writer].setdefault(reader, (out, in_, connection.number))
+            else:
+                woken.append(reader)
+    while woken:
+        woken += edges.pop(woken.pop(), {})
+    for path, number in _cycles({name: {to: way for to, way in those.items() if to in edges}
+                                 for name, those in edges.items()}):  # fmt: skip
+        text = (
+            f"{path}: each waits for a sample of the one before, and none begins; write the first one in on_activated, "
+            "to a connection with keep_last = true, or put one of them into a periodic context"
+        )
+        yield Said("note", "N-CIRCLE", ("connections", number - 1), text, of_key=True)
+
+
+def _contexts_of(found: Survey) -> dict[str, list[Any]]:
+    """The contexts in which each component is."""
+    contexts: dict[str, list[Any]] = {}
+    for entry in found.system.contexts.values():
+        for member in entry.members:
+            contexts.setdefault(member, []).append(found.contexts.get(entry.name))
+    return contexts
 
 
 def _is_service(drafts: Mapping[str, Draft], path: str) -> bool:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 
+from aiorts.model.lifecycle import state_text
+from aiorts.model.plain import plain
 from aiorts.observe import ComponentReport, ConnectorReport, ContextReport, SystemProfile
 from aiorts.system.draw.graph import drawn
 from aiorts.system.draw.layout import Arrow, Box, Group, Picture, Pin, composite_title, elsewhere, end_of, label
@@ -62,7 +64,7 @@ def _title(name: str, one: ContextReport) -> str:
 
 
 def _box(name: str, one: ComponentReport, arrows: tuple[Arrow, ...]) -> Box:
-    states = ", ".join(dict.fromkeys(one.states.values())) or "in no context"
+    states = state_text(one.states, plain(one.overdue))
     pins = []
     for port in one.ports.values():
         unit = f" [{port.unit}]" if port.unit else ""

@@ -13,6 +13,7 @@ from aiorts.cli.commands.live.look.named import named as meant_by
 from aiorts.cli.commands.live.showing import json_option, mute, named, say_silent, timeout_option
 from aiorts.cli.commands.live.target import Running, complete, kernels
 from aiorts.cli.console.output import say, say_json, table
+from aiorts.model.lifecycle import state_text
 
 
 @click.command(short_help="List the kernels that run, their components and ports.")
@@ -83,6 +84,8 @@ def _document(running: Running, shown: list[Named], *, ports: bool) -> dict[str,
 
 def _component(names: Mapping[str, Any], name: str, outline: Mapping[str, Any] | None) -> dict[str, Any]:
     found = {"name": name, "states": names["components"][name], "failed": name in names["in_error"]}
+    if late := _overdue(names, name):
+        found["overdue"] = late
     if outline is not None:
         found |= {"type": outline["type"], "ports": named(outline["ports"]), "params": outline["params"]}
     return found
@@ -131,4 +134,10 @@ def _row(names: Mapping[str, Any], component: str, *, long: bool) -> tuple[str, 
     if not long:
         return (component,)
     failed = "failed" if component in names["in_error"] else ""
-    return (component, ", ".join(dict.fromkeys(states.values())) or "in no context", ", ".join(states), failed)
+    return (component, state_text(states, _overdue(names, component)), ", ".join(states), failed)
+
+
+def _overdue(names: Mapping[str, Any], component: str) -> Mapping[str, Any]:
+    """Of a kernel of an earlier release nothing is known."""
+    found: Mapping[str, Any] = names.get("overdue", {}).get(component, {})
+    return found

@@ -14,6 +14,7 @@ from aiorts.cli.commands.live.measure.spans import span_plain, span_text
 from aiorts.cli.console.quote import cells_of
 from aiorts.cli.console.report import printed
 from aiorts.late import dataclass
+from aiorts.model.lifecycle import state_text
 
 KINDS: Final = ("connectors", "contexts", "components")
 SORTS: Final = ("name", "rate", "dropped", "buffered", "late")
@@ -135,7 +136,7 @@ def _context(name: str, now: Counters, old: Counters) -> Row:
 
 
 def _component(name: str, one: Mapping[str, Any], old: Counters) -> Row:
-    states = ", ".join(dict.fromkeys(one["states"].values())) or "in no context"
+    states = state_text(one["states"], one.get("overdue", {}))
     failed = " (failed)" if one["failed"] and "error" not in one["states"].values() else ""
     texts = [
         f"{path} {each['calls']}" + (f" ({each['failures']} failed)" if each["failures"] else "")
