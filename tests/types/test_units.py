@@ -130,7 +130,6 @@ class Ports(Component):
     joint = OutPort(Joint)
     degrees = OutPort(Degrees)
     plain_angle = OutPort(Angle)
-    deg = OutPort(Angle, unit="deg")
 
 
 class Takes(Component):
@@ -149,9 +148,17 @@ async def test_ports_whose_fields_have_different_units_are_not_connected() -> No
         wrong = r"units of angle differ: ports\.degrees sends 'deg', takes\.joint takes 'rad'; declare one unit"
         with pytest.raises(WiringError, match=wrong):
             await kernel.connect(ports.degrees, takes.joint)
-        with pytest.raises(WiringError, match=r"units differ: ports\.deg sends 'deg', takes\.angle takes 'rad'"):
-            await kernel.connect(ports.deg, takes.angle)
+        ports.add_port("more", OutPort(Angle, unit="deg"))
+        with pytest.raises(WiringError, match=r"units differ: ports\.more sends 'deg', takes\.angle takes 'rad'"):
+            await kernel.connect("ports.more", takes.angle)
         await kernel.connect(ports.degrees, takes.joint, convert=lambda one: Joint(one.tm, one.angle * 0.0174533))
+
+
+def test_a_port_that_contradicts_its_type_is_refused_where_it_is_declared() -> None:
+    with pytest.raises(DeclarationError, match=r"Wrong\.deg: unit = 'deg': Angle has 'rad'"):
+
+        class Wrong(Component):
+            deg = OutPort(Angle, unit="deg")
 
 
 def test_a_filter_between_two_ports_converts_their_fields() -> None:
