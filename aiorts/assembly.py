@@ -23,18 +23,19 @@ if TYPE_CHECKING:
     from aiorts.diagnostics import ContextTimer, DeadlineMonitor, LoopStalls
     from aiorts.isolation import Limits
     from aiorts.kernel.connection import Connection
-    from aiorts.kernel.ports import Port, PortDeclaration
+    from aiorts.kernel.ports import OutPort, Port, PortDeclaration
     from aiorts.kernel.ports.connector import Connector
     from aiorts.model.blame import GcPauses
     from aiorts.model.configuration.sets import Difference
     from aiorts.model.connect_options import ConnectOptions
     from aiorts.model.wanted.applied import Applied
     from aiorts.model.wanted.entries import Wanted
-    from aiorts.observe import Changes, ConnectorEvent, Introspection, Listening, Monitor, SystemProfile
+    from aiorts.observe import Changes, ConnectorEvent, Introspection, Listening, Monitor, Samples, SystemProfile
     from aiorts.reload import Reloaded
     from aiorts.services import Made, Service, ServiceConnector
     from aiorts.supervision import StartRule, Supervised, Supervising, Supervision
 
+T = TypeVar("T")
 X = TypeVar("X", bound=Context)
 
 
@@ -320,6 +321,31 @@ class Kernel(Microkernel):
         """
         self.check_open("monitor")
         return self._introspection.monitor(paths, rate)
+
+    @overload
+    def samples(self, port: OutPort[T], *, keep_last: bool = False, length: int = 64) -> Samples[T]: ...
+
+    @overload
+    def samples(self, port: str, *, keep_last: bool = False, length: int = 64) -> Samples[Any]: ...
+
+    def samples(self, port: OutPort[Any] | str, *, keep_last: bool = False, length: int = 64) -> Samples[Any]:
+        """The samples that an out-port writes from now on: `async for sample in kernel.samples("tank.level")`.
+
+        The system is what it is without: no connector is made, no writer waits. Also of a component in a process of
+        its own, and of a stand-in. It ends with the kernel, with the port, and when the loop is left.
+
+        Args:
+            port: an out-port, or its path.
+            keep_last: begin with the sample that it wrote last before.
+            length: samples that wait for a slow reader; beyond that the oldest go, and are counted in `dropped`.
+
+        Raises:
+            WiringError: it is no out-port of this kernel.
+            ConfigurationError: the length is none.
+            ClosedError: the kernel is not open.
+        """
+        self.check_open("samples")
+        return self._introspection.samples(port, length, keep_last=keep_last)
 
     def heartbeat(self, interval: float = 1.0) -> Callable[[], None]:
         """Send a ContextBeat of each context and a ComponentBeat of each component at this interval, in seconds of

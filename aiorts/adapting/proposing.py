@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import dataclasses
 import shlex
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from fractions import Fraction
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final, Literal, TypeAlias
 
@@ -17,6 +18,7 @@ from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.late import dataclass
 from aiorts.types import describe, type_name
+from aiorts.types.structure import sole_unit, units_of
 
 FILTER: Final = "FlexiFilter"
 """The type of what is put between, as a plugin offers it."""
@@ -88,8 +90,7 @@ class Between:
 
 def between(out: OutPort[Any], in_: InPort[Any]) -> Between | None:
     """What would join these two, with an empty map where all of it may be had in several ways; None: nothing would."""
-    factor = _factor(out.unit, in_.unit)
-    if factor is None:
+    if _factor(out.unit, in_.unit) is None:
         return None
     source, target = _end(out, _length(out, in_)), _end(in_, _length(in_, out))
     if source is None or target is None:
@@ -98,6 +99,11 @@ def between(out: OutPort[Any], in_: InPort[Any]) -> Between | None:
     if not pairs and not several:
         return None
     pairs = pairs[:_MOST_PINS]
+    factor = partial(_factor_between, source, target)
+    if any(factor(pair) is None for pair in pairs):
+        return None
+    several = {pin: [way for way in ways if None not in map(factor, way)] for pin, ways in several.items()}
+    several = {pin: ways for pin, ways in several.items() if ways}
     done = {other for _, other in pairs}
     named = {pin: pin.removeprefix(":") or in_.name for pin, _ in target.pins}
     return Between(
@@ -179,6 +185,8 @@ class _End:
     form: str
     kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)
     """The kind of value at each pin."""
+    units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """The unit of each pin that has one."""
 
 
 def conversion(unit: str, wanted: str) -> tuple[Fraction, Fraction] | None:
@@ -202,6 +210,11 @@ def _factor(unit: str | None, wanted: str | None) -> str | None:
     return str(factor.numerator) if factor.denominator == 1 else repr(float(factor))
 
 
+def _factor_between(source: _End, target: _End, pair: tuple[str, str]) -> str | None:
+    """The factor from one pin to the other, by the units of the ports or of their fields."""
+    return _factor(source.units.get(pair[0]), target.units.get(pair[1]))
+
+
 def _length(port: Port[Any], other: Port[Any]) -> int:
     """How many pins a sequence has: what its shape says, else that of the other end, else one."""
     for one in (port, other):
@@ -219,6 +232,16 @@ def _stated(port: Port[Any]) -> int:
 
 
 def _end(port: Port[Any], length: int) -> _End | None:
+    found = _pins(port, length)
+    if found is None:
+        return None
+    fields = {path.removeprefix("data."): unit for path, unit in units_of(port.type).items()}
+    whole = port.unit or sole_unit(port.type)
+    units = {pin: whole or fields.get(pin.removeprefix(":"), "") for pin, _ in found.pins}
+    return dataclasses.replace(found, units={pin: unit for pin, unit in units.items() if unit})
+
+
+def _pins(port: Port[Any], length: int) -> _End | None:
     name = type_name(port.type)
     match _form(port.type):
         case "scalar":
@@ -304,6 +327,6 @@ def _pairs(source: _End, target: _End) -> tuple[_Pairs, dict[str, list[_Pairs]]]
     return pairs, several
 
 
-def _entries(pairs: _Pairs, factor: str) -> str:
+def _entries(pairs: _Pairs, factor: Callable[[tuple[str, str]], str | None]) -> str:
     """The map of a filter with one input and one output."""
-    return ",".join(f"0{one}>{factor}>0{other}" if factor else f"0{one}>0{other}" for one, other in pairs)
+    return ",".join(f"0{one}>{f'{by}>' if (by := factor((one, other))) else ''}0{other}" for one, other in pairs)

@@ -228,6 +228,7 @@ class Connections:
         *,
         length: int,
         full: str = "overwrite",
+        keep_last: bool = False,
     ) -> Connector:
         """Let a service take what an out-port writes, until the returned connector is closed.
 
@@ -238,10 +239,10 @@ class Connections:
 
         Args:
             length: samples that it may leave unread. full: what a write does then: "overwrite", "reject", "block".
+            keep_last: there is the sample that the port wrote last before, too; `take` is not called for it.
         """
-        profile, _ = connector_profile(
-            out.path, {"length": length, "full": full, "timeout": None}, f"{out.path}-{service.name}", (out.path,)
-        )
+        options = {"length": length, "full": full, "timeout": None, "keep_last": keep_last}
+        profile, _ = connector_profile(out.path, options, f"{out.path}-{service.name}", (out.path,))
 
         def contained(port: InPort[Any]) -> None:
             try:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     )
     from aiorts.observe.profiling import context_report, system_profile
     from aiorts.observe.reading import profile_from_plain, profile_to_plain
+    from aiorts.observe.samples import Samples, out_port_of, when_removed
     from aiorts.observe.schema import profile_schema
     from aiorts.observe.special_reports import calls, thread_writes
 
@@ -49,6 +50,7 @@ _late(
         ),
         "aiorts.observe.profiling": "context_report system_profile",
         "aiorts.observe.reading": "profile_from_plain profile_to_plain",
+        "aiorts.observe.samples": "Samples out_port_of when_removed",
         "aiorts.observe.schema": "profile_schema",
         "aiorts.observe.special_reports": "calls thread_writes",
     },

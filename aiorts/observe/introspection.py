@@ -6,7 +6,7 @@ Nothing here changes the system or takes a sample.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
 
 from aiorts.errors import ConfigurationError
@@ -15,20 +15,25 @@ from aiorts.kernel.service import KernelService
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports import OutPort
     from aiorts.kernel.ports.connector import Connector
     from aiorts.observe.changes import Changes
     from aiorts.observe.heartbeats import Heartbeat
     from aiorts.observe.listening import Listening
     from aiorts.observe.monitor import Monitor
+    from aiorts.observe.samples import Feed, Samples
 
 
 class Introspection(KernelService):
     """Who looks into one kernel; see the methods of the same names of `aiorts.Kernel`."""
 
+    name = "observe"
+
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)
         self._changes: WeakSet[Changes] = WeakSet()
         self._heartbeats: WeakSet[Heartbeat] = WeakSet()
+        self._feeds: set[Feed] = set()
         self._listening: Listening | None = None
 
     def changes(self, length: int) -> Changes:
@@ -38,6 +43,15 @@ class Introspection(KernelService):
         check_length("changes", length)
         made = Changes(self.kernel, length)
         self._changes.add(made)
+        return made
+
+    def samples(self, port: OutPort[Any] | str, length: int, *, keep_last: bool) -> Samples[Any]:
+        """See `Kernel.samples`."""
+        from aiorts.observe.samples import samples_of
+
+        check_length("samples", length)
+        feed, made = samples_of(self, port, length, keep_last=keep_last)
+        self._feeds = {one for one in self._feeds if not one.ended} | {feed}
         return made
 
     def monitor(self, paths: Sequence[str], rate: float) -> Monitor:
@@ -76,6 +90,8 @@ class Introspection(KernelService):
     def stopped(self) -> None:
         for heartbeat in tuple(self._heartbeats):
             heartbeat.stop()
+        for feed in self._feeds:
+            feed.end()
         if self._listening is not None:
             self._listening.report()
 

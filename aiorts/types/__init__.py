@@ -16,7 +16,7 @@ from aiorts.types.extra import *
 from aiorts.types.interface import *
 from aiorts.types.paths import path_type, read_path
 from aiorts.types.plain import from_plain, to_plain
-from aiorts.types.record import Stamped, record, zero
+from aiorts.types.record import Stamped, field, record, zero
 from aiorts.types.registry import all_types, find_type, full_name, type_name, wire_name, wire_type
 from aiorts.types.rows import RecordArray
 from aiorts.types.samples import check_port_type, check_shape, detached, has_tm, is_mutable, snapshot, with_tm
@@ -42,7 +42,7 @@ from aiorts.types.spelling import (
     wstr,
 )
 from aiorts.types.stamps import Time
-from aiorts.types.structure import Field, Structure, describe, fields_of
+from aiorts.types.structure import Field, Structure, describe, fields_of, units_of
 
 __all__ = [
     "convert",
@@ -51,6 +51,7 @@ __all__ = [
     "from_plain",
     "to_plain",
     "Stamped",
+    "field",
     "record",
     "zero",
     "all_types",
@@ -91,6 +92,7 @@ __all__ = [
     "describe",
     "detached",
     "fields_of",
+    "units_of",
 ]
 __all__ += _basic.__all__
 __all__ += _extended.__all__

@@ -12,7 +12,7 @@ import functools
 import inspect
 from collections.abc import Callable
 from types import FunctionType, MemberDescriptorType
-from typing import Any, NoReturn, TypeVar, cast, dataclass_transform
+from typing import Any, NoReturn, TypeVar, cast, dataclass_transform, overload
 
 from aiorts.errors import DeclarationError, RecordError
 from aiorts.types.arrays import ArrayKind
@@ -21,7 +21,16 @@ from aiorts.types.kinds import NS_PER_SEC, Kind, OptionalKind
 from aiorts.types.nested import RecordKind
 from aiorts.types.registry import register
 from aiorts.types.rows import FixedTupleKind, MapKind, RowsKind, TupleKind, as_dict
-from aiorts.types.structure import STRUCTURE, Field, Structure, assemble, is_class_variable, kind_of, resolve_own
+from aiorts.types.structure import (
+    STRUCTURE,
+    Field,
+    Structure,
+    assemble,
+    is_class_variable,
+    kind_of,
+    notes_of,
+    resolve_own,
+)
 
 T = TypeVar("T")
 Check = Callable[[Any, str], Any]
@@ -60,7 +69,39 @@ def zero(cls: type[T]) -> T:
     return cast("T", Lazy(cls))
 
 
-@dataclass_transform(frozen_default=True)
+@overload
+def field(*, default: T, unit: str = "", doc: str = "") -> T: ...
+
+
+@overload
+def field(*, default_factory: Callable[[], T], unit: str = "", doc: str = "") -> T: ...
+
+
+@overload
+def field(*, unit: str = "", doc: str = "") -> Any: ...
+
+
+def field(*, default: Any = MISSING, default_factory: Any = MISSING, unit: str = "", doc: str = "") -> Any:
+    """Declare a field of a record, or of a dataclass, with what `aiorts types`, schemas and plots say of it.
+
+    `angle: float = field(default=0.0, unit="rad")`. Two ports whose fields of one name have different units are not
+    connected, as those with different `unit=` are not.
+
+    Args:
+        default, default_factory: as `dataclasses.field` has them.
+        unit: of its values; of a nested record, of all in it that says none.
+        doc: what it is.
+    """
+    for name, text in (("unit", unit), ("doc", doc)):
+        if not isinstance(text, str):
+            raise DeclarationError(f"field: {name} = {text!r:.60}: expected text")
+    given = {"default": default, "default_factory": default_factory}
+    known = {name: value for name, value in given.items() if value is not MISSING}
+    made: Any = dataclasses.field(**known, metadata={"unit": unit, "doc": doc})
+    return made
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field, dataclasses.field))
 def record(cls: type[T]) -> type[T]:
     """Make a record type of a class with annotated fields. DeclarationError if a field cannot travel.
 
@@ -104,7 +145,9 @@ def _declared(cls: type) -> list[Field]:
             continue
         where = f"{cls.__qualname__}.{name}"
         kind = kind_of(hints[name], where, cls)
-        fields.append(Field(name, kind, *_default(cls, name, kind, where)))
+        given = cls.__dict__.get(name)
+        notes = notes_of(given) if isinstance(given, dataclasses.Field) else ()
+        fields.append(Field(name, kind, *_default(cls, name, kind, where), *notes))
     return fields
 
 
@@ -115,7 +158,9 @@ def _default(cls: type, name: str, kind: Kind, where: str) -> tuple[Any, Any]:
     if isinstance(default, MemberDescriptorType):
         return none, none
     if isinstance(default, dataclasses.Field):
-        return default.default, default.default_factory
+        if default.default_factory is not none:
+            return none, default.default_factory
+        default = default.default
     if isinstance(default, Lazy):
         return none, default.make
     empty_sequence = type(default) is tuple and not default

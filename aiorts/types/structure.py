@@ -47,6 +47,10 @@ class Field:
     kind: Kind
     default: Any = MISSING
     factory: Any = MISSING
+    unit: str = ""
+    """The unit of its values, such as "rad"; of a nested record, of all in it that says none."""
+    doc: str = ""
+    """What it is."""
 
     @property
     def spelling(self) -> str:
@@ -114,6 +118,31 @@ def fields_of(cls: type) -> tuple[Field, ...]:
     return describe(cls).fields
 
 
+def units_of(cls: type) -> dict[str, str]:
+    """The units of a record type's fields, by their paths without indices; those that say none are left out."""
+    found: dict[str, str] = {}
+
+    def walk(kind: type, prefix: str, outer: str) -> None:
+        for field in describe(kind).fields:
+            path, unit = f"{prefix}{field.name}", field.unit or outer
+            if field.record is not None and dataclasses.is_dataclass(field.record):
+                walk(field.record, f"{path}.", unit)
+            elif unit:
+                found[path] = unit
+
+    if dataclasses.is_dataclass(cls):
+        walk(cls, "", "")
+    return found
+
+
+def sole_unit(cls: type) -> str:
+    """The unit of a type that has one field beside its stamp; "" where it says none, or has several."""
+    if not dataclasses.is_dataclass(cls):
+        return ""
+    fields = [field for field in describe(cls).fields if field.name != "tm"]
+    return fields[0].unit if len(fields) == 1 else ""
+
+
 def has_single_values(cls: type) -> bool:
     """Whether all of a type is single values, or one list of numbers: what FlexiFilter converts."""
     if not dataclasses.is_dataclass(cls):
@@ -137,10 +166,16 @@ def _of_dataclass(cls: type) -> Structure:
             kind_of(hints[field.name], f"{cls.__qualname__}.{field.name}", cls),
             field.default,
             field.default_factory,
+            *notes_of(field),
         )
         for field in dataclasses.fields(cls)
     )
     return assemble(cls, fields, checked=False, frozen=cls.__dataclass_params__.frozen)  # type: ignore[attr-defined]
+
+
+def notes_of(field: dataclasses.Field[Any]) -> tuple[str, str]:
+    """Unit and description of a field, as `field(unit=, doc=)` has them in its metadata."""
+    return str(field.metadata.get("unit", "")), str(field.metadata.get("doc", ""))
 
 
 def assemble(cls: type, fields: tuple[Field, ...], *, checked: bool, frozen: bool) -> Structure:
@@ -232,8 +267,8 @@ def _check_metadata(metadata: list[Any], where: str, owner: type | None) -> None
             shown = f"{entry!r:.60}" if plain else f"{type(entry).__qualname__}(...)"
             raise DeclarationError(
                 f"{where}: Annotated[..., {shown}]: aiorts does not know what {shown} asks for; check a length "
-                "or a range in __post_init__, write tuple[float, float, float] for three numbers, and give a unit or a "
-                "shape to the port: InPort(..., shape=(3,))"
+                "or a range in __post_init__, write tuple[float, float, float] for three numbers, give a unit to the "
+                'field: field(default=0.0, unit="rad"), and a shape to the port: InPort(..., shape=(3,))'
             )
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from aiorts.wire.limits import CONTROL, DATA, LINK, Limits
     from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of, split_sample
     from aiorts.wire.scan import count_values
-    from aiorts.wire.schemas import json_message, schema_text
+    from aiorts.wire.schemas import json_message, schema_text, units_in, without_units
     from aiorts.wire.too_large import excess
     from aiorts.wire.untyped import layout_text, untyped_decoder
 
@@ -38,6 +38,8 @@ __all__ = (
     "layout_text",
     "line_of",
     "schema_text",
+    "units_in",
+    "without_units",
     "sealed_bytes",
     "split_sample",
     "untyped_decoder",
@@ -55,7 +57,7 @@ _late(
         "aiorts.wire.limits": "CONTROL DATA LINK Limits",
         "aiorts.wire.lines": "LineReader LineWriter json_text line_of split_sample",
         "aiorts.wire.scan": "count_values",
-        "aiorts.wire.schemas": "json_message schema_text",
+        "aiorts.wire.schemas": "json_message schema_text units_in without_units",
         "aiorts.wire.untyped": "layout_text untyped_decoder",
     },
 )

@@ -23,6 +23,8 @@ _LAYOUT: Final = {
     "byte order": "little-endian",
     "codes": dict(enumerate(ELEMENTS, start=1)),
 }
+_UNIT: Final = "x-unit"
+"""The unit of a field's values: no part of how they lie."""
 _DRAFT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -49,16 +51,53 @@ def schema_text(cls: type, *, as_json: bool = False) -> str:
 def _type_schema(cls: type, as_json: bool) -> dict[str, Any]:
     if cls in PLAIN_TYPES:
         return _SCALARS[cls.__name__](as_json)
-    kinds: dict[str, Any] = {field.name: field.kind for field in describe(cls).fields}
+    fields = describe(cls).fields
+    kinds: dict[str, Any] = {field.name: field.kind for field in fields}
+    units = {field.name: {_UNIT: field.unit} for field in fields if field.unit}
     # Foxglove refuses a schema with a field that may be null, which has no one type: such a field is left out.
-    left_out = [one for one in describe(cls).fields if as_json and one.default is None and hasattr(one.kind, "inner")]
+    left_out = [one for one in fields if as_json and one.default is None and hasattr(one.kind, "inner")]
     absent = {one.name: kinds[one.name].inner for one in left_out}
     return {
         "type": "object",
-        "properties": {name: _kind_schema(absent.get(name, kind), as_json) for name, kind in kinds.items()},
+        "properties": {
+            name: _kind_schema(absent.get(name, kind), as_json) | units.get(name, {}) for name, kind in kinds.items()
+        },
         "required": [name for name in kinds if name not in absent],
         "additionalProperties": False,
     }
+
+
+def without_units(schema: Any) -> Any:
+    """The same document, of the same type, whatever the units of its fields are."""
+    if isinstance(schema, dict):
+        is_field = "type" in schema or "anyOf" in schema
+        return {key: without_units(one) for key, one in schema.items() if key != _UNIT or not is_field}
+    return [without_units(one) for one in schema] if isinstance(schema, list) else schema
+
+
+def units_in(schema: Any) -> dict[str, str]:
+    """The units in a schema's document, which may be of anybody, by the paths of the fields without indices."""
+    found: dict[str, str] = {}
+
+    def walk(part: Any, path: str, outer: str) -> None:
+        if not isinstance(part, dict):
+            return
+        unit = part[_UNIT] if isinstance(part.get(_UNIT), str) else outer
+        either, items = part.get("anyOf"), part.get("items")
+        if isinstance(either, list) and either:
+            walk(either[0], path, unit)
+        elif isinstance(items, dict):
+            walk(items, path, unit)
+        elif isinstance(properties := part.get("properties"), dict):
+            for name, one in properties.items():
+                walk(one, f"{path}.{name}" if path else str(name), unit)
+        elif unit:
+            found[path] = unit
+
+    if isinstance(schema, dict) and isinstance(frame := schema.get("prefixItems"), list) and len(frame) == 3:
+        schema = frame[2]
+    walk(schema, "", "")
+    return found
 
 
 def json_message(record: Any) -> Any:

@@ -18,7 +18,7 @@ from aiorts.wire.forms import list_of, map_entries
 from aiorts.wire.limits import LINK
 from aiorts.wire.parts import NUMBER_CODES, Buffer, Take, layout_of, take_array, take_bytes
 from aiorts.wire.scan import MAX_DEPTH
-from aiorts.wire.schemas import schema_text
+from aiorts.wire.schemas import schema_text, without_units
 
 _LIES_AS: Final = "x-frame"
 _PACKED: Final = "packed"
@@ -27,7 +27,7 @@ _BY_POSITION: Final = "positions"
 
 def layout_text(cls: type) -> str:
     """The text of how records of a class lie in head and parts: their schema, and whether they are packed."""
-    document = json.loads(schema_text(cls))
+    document = without_units(json.loads(schema_text(cls)))
     packed, _ = layout_of(cls)
     return json.dumps({_LIES_AS: _BY_POSITION if packed is None else _PACKED, **document}, separators=(",", ":"))
 

@@ -10,6 +10,7 @@ from typing import Any
 from aiorts.errors import RecordError, UnknownTypeError
 from aiorts.types import wire_type
 from aiorts.wire import MsgpackCodec
+from aiorts_foxglove.panels import Panel, panel_of
 from aiorts_log import encoder, schema_of
 
 
@@ -24,6 +25,8 @@ class Kind:
     """The type's full name."""
     cls: type | None
     schema: str = ""
+    panel: Panel | None = None
+    """What draws them, beside what shows any record."""
     _encoders: dict[type, Callable[[Any], bytes]] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
@@ -35,7 +38,8 @@ class Kind:
             known = None
         if known is None:
             return cls(name, None)
-        return cls(name, known, schema_of(1, known, "json").data.decode())
+        schema, panel = schema_of(1, known, "json").data.decode(), panel_of(known)
+        return cls(name, known, schema if panel is None else panel.schema_with(schema), panel)
 
     def payload(self, item: Mapping[str, Any]) -> bytes:
         """A sample, as a tap gives it, as JSON: what recordings in JSON hold.
@@ -51,6 +55,8 @@ class Kind:
             whole = fields if tm is None else {"tm": tm, **fields}
             return json.dumps(whole, ensure_ascii=False, separators=(",", ":")).encode()
         record = MsgpackCodec().decode(item["frame"], self.cls)
+        if self.panel is not None:
+            return self.panel.message(record)
         exact = type(record)
         if exact not in self._encoders:
             self._encoders[exact] = encoder("json", exact)
@@ -70,6 +76,6 @@ class Channel:
         """As it is advertised."""
         about = {"id": self.number, "topic": self.port, "encoding": "json", "schemaName": "", "schema": ""}
         if self.kind.schema:
-            name = self.kind.name.removeprefix("aiorts.types.")
+            name = self.kind.panel.name if self.kind.panel else self.kind.name.removeprefix("aiorts.types.")
             about |= {"schemaName": name, "schema": self.kind.schema, "schemaEncoding": "jsonschema"}
         return about

@@ -37,8 +37,9 @@ def foxglove(kernel: str, port: int, origins: tuple[str, ...], wait: bool, modul
     """Serve what runs over Foxglove's WebSocket protocol; without KERNEL it is the only one that runs.
 
     Open the address that is printed in Foxglove, as a connection of the kind Foxglove WebSocket. Each out-port is a
-    topic. Samples of a port are taken while a viewer shows it. What a viewer is too slow for is dropped and counted;
-    the system is not slowed down, and nothing can be changed through it.
+    topic; poses, transforms, scans and images are what its 3D and Image panels draw. Samples of a port are taken
+    while a viewer shows it. What a viewer is too slow for is dropped and counted; the system is not slowed down, and
+    nothing can be changed through it.
 
     It listens on 127.0.0.1. Pages of app.foxglove.dev and of this machine may connect, others with --origin. It ends
     with the kernel.

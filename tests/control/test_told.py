@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from aiorts import EventContext
+from aiorts import EventContext, Kernel
 from aiorts.cli.commands import live
 from aiorts.control.operation import Right
 from aiorts.control.operations import OPERATIONS
@@ -51,6 +51,14 @@ async def test_a_name_of_another_kind_is_said_to_be_one(
 async def test_where_nothing_runs_no_name_is_made_up(capsys: pytest.CaptureFixture[str]) -> None:
     status, text = await commanded(capsys, "stop")
     assert (status, text.startswith("aiorts: E-ABSENT: nothing runs that can be reached;")) == (6, True)
+
+
+async def test_where_nothing_runs_it_is_said_how_a_program_is_found(capsys: pytest.CaptureFixture[str]) -> None:
+    status, text = await commanded(capsys, "ls")
+    way = "Kernel(services={'control': {}})"
+    assert (status, text) == (0, f"nothing runs that can be reached; aiorts run can, and a program with {way}\n")
+    async with Kernel("mine", services={"control": {}}):
+        assert (await commanded(capsys, "ls"))[1].startswith("mine-")
 
 
 async def test_a_name_that_several_kernels_have_is_offered_once(capsys: pytest.CaptureFixture[str]) -> None:

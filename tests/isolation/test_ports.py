@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from anyio import fail_after
 
 from aiorts import EventContext, Kernel
 from aiorts.system import build, load
 from aiorts.types import TimedDoubleSeq, TimedLong
-from isolation.isolated_parts import Growing, Sink, Source
+from isolation.isolated_parts import Growing, Scale, Sink, Source
 from isolation.test_isolated import until
 from run_parts import here
 
@@ -99,3 +100,19 @@ async def test_ports_follow_the_parameters() -> None:
             "output0": "TimedLong",
             "output1": "TimedDouble",
         }
+
+
+async def test_samples_of_a_component_in_a_process_of_its_own_are_given_here() -> None:
+    with fail_after(20.0):
+        async with Kernel() as kernel:
+            source: Any = await kernel.add(Source("source"))
+            scale: Any = await kernel.create_isolated(Scale, "scale")
+            await kernel.connect(source.out, scale.inp)
+            await kernel.start(EventContext(), scale, activate=True)
+            source.out.write_nowait(TimedLong(0, 1))
+            stream = kernel.samples("scale.out", keep_last=True)
+            assert (await anext(stream)).data == 2
+            source.out.write_nowait(TimedLong(0, 3))
+            assert (await anext(stream)).data == 6
+            assert [one.out.path for one in kernel.connectors.values()] == ["source.out"]
+        assert [sample async for sample in stream] == []

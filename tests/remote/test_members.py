@@ -16,7 +16,7 @@ from aiorts.errors import AiortsError, ComponentError, ConfigurationError, Denie
 from aiorts.sessions import Client
 from aiorts.types import TimedLong
 from control_parts import entry_of, with_client
-from remote_parts import Local, left, until
+from remote_parts import WAIT, Local, left, until
 
 pytestmark = [pytest.mark.anyio, pytest.mark.row(101)]
 ACTIVE, ERROR, INACTIVE = LifecycleState.ACTIVE, LifecycleState.ERROR, LifecycleState.INACTIVE
@@ -425,3 +425,13 @@ async def test_a_component_that_another_kernel_has_as_a_member_joins_no_composit
                 with suppress(StateError):
                     await hand.add_members("near")
                 await asyncio.sleep(0.01)
+
+
+async def test_samples_of_a_component_of_another_kernel_are_given_by_what_stands_for_it(tmp_path: Path) -> None:
+    async with left(tmp_path, activate=True), right() as kernel:
+        local, gripper = await kernel.add(Local("local")), await kernel.stand_in("left/gripper")
+        await kernel.connect(local.out, gripper.ports["inp"])
+        with fail_after(WAIT):
+            async with kernel.samples("gripper.force") as stream:
+                local.out.write_nowait(TimedLong(0, 3))
+                assert (await anext(stream)).data == 6

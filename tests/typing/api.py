@@ -24,6 +24,7 @@ from aiorts import (
     component,
 )
 from aiorts.events import ParameterChanged
+from aiorts.observe import Samples
 from aiorts.testing import Rig
 from aiorts.types import TimedDouble, TimedLong
 
@@ -221,6 +222,14 @@ async def options(kernel: Kernel, pid: Pid, rig: Rig) -> None:
     wire.change(skip=2)  # error: cannot be changed
     (await kernel.connect(pid.command, pid.measured, pid.measured)).close()
     rig.connect("pid0.command", pid.measured, subscription="always")  # error: no such word
+
+
+async def samples(kernel: Kernel, pid: Pid) -> None:
+    assert_type(kernel.samples(pid.command), Samples[TimedDouble])
+    assert_type(kernel.samples("pid.command", keep_last=True), Samples[Any])
+    async for sample in kernel.samples(pid.command, length=1):
+        assert_type(sample, TimedDouble)
+    kernel.samples(pid.measured)  # error: an in-port
 
 
 async def main() -> None:

@@ -69,15 +69,14 @@ def profile_of_type(cls: type) -> dict[str, Any]:
         return {**common, "kind": "enum", "members": {member.name: plain(member.value) for member in cls}}
     if not dataclasses.is_dataclass(cls):
         return {**common, "kind": "plain", "doc": f"A bare {cls.__name__}.", "example": example_of(cls)}
-    notes: dict[str, Any] = {field.name: field.metadata for field in dataclasses.fields(cls)}
     fields = [
         {
             "name": field.name,
             "type": field.spelling,
             "default": _default(field),
             "required": not field.has_default,
-            "unit": str(notes.get(field.name, {}).get("unit", "ns" if field.name == "tm" and has_tm(cls) else "")),
-            "doc": str(notes.get(field.name, {}).get("doc", _TM_DOC if field.name == "tm" and has_tm(cls) else "")),
+            "unit": field.unit or ("ns" if field.name == "tm" and has_tm(cls) else ""),
+            "doc": field.doc or (_TM_DOC if field.name == "tm" and has_tm(cls) else ""),
         }
         for field in fields_of(cls)
     ]

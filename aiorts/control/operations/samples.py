@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -17,9 +17,9 @@ from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.tools import Tools
 from aiorts.control.session import Session, Stream
 from aiorts.errors import AbsentError, AiortsError, ClosedError, RecordError, WiringError, WriteTimeout
-from aiorts.kernel.loop.bus import ComponentRemoved, PortRemoved
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.late import dataclass
+from aiorts.observe import out_port_of, when_removed
 from aiorts.sessions import WAITING, Made
 from aiorts.types import full_name, has_tm, type_name, wire_name, wire_type
 from aiorts.wire import LineReader, MsgpackCodec, schema_text, split_sample
@@ -136,12 +136,7 @@ def _stamp(sample: Any) -> int | None:
 
 def _tap(session: Session, given: Tapped, stream: Stream) -> Tap:
     """Send each sample from now on; what the client is too slow for is dropped and counted, and holds nobody up."""
-    kernel, out = session.kernel, session.kernel.find(given.port)
-    if isinstance(out, InPort):
-        writers = ", ".join(connector.out.path for connector in out.connectors) or "none is connected"
-        raise WiringError(f"{given.port}: is an in-port; look at the out-port that writes to it: {writers}")
-    if not isinstance(out, OutPort):
-        raise WiringError(f"{given.port}: is no out-port of samples")
+    kernel, out = session.kernel, out_port_of(session.kernel, given.port)
     clock, loop = kernel.clock, kernel.loop
     simulated, due, lost = isinstance(clock, SimulatedClock), False, 0
 
@@ -175,7 +170,7 @@ def _tap(session: Session, given: Tapped, stream: Stream) -> Tap:
 
     stream.on_close(connector.close)
     stream.on_finish(send)
-    stream.on_close(_when_removed(session, given.port, end))
+    stream.on_close(when_removed(session.kernel.bus, given.port, end))
     return Tap(out.path, type_name(out.type), full_name(out.type), out.unit)
 
 
@@ -259,7 +254,7 @@ def _injector(session: Session, in_: InPort[Any], given: Injected) -> Connector:
         return connector
     options: Mapping[str, Any] = {"length": given.length, "full": given.full, "timeout": given.timeout}
     made = session.kernel.service(Tools).inject(session.who, in_, options)
-    session.keep(_when_removed(session, given.port, lambda _: made.close()))
+    session.keep(when_removed(session.kernel.bus, given.port, lambda _: made.close()))
     session.keep(made.close)
     own[way] = made
     return made
@@ -267,28 +262,6 @@ def _injector(session: Session, in_: InPort[Any], given: Injected) -> Connector:
 
 def _injectors_at(session: Session, port: str) -> list[Connector]:
     return [connector for (at, *_), connector in _INJECTORS.get(session, {}).items() if at == port]
-
-
-def _when_removed(session: Session, path: str, call: Callable[[str], object]) -> Callable[[], None]:
-    """Call `call` with what was removed, the component of a port or the port; returns what ends this."""
-    bus = session.kernel.bus
-    component, _, name = path.rpartition("/")[2].partition(".")
-
-    def component_removed(event: ComponentRemoved) -> None:
-        if event.component == component:
-            call("its component was removed")
-
-    def port_removed(event: PortRemoved) -> None:
-        if (event.component, event.port.name) == (component, name):
-            call("was removed")
-
-    ends = bus.subscribe(ComponentRemoved, component_removed), bus.subscribe(PortRemoved, port_removed)
-
-    def end() -> None:
-        for one in ends:
-            one()
-
-    return end
 
 
 ROWS: Final = (

@@ -148,7 +148,7 @@ class Port(PortDeclaration, Generic[T]):
                 f"{type(self).__name__}({self.type:.60})"
             )
         from aiorts.types.samples import check_port_type
-        from aiorts.types.structure import UnresolvedName
+        from aiorts.types.structure import UnresolvedName, sole_unit
 
         try:
             check_port_type(self.type)
@@ -156,6 +156,11 @@ class Port(PortDeclaration, Generic[T]):
             return  # defined further down in its module, maybe: then it is known when the port is made
         except DeclarationError as error:
             raise DeclarationError(f"{cls.__qualname__}.{attribute}: {error}") from None
+        if self.unit and (own := sole_unit(self.type)) not in ("", self.unit):
+            raise DeclarationError(
+                f"{cls.__qualname__}.{attribute}: unit = {self.unit!r}: {self.type.__name__} has {own!r}; "
+                "leave the port's unit out, or take another type"
+            )
 
     def declared_profile(self, attribute: str, ports: Mapping[str, PortProfile]) -> PortProfile:
         return replace(self.profile, name=self.name or attribute)

@@ -311,9 +311,10 @@ def pair_faults(out: OutPort[Any], in_: InPort[Any], *, converted: bool = False)
             f"{where}: types differ: {out.path} sends {type_name(out.type)}, {in_.path} takes {type_name(in_.type)}; "
             f"connect ports of one type, or put {between} between them, or give convert = a function"
         )
-    if out.unit is not None and in_.unit is not None and out.unit != in_.unit:
+    for field, sent, taken in _unlike_units(out, in_):
+        of = f" of {field}" if field else ""
         yield (
-            f"{where}: units differ: {out.path} sends {out.unit!r}, {in_.path} takes {in_.unit!r}; "
+            f"{where}: units{of} differ: {out.path} sends {sent!r}, {in_.path} takes {taken!r}; "
             "declare one unit at both, or give convert = a function"
         )
     if out.shape is not None and in_.shape is not None and not _shapes_agree(out.shape, in_.shape):
@@ -321,6 +322,21 @@ def pair_faults(out: OutPort[Any], in_: InPort[Any], *, converted: bool = False)
             f"{where}: shapes differ: {out.path} sends {out.shape}, {in_.path} takes {in_.shape}; "
             "declare one shape at both, or give convert = a function"
         )
+
+
+def _unlike_units(out: OutPort[Any], in_: InPort[Any]) -> Iterator[tuple[str, str, str]]:
+    """The fields to which the two ports give different units, with these; "" for the data as a whole."""
+    from aiorts.types.structure import sole_unit, units_of
+
+    sent, taken = out.unit or sole_unit(out.type), in_.unit or sole_unit(in_.type)
+    if sent and taken:
+        if sent != taken:
+            yield "", sent, taken
+    elif out.type is not in_.type:  # a record of a record's kind, whose field has another unit
+        theirs = units_of(in_.type)
+        for field, unit in units_of(out.type).items():
+            if theirs.get(field, unit) != unit:
+                yield field, unit, theirs[field]
 
 
 def _shapes_agree(one: tuple[int, ...], other: tuple[int, ...]) -> bool:

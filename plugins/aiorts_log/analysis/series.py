@@ -86,7 +86,7 @@ class _Field:
     def add(self, seconds: float, sample: RecordedSample) -> None:
         """Add the values of a sample."""
         if self._unit is None:
-            self._unit = self.port.metadata.get("unit", "") if self._has_unit(sample) else ""
+            self._unit = self._unit_of(sample)
         for number, value in enumerate(self.numbers(sample)):
             if number == len(self._series):
                 self._series.append(Series(f"{self.label}{self._place(number)}", self._unit))
@@ -128,6 +128,11 @@ class _Field:
             except (KeyError, IndexError, TypeError):
                 raise ConfigurationError(f"{self.label}: there is no {name or index} in its samples") from None
         return self._checked(value)
+
+    def _unit_of(self, sample: RecordedSample) -> str:
+        """The field's own unit, else the port's where that has one field."""
+        named = re.sub(r"\[[^\]]*\]", "", self._path)
+        return self.port.units.get(named) or (self.port.metadata.get("unit", "") if self._has_unit(sample) else "")
 
     def _has_unit(self, sample: RecordedSample) -> bool:
         """Whether the port's unit is that of the field: not of a stamp, nor of one of several fields."""

@@ -18,6 +18,8 @@ from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple, Self
 
 from aiorts.errors import RecordError, WireError
+from aiorts.types import units_of
+from aiorts.wire import units_in, without_units
 from aiorts_log.errors import DamagedError, RecordingError
 from aiorts_log.mcap.checking import faults
 from aiorts_log.mcap.chunks import Content, Message, Messages
@@ -70,9 +72,18 @@ class RecordedPort:
         if cls is None:
             return why
         own = schema_of(self.schema.id, cls, "json" if self.encoding == "json" else "msgpack")
-        if own != self.schema:
+        if own != self.schema and not _alike(own, self.schema):
             return f"{self.type_name} was another type when it was recorded: its fields differ"
         return ""
+
+    @cached_property
+    def units(self) -> Mapping[str, str]:
+        """The units of its fields, by their paths without indices: as they were recorded, else as its type has them."""
+        recorded: Mapping[str, str] = {}
+        if self.schema is not None:
+            with contextlib.suppress(ValueError, RecursionError):
+                recorded = units_in(json.loads(self.schema.data))
+        return recorded or ({} if self.unknown else units_of(self.type))
 
     @cached_property
     def decode(self) -> Callable[[bytes], Any]:
@@ -89,6 +100,16 @@ class RecordedPort:
     def plain(self, data: bytes) -> Any:
         """Decode a sample to plain data that JSON can carry, whether its type is loaded or not."""
         return plain_of(data, self.encoding, self.schema)
+
+
+def _alike(one: Schema, other: Schema) -> bool:
+    """Whether two schemas differ in units alone."""
+    if (one.name, one.encoding) != (other.name, other.encoding):
+        return False
+    try:
+        return bool(without_units(json.loads(one.data)) == without_units(json.loads(other.data)))
+    except (ValueError, RecursionError):
+        return False
 
 
 class RecordedSample(NamedTuple):

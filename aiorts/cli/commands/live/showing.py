@@ -104,7 +104,7 @@ def say_silent(found: Kernels) -> None:
     for one in found.silent:
         say(f"{one.entry.name}/  {one.why} (process {one.entry.pid})")
     if not found.running and not found.silent:
-        say("nothing runs that can be reached")
+        say("nothing runs that can be reached; aiorts run can, and a program with Kernel(services={'control': {}})")
 
 
 # -- what goes on ------------------------------------------------------------------------------------------------------

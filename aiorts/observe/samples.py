@@ -1,0 +1,202 @@
+"""`kernel.samples(port)`: the samples of an out-port as an async iterator, for tests, WebSockets and notebooks.
+
+They come over a tap: the system is with it what it is without, and no writer waits.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import weakref
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from aiorts.errors import BusyError, ConfigurationError, WiringError
+from aiorts.kernel.loop.bus import ComponentRemoved, PortRemoved
+from aiorts.kernel.ports import InPort, OutPort
+
+if TYPE_CHECKING:
+    from types import TracebackType
+    from typing import Self
+
+    from aiorts.kernel.loop.bus import Bus
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.kernel.service import KernelService
+
+T = TypeVar("T")
+
+
+class Samples(AsyncIterator[T], Generic[T]):
+    """An async iterator of the samples that an out-port writes, for one task; see `Kernel.samples`.
+
+    It ends with its kernel, with its port, with `close()` or `aclose()`, at the end of `async with`, and when nothing
+    refers to it any more, as after a `break` out of `async for sample in kernel.samples(...)`. What waits then is
+    still given, but not after `close`.
+    """
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+        self._forgotten = weakref.finalize(self, feed.forget)
+        self._forgotten.atexit = False
+
+    @property
+    def dropped(self) -> int:
+        """Samples that were written and are not given here, since `length` others waited already: the oldest go."""
+        return self._feed.dropped
+
+    @property
+    def closed(self) -> bool:
+        """Whether no sample comes any more; some may wait."""
+        return self._feed.ended
+
+    def close(self) -> None:
+        """End it; what waits is not given any more. Idempotent."""
+        self._forgotten.detach()
+        self._feed.waiting.clear()
+        self._feed.end()
+
+    async def aclose(self) -> None:
+        """As `close`, as asynchronous generators have it."""
+        self.close()
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> T:
+        return await self._feed.next()  # type: ignore[no-any-return]
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        feed = self._feed
+        state = "closed" if feed.ended else "open"
+        return f"<Samples {feed.path} {state} {len(feed.waiting)} waiting {feed.dropped} dropped>"
+
+
+class Feed:
+    """What a tap has taken, for one `Samples`, which it does not refer to."""
+
+    def __init__(self, service: KernelService, out: OutPort[Any], length: int, *, keep_last: bool) -> None:
+        self.path = out.path
+        self.waiting: deque[Any] = deque()
+        self._length = length
+        self._overrun = 0
+        self._waiter: asyncio.Future[None] | None = None
+        self._kernel: Microkernel = service.kernel
+        self._connector: Connector = service.kernel.connections.tap(
+            service, out, self._take, length=length, keep_last=keep_last
+        )
+        self._unsubscribe = when_removed(service.kernel.bus, out.path, lambda _: self.end())
+        self._take(self._connector.in_)  # what was kept
+
+    @property
+    def dropped(self) -> int:
+        """Samples that found no room here, or before in the tap."""
+        return self._overrun + sum(self._connector.statistics.dropped.values())
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing comes any more."""
+        return self._connector.closed
+
+    def end(self) -> None:
+        """Take nothing more; what waits is still given. Idempotent."""
+        if not self._connector.closed:
+            self._take(self._connector.in_)  # what a thread has written at last
+            self._connector.close()
+        self._unsubscribe()
+        self._wake()
+
+    def forget(self) -> None:
+        """As `end`, from any thread: who held it is gone."""
+        self._kernel.call_on_loop(self.end)
+
+    async def next(self) -> Any:
+        """The oldest sample that waits; StopAsyncIteration when none comes any more."""
+        if self._waiter is not None:
+            raise BusyError(f"{self.path}: another task iterates these samples; one at a time")
+        while not self.waiting:
+            if self.ended:
+                raise StopAsyncIteration
+            self._waiter = asyncio.get_running_loop().create_future()
+            try:
+                await self._waiter
+            finally:
+                self._waiter = None
+        return self.waiting.popleft()
+
+    def _take(self, tap: InPort[Any]) -> None:
+        self.waiting.extend(tap.drain())
+        while len(self.waiting) > self._length:
+            self.waiting.popleft()
+            self._overrun += 1
+        self._wake()
+
+    def _wake(self) -> None:
+        waiter = self._waiter
+        if waiter is not None and not waiter.done() and (self.waiting or self.ended):
+            waiter.set_result(None)
+
+
+def out_port_of(kernel: Microkernel, path: str) -> OutPort[Any]:
+    """The out-port of a path, to be tapped.
+
+    Raises:
+        WiringError: there is none of that path in this kernel; names the writers of an in-port.
+    """
+    out = kernel.find(path)
+    if isinstance(out, InPort):
+        writers = ", ".join(connector.out.path for connector in out.connectors) or "none is connected"
+        raise WiringError(f"{path}: is an in-port; look at the out-port that writes to it: {writers}")
+    if not isinstance(out, OutPort):
+        raise WiringError(f"{path}: is no out-port of samples")
+    return out
+
+
+def when_removed(bus: Bus, path: str, call: Callable[[str], object]) -> Callable[[], None]:
+    """Call `call` with what was removed, the component of a port or the port; returns what ends this."""
+    component, _, name = path.rpartition("/")[2].partition(".")
+
+    def component_removed(event: ComponentRemoved) -> None:
+        if event.component == component:
+            call("its component was removed")
+
+    def port_removed(event: PortRemoved) -> None:
+        if (event.component, event.port.name) == (component, name):
+            call("was removed")
+
+    ends = bus.subscribe(ComponentRemoved, component_removed), bus.subscribe(PortRemoved, port_removed)
+
+    def end() -> None:
+        for one in ends:
+            one()
+
+    return end
+
+
+def samples_of(
+    service: KernelService, port: OutPort[Any] | str, length: int, *, keep_last: bool
+) -> tuple[Feed, Samples[Any]]:
+    """The feed of an out-port of this kernel and the iterator over it. See `Kernel.samples`."""
+    kernel = service.kernel
+    if isinstance(port, str) and kernel.registry.is_elsewhere(port):
+        owner = port.rpartition(".")[0]
+        raise WiringError(
+            f"{port}: is in another kernel, whose types this one does not know; "
+            f'have its component here: await kernel.stand_in("{owner}"), and take the samples of its port'
+        )
+    out = out_port_of(kernel, port) if isinstance(port, str) else port
+    host = out._host if isinstance(out, OutPort) else None
+    if host is None or host.kernel is not kernel:
+        raise WiringError(f"samples({out!r:.100}): expected an out-port of a component of this kernel, or its path")
+    if type(keep_last) is not bool:
+        raise ConfigurationError(f"samples: keep_last = {keep_last!r:.60}: expected True or False")
+    feed = Feed(service, out, length, keep_last=keep_last)
+    return feed, Samples(feed)
