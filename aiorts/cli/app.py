@@ -55,6 +55,7 @@ _COMMANDS: Final = {
     "disconnect": ("aiorts.cli.commands.live.connecting:disconnect", "End connectors of what runs."),
     "fsm": ("aiorts.cli.commands.live.machines:fsm", "Show a state machine, and send it events."),
     "goal": ("aiorts.cli.commands.live.calling:goal", "Send a goal, and show its feedback."),
+    "replay": ("aiorts.cli.replaying:replay", "Replay a recording, alone or in a system."),
     "reload": ("aiorts.cli.commands.live.reloading:reload", "Replace the code of components that run."),
     "exit": ("aiorts.cli.commands.live.components:exit_", "Remove components that run."),
     "bw": ("aiorts.cli.commands.live.measure.rates:bw", "Show how many bytes pass a connector or port each second."),

@@ -14,7 +14,7 @@ from click.shell_completion import CompletionItem
 
 _SECTIONS: Final = (
     ("Begin", ("demo", "new", "doctor", "help")),
-    ("Systems", ("run", "check", "plan", "apply", "graph", "schema")),
+    ("Systems", ("run", "replay", "check", "plan", "apply", "graph", "schema")),
     (
         "What runs",
         (
