@@ -37,6 +37,7 @@ def _speed(text: str) -> float:
 @click.option("--absolute", is_flag=True, help="Time stamps as recorded, in place of the time now.")
 @click.option("--for", "duration", type=float, metavar="S", help="End after S seconds.")
 @click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="With SYSTEM: set a parameter.")
+@click.option("--print", "printed", multiple=True, metavar="PORT", help="With SYSTEM: print samples of this out-port.")
 @click.option("--simulate", is_flag=True, help="With SYSTEM: run in virtual time.")
 @click.option("--name", metavar="NAME", help="Without SYSTEM: let other terminals reach it by this name.")
 def replay(
@@ -44,6 +45,7 @@ def replay(
     system: str | None,
     ports: tuple[str, ...],
     changes: tuple[str, ...],
+    printed: tuple[str, ...],
     duration: float | None,
     simulate: bool,
     absolute: bool,
@@ -66,8 +68,8 @@ def replay(
     """
     if name is not None and system is not None:
         raise click.UsageError("--name is for a replay alone; a system is reached by the name of its file")
-    if system is None and (changes or simulate):
-        raise click.UsageError("--set and --simulate need a SYSTEM to run; name its file after the recording")
+    if system is None and (changes or printed or simulate):
+        raise click.UsageError("--set, --print and --simulate need a SYSTEM to run; name its file after the recording")
     given = {key.replace("_", "-"): value for key, value in given.items() if value not in (None, "")}
     common = [] if duration is None else [f"--for={duration!r}"]
     ctx = click.get_current_context()

@@ -16,6 +16,7 @@ from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.completion import targets
 from aiorts.cli.runtime.alone import DEFAULT_RATE, input_is_given
 from aiorts.cli.runtime.options import Options, checked, with_clock
+from aiorts.cli.runtime.printing import printing
 from aiorts.cli.runtime.service_options import RunCommand, chosen
 from aiorts.cli.runtime.session import execute, log_of, refuse
 from aiorts.cli.runtime.stopping import Stopper
@@ -63,6 +64,13 @@ from aiorts.system import Choices
 @click.option("--log-level", default="", metavar="LEVELS", help="Levels of the log, such as warning,pid0=debug.")
 @click.option("--log-file", type=Path, metavar="PATH", help="Append the log to a file.")
 @click.option("--log-format", type=click.Choice(["text", "json"]), default="text", help="json: an object in a line.")
+@click.option(
+    "--print",
+    "printed",
+    multiple=True,
+    metavar="PORT",
+    help="Print the samples of these out-ports, COMPONENT.PORT with * and ?, as JSON lines; repeatable.",
+)
 @click.option("-q", "--quiet", is_flag=True, help="Do not print the samples of a component alone.")
 @click.option("--no-status", is_flag=True, help="No status line on the terminal.")
 @click.option("-v", "--verbose", is_flag=True, help="Short for --log-level info.")
@@ -79,6 +87,7 @@ def run(
     rate: float | None,
     count: int | None,
     duration_once: float | None,
+    printed: tuple[str, ...],
     quiet: bool,
     no_status: bool,
     watch: bool,
@@ -97,8 +106,8 @@ def run(
     a line (cron) ends a component that runs when data arrives, but not one with a rate.
 
     A component that reads lines, or has no in-ports, prints its samples as JSON lines on standard output, unless
-    --quiet. A slow reader of that output slows it down. --count ends the run after so many samples printed, or read
-    where nothing is printed.
+    --quiet, and a system those of the out-ports that --print names. A slow reader of that output slows it down. --count
+    ends the run after so many samples printed, or read where nothing is printed.
 
     The run ends when every source has finished, was removed, has stopped with its contexts, or is in error without
     recovery, and no sample is on its way. It also ends when a component requests it, after --for, and on Ctrl-C; a
@@ -136,7 +145,7 @@ def run(
         options = with_clock(options, found.clock)
         if watch and options.simulate:
             raise click.UsageError("--watch: no file can change while virtual time passes; leave --simulate out")
-        if found.streams and sys.stdout is not None and sys.stdout.isatty():
+        if (found.streams or printed) and sys.stdout is not None and sys.stdout.isatty():
             options = replace(options, status=False)  # its samples are what is looked at, and go past the line
         if log.levels.default <= logging.WARNING:
             for text in found.doubts:
@@ -151,7 +160,7 @@ def run(
         if ends is not None:
             stopper.last_words.append(ends.report_rest)
         status = execute(
-            found.make,
+            printing(printed, found.make) if printed else found.make,
             len(found.names),
             options,
             stopper,
