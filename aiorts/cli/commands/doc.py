@@ -33,9 +33,12 @@ from aiorts.system import AS_WRITTEN, Choices, graph, load
     help="The language; by default html where FILE of -o ends in .html, else md.",
 )
 @click.option("-o", "--output", metavar="FILE", type=click.Path(), help="Write the page there, not to standard output.")
+@click.option("--force", is_flag=True, help="Overwrite FILE.")
 @choices_options
 @click.option("--plugins", "folders", multiple=True, type=click.Path(path_type=Path), help="A folder with plugins.")
-def doc(name: str, language: str | None, output: str | None, choices: Choices, folders: tuple[Path, ...]) -> int:
+def doc(
+    name: str, language: str | None, output: str | None, force: bool, choices: Choices, folders: tuple[Path, ...]
+) -> int:
     """Write a page about a component or a system: its text, ports, services, parameters, options and state machine.
 
     TYPE is an installed component, FILE.py:Class or package.module:Class; of FILE.py it is all its components, of a
@@ -53,7 +56,7 @@ def doc(name: str, language: str | None, output: str | None, choices: Choices, f
         blocks += [block for one in found for block in _blocks(one, draw(one, (), name))]
     ending = Path(output).suffix.lower() if output else ""
     language = language or ("html" if ending in (".html", ".htm") else "md")
-    give(output, html_of(title, blocks) if language == "html" else markdown_of(blocks))
+    give(output, html_of(title, blocks) if language == "html" else markdown_of(blocks), force=force)
     return exits.DONE
 
 
