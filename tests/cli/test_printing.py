@@ -1,4 +1,4 @@
-"""`aiorts run --print`: what a system sends, as JSON lines."""
+"""`aiorts run --print` and `--json`: what a system sends, and how its run ended."""
 
 from __future__ import annotations
 
@@ -41,3 +41,18 @@ def test_a_reader_that_goes_ends_the_run(tmp_path: Path) -> None:
             assert json.loads(run.stdout.readline())["data"] == 0
             run.stdout.close()
             assert run.wait() == 141
+
+
+def test_json_is_one_document_of_what_ran_and_how_it_ended(tmp_path: Path) -> None:
+    folder_of(tmp_path)
+    words = ("run", "system.toml", "--json", "--simulate", "--set", "counter.count=9")
+    done = here(tmp_path, *words, "--set", "sink.limit=5")
+    document = json.loads(done.stdout)
+    assert (done.returncode, document["status"], document["errors"]) == (3, 3, {"sink": "ValueError: too much"})
+    assert document["profile"]["connectors"]["counter.out-sink.numbers"]["ledger"]["written"] == 9
+    assert "ready" in done.stderr
+    good = json.loads(here(tmp_path, *words).stdout)
+    assert (good["status"], good["errors"]) == (0, {})
+    none = here(tmp_path, "run", "none.toml", "--json")
+    assert json.loads(none.stdout)["error"]["code"] == "E-SYSTEM"
+    assert none.returncode == 2

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,12 +16,14 @@ import click
 from aiorts import exits
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.completion import targets
+from aiorts.cli.console.output import say_json
 from aiorts.cli.runtime.alone import DEFAULT_RATE, input_is_given
 from aiorts.cli.runtime.options import Options, checked, with_clock
 from aiorts.cli.runtime.printing import printing
 from aiorts.cli.runtime.service_options import RunCommand, chosen
 from aiorts.cli.runtime.session import execute, log_of, refuse
 from aiorts.cli.runtime.stopping import Stopper
+from aiorts.cli.runtime.summary import Summary
 from aiorts.cli.runtime.target import errors_of, find_target
 from aiorts.cli.runtime.watching import WINDOW, Watch
 from aiorts.errors import AiortsError, ComponentError
@@ -71,6 +75,12 @@ from aiorts.system import Choices
     metavar="PORT",
     help="Print the samples of these out-ports, COMPONENT.PORT with * and ?, as JSON lines; repeatable.",
 )
+@click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="At the end one JSON document: status, errors, profile. Samples and prints do not go to standard output.",
+)
 @click.option("-q", "--quiet", is_flag=True, help="Do not print the samples of a component alone.")
 @click.option("--no-status", is_flag=True, help="No status line on the terminal.")
 @click.option("-v", "--verbose", is_flag=True, help="Short for --log-level info.")
@@ -88,6 +98,7 @@ def run(
     count: int | None,
     duration_once: float | None,
     printed: tuple[str, ...],
+    as_json: bool,
     quiet: bool,
     no_status: bool,
     watch: bool,
@@ -130,17 +141,22 @@ def run(
         raise click.UsageError("--window is for --watch")
     if given["duration"] is None:
         given["duration"] = duration_once
+    if as_json and printed:
+        raise click.UsageError("--print goes not with --json, whose document has standard output for itself")
     services = chosen(given)
     options = checked(Options(**given, status=not no_status, post_mortem=True))
     stopper = Stopper()
-    with stopper.signals(), log_of(options, stopper) as log:
+    summary = Summary() if as_json else None
+    with stopper.signals(), log_of(options, stopper) as log, _alone_there(summary) as say:
         try:
             fed = not options.simulate and input_is_given()
-            quiet = quiet or sys.stdout is None
+            quiet = quiet or sys.stdout is None or as_json
             found = find_target(target, changes, folders, rate, services, choices, quiet=quiet, fed=fed, count=count)
         except AiortsError as error:
+            if summary is not None:
+                summary.refused(error)
             status = exits.FAILED if isinstance(error, ComponentError) else exits.REFUSED
-            return refuse(log, error, errors_of(target, changes, folders, choices), status)
+            return say(refuse(log, error, errors_of(target, changes, folders, choices), status))
         log.levels.check(found.names)
         options = with_clock(options, found.clock)
         if watch and options.simulate:
@@ -159,8 +175,10 @@ def run(
         ends = found.ends
         if ends is not None:
             stopper.last_words.append(ends.report_rest)
+        make = printing(printed, found.make) if printed else found.make
+        make = make if summary is None else summary.of(make)
         status = execute(
-            printing(printed, found.make) if printed else found.make,
+            make,
             len(found.names),
             options,
             stopper,
@@ -172,6 +190,23 @@ def run(
             watch=watched,
         )
         if ends is None:
-            return status
+            return say(status)
         ends.report_rest()
-        return status or (exits.FAILED if ends.bad else exits.DONE)
+        return say(status or (exits.FAILED if ends.bad else exits.DONE))
+
+
+@contextlib.contextmanager
+def _alone_there(summary: Summary | None) -> Iterator[Callable[[int], int]]:
+    """Keep standard output for the document of `--json`, which what is given here prints; the status."""
+    if summary is None:
+        yield lambda status: status
+        return
+
+    def say(status: int) -> int:
+        with contextlib.redirect_stdout(stream):
+            say_json(summary.document(status))
+        return status
+
+    stream = sys.stdout
+    with contextlib.redirect_stdout(sys.stderr):
+        yield say
