@@ -15,7 +15,7 @@ import click
 from aiorts import __version__, exits
 from aiorts.cli.console.completion import completes
 from aiorts.cli.console.output import say_json
-from aiorts.cli.console.plugins_option import catalogue_of, plugins_option, use_environment
+from aiorts.cli.console.plugins_option import catalogue_of, plugins_option, use_environment, with_plugins
 from aiorts.cli.console.report import printed, report, report_error
 from aiorts.cli.group import HelpfulGroup, strict, write_sections
 from aiorts.errors import AiortsError, PluginError
@@ -76,6 +76,8 @@ _COMMANDS: Final = {
 
 _HIDDEN: Final = {"kernel": ("aiorts.cli.runtime.process_kernel:kernel", "")}
 """Commands that aiorts itself calls; no help names them."""
+_NO_TYPES: Final = tuple(f"aiorts.cli.{one}" for one in ("commands.live.", "commands.helping", "console.", "demo."))
+"""Where commands are that load no types: they look at what runs, or at nothing."""
 _FULL: Final = (errno.ENOSPC, errno.EIO, errno.EFBIG)
 _SHOWN: Final = 60
 """Components that the help names."""
@@ -109,7 +111,10 @@ class _LazyGroup(HelpfulGroup):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         found = self._found(ctx, cmd_name)
-        return None if found is None else strict(found)
+        if found is None:
+            return None
+        module = getattr(found.callback, "__module__", None) or ""
+        return strict(found if module.startswith(_NO_TYPES) else with_plugins(found))
 
     def _found(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         own = _COMMANDS.get(cmd_name) or _HIDDEN.get(cmd_name)

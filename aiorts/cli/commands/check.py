@@ -16,7 +16,7 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.look.reading import is_live, profiles_of, tell_of
 from aiorts.cli.commands.live.target import complete_systems
-from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
+from aiorts.cli.commands.unrun import catalogue_of, quietly
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.finding import below, line_of
 from aiorts.cli.console.report import has_colours, painted, printed
@@ -50,7 +50,6 @@ _GITHUB: Final = {"error": "error", "warning": "warning", "note": "notice"}
 )
 @click.option("--json", "layout", flag_value="json", help="The same as --format json.")
 @choices_options
-@plugins_option
 @click.option("--strict", is_flag=True, help="Exit status 1 when there are warnings and no errors.")
 @click.option("--fix", is_flag=True, help="Print the difference that mends what has one answer, and what is left.")
 @click.option("--write", is_flag=True, help="With --fix: replace the files, whole.")
@@ -60,7 +59,6 @@ def check_command(
     changes: tuple[str, ...],
     choices: Choices,
     layout: str,
-    plugins: tuple[Path, ...],
     strict: bool,
     fix: bool,
     write: bool,
@@ -83,9 +81,9 @@ def check_command(
     if fix:
         if layout != "text":
             raise click.UsageError(f"--fix prints a difference, and goes not with --format {layout}")
-        return _fix(files, changes, catalogue_of(None, plugins).folders, choices, write=write)
+        return _fix(files, changes, catalogue_of(None).folders, choices, write=write)
     counts: Counter[str] = Counter()
-    folders = catalogue_of(None, plugins).folders
+    folders = catalogue_of(None).folders
     for file in files:
         found: Sequence[Finding]
         if is_live(file):

@@ -56,14 +56,6 @@ from aiorts.system import Choices
     help=f"With --watch: S seconds after a change it must not do worse, {WINDOW:g} by default; 0 does not measure.",
 )
 @click.option("--lenient", is_flag=True, help="A component that ended in error makes the exit status no worse.")
-@click.option(
-    "--plugins",
-    "folders",
-    multiple=True,
-    type=Path,
-    metavar="DIR",
-    help="A folder with plugins that are not installed; repeatable.",
-)
 @click.option("--loop", type=click.Choice(["auto", "uvloop", "asyncio"]), default="auto", help="The event loop.")
 @click.option("--log-level", default="", metavar="LEVELS", help="Levels of the log, such as warning,pid0=debug.")
 @click.option("--log-file", type=Path, metavar="PATH", help="Append the log to a file.")
@@ -93,7 +85,6 @@ def run(
     target: str,
     changes: tuple[str, ...],
     choices: Choices,
-    folders: tuple[Path, ...],
     rate: float | None,
     count: int | None,
     duration_once: float | None,
@@ -151,12 +142,12 @@ def run(
         try:
             fed = not options.simulate and input_is_given()
             quiet = quiet or sys.stdout is None or as_json
-            found = find_target(target, changes, folders, rate, services, choices, quiet=quiet, fed=fed, count=count)
+            found = find_target(target, changes, rate, services, choices, quiet=quiet, fed=fed, count=count)
         except AiortsError as error:
             if summary is not None:
                 summary.refused(error)
             status = exits.FAILED if isinstance(error, ComponentError) else exits.REFUSED
-            return say(refuse(log, error, errors_of(target, changes, folders, choices), status))
+            return say(refuse(log, error, errors_of(target, changes, choices), status))
         log.levels.check(found.names)
         options = with_clock(options, found.clock)
         if watch and options.simulate:
@@ -170,7 +161,7 @@ def run(
         if watch:
             if found.plan is None or found.read is None:
                 raise click.UsageError("--watch is for a system file; `aiorts reload` replaces the code of a component")
-            wrong = partial(errors_of, target, changes, folders, choices, running=True)
+            wrong = partial(errors_of, target, changes, choices, running=True)
             watched = Watch(found.plan, found.read, wrong, WINDOW if window is None else window)
         ends = found.ends
         if ends is not None:
@@ -186,7 +177,7 @@ def run(
             catalogue=found.catalogue,
             unfed_advice=found.unfed,
             streams=found.streams,
-            errors=lambda: errors_of(target, changes, folders, choices),
+            errors=lambda: errors_of(target, changes, choices),
             watch=watched,
         )
         if ends is None:
