@@ -16,7 +16,7 @@ import click
 from aiorts import __version__, exits
 from aiorts.cli.console.completion import completes
 from aiorts.cli.console.output import say_json
-from aiorts.cli.console.plugins_option import catalogue_of, plugins_option, use_environment
+from aiorts.cli.console.plugins_option import catalogue_of, plugins_option, use_environment, with_plugins
 from aiorts.cli.console.report import printed, report, report_error
 from aiorts.cli.group import HelpfulGroup, strict, write_sections
 from aiorts.errors import AiortsError, PluginError
@@ -57,6 +57,7 @@ _COMMANDS: Final = {
     "disconnect": ("aiorts.cli.commands.live.connecting:disconnect", "End connectors of what runs."),
     "fsm": ("aiorts.cli.commands.live.machines:fsm", "Show a state machine, and send it events."),
     "goal": ("aiorts.cli.commands.live.calling:goal", "Send a goal, and show its feedback."),
+    "replay": ("aiorts.cli.replaying:replay", "Replay a recording, alone or in a system."),
     "reload": ("aiorts.cli.commands.live.reloading:reload", "Replace the code of components that run."),
     "exit": ("aiorts.cli.commands.live.components:exit_", "Remove components that run."),
     "bw": ("aiorts.cli.commands.live.measure.rates:bw", "Show how many bytes pass a connector or port each second."),
@@ -77,6 +78,8 @@ _COMMANDS: Final = {
 
 _HIDDEN: Final = {"kernel": ("aiorts.cli.runtime.process_kernel:kernel", "")}
 """Commands that aiorts itself calls; no help names them."""
+_NO_TYPES: Final = tuple(f"aiorts.cli.{one}" for one in ("commands.live.", "commands.helping", "console.", "demo."))
+"""Where commands are that load no types: they look at what runs, or at nothing."""
 _FULL: Final = (errno.ENOSPC, errno.EIO, errno.EFBIG)
 _SHOWN: Final = 60
 """Names of components that a message has, and `aiorts help commands`."""
@@ -112,7 +115,11 @@ class _LazyGroup(HelpfulGroup):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         found = self._found(ctx, cmd_name)
-        return None if found is None else strict(_of_a_tier(found, cmd_name))
+        if found is None:
+            return None
+        module = getattr(found.callback, "__module__", None) or ""
+        command = _of_a_tier(found, cmd_name)
+        return strict(command if module.startswith(_NO_TYPES) else with_plugins(command))
 
     def _found(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         own = _COMMANDS.get(cmd_name) or _HIDDEN.get(cmd_name)

@@ -98,6 +98,13 @@ class KernelService:
         """Round the time in which a system file, or a plan, makes components and connects them itself."""
         return nullcontext()
 
+    def in_place_of(self, name: str, cls: type[Component], make: Callable[[], Component]) -> type[Component] | None:
+        """The class of which a component of a system file is made in place of its own, not isolated or supervised.
+
+        None, the default, keeps it. `make` makes the component as it would be, in no kernel, to look at its ports.
+        """
+        return None
+
     def started(self) -> None:
         """What a system file, or a plan, has made runs: its contexts are started, their members activated."""
 

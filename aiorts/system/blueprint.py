@@ -184,6 +184,10 @@ def _options(plan: Blueprint, connection: ConnectionEntry) -> Mapping[str, Any]:
 async def _create(kernel: Kernel, plan: Blueprint, name: str) -> None:
     """A component with its sets in force before its first hook, and supervised before it can fail."""
     cls, setting, entry = plan.types[name], plan.settings[name], plan.system.components[name]
+    for service in kernel.services:
+        if (other := service.in_place_of(name, cls, partial(setting.make, cls, name))) is not None:
+            await setting.create(kernel, other, name)
+            return
     if entry.isolation:
         cls = kernel.service(Isolation).stand_in(cls, entry.limits)
     component = await setting.create(kernel, cls, name)

@@ -135,3 +135,13 @@ def test_what_is_no_component_is_refused(
     monkeypatch.chdir(tmp_path)
     assert run_command(["doc", name]) == (6 if name == "NoSuchThing" else 2)
     assert cause in capsys.readouterr().err
+
+
+def test_a_file_that_is_there_is_replaced_with_force_alone(door: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = door.with_name("door.md")
+    output.write_text("mine")
+    assert run_command(["doc", str(door), "-o", str(output)]) == 2
+    assert f"-o {output}: is there already; --force overwrites it" in capsys.readouterr().err
+    assert output.read_text() == "mine"
+    assert run_command(["doc", str(door), "-o", str(output), "--force"]) == 0
+    assert output.read_text().startswith("# ")

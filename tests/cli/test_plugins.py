@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -25,8 +26,9 @@ BROKEN = {
 }
 
 
-def aiorts(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "aiorts", *arguments], capture_output=True, text=True, timeout=40)
+def aiorts(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "aiorts", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=40, env=os.environ | environment)
 
 
 def write(folder: Path, module: str, text: str, name: str) -> None:
@@ -68,7 +70,7 @@ def test_each_kind_of_broken_plugin_is_named_and_all_else_works(tmp_path: Path) 
 @pytest.mark.slow
 @pytest.mark.fault("F05")
 def test_a_folder_that_cannot_be_read_is_a_line_and_the_rest_is_listed(tmp_path: Path) -> None:
-    done = aiorts("plugins", "--plugins", str(tmp_path / "none"))
+    done = aiorts("plugins", AIORTS_PLUGINS=str(tmp_path / "none"))
     assert done.returncode == 1
     assert "FlexiFilter" in done.stdout
     assert done.stderr.startswith("aiorts: E-PLUGIN: folder ")

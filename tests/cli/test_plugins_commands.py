@@ -242,3 +242,29 @@ def test_inspect_sees_the_folders_named_for_every_command(greets: Path) -> None:
 def test_doctor_sees_the_folders_named_for_every_command(tmp_path: Path) -> None:
     (tmp_path / "pyproject.toml").write_text("[project\n")
     assert str(tmp_path) in here("--plugins", str(tmp_path), "doctor").stdout
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("flexidump", "-p", "DepthOfPlugin"),
+        ("inspect", "DepthOfPlugin"),
+        ("types", "DepthOfPlugin"),
+        ("log", "info", "none.mcap"),
+        ("new", "mine"),
+        ("doctor",),
+        ("replay", "none.mcap"),
+    ],
+)
+def test_each_command_that_loads_types_has_the_option_of_all_commands_once(
+    words: tuple[str, ...],
+) -> None:
+    page = here(*words[: 2 if words[0] == "log" else 1], "--help").stdout
+    assert page.count("--plugins DIR") == 1
+    done = here(*words, "--plugins", "nowhere")
+    assert done.returncode == 2
+    assert "Invalid value for '--plugins': Directory 'nowhere' does not exist" in done.stderr
+
+
+def test_a_command_that_loads_no_type_has_no_such_option() -> None:
+    assert "--plugins" not in here("ls", "--help").stdout

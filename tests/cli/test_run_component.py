@@ -99,7 +99,7 @@ def test_a_module_that_does_not_load_is_named_with_its_line(
         (["parts.py:Counter", "--rate", "-1"], "--rate"),
         (["parts.py:Counter", "--rate", "nan"], "--rate"),
         (["system.toml", "--rate", "5"], "[contexts.NAME]"),
-        (["parts.py:Counter", "--plugins", "nix"], "--plugins nix: no such folder"),
+        (["parts.py:Counter", "--plugins", "nix"], "Invalid value for '--plugins': Directory 'nix' does not exist"),
         (["parts.py:Counter", "--for", "0"], "--for"),
         (["parts.py:Counter", "--log-level", "warnin"], "did you mean 'warning'"),
         (["parts.py:Counter", "--log-level", "loud"], "there are debug, info"),

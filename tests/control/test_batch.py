@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -91,12 +93,50 @@ async def test_with_keep_going_all_are_carried_out_and_the_first_failure_gives_t
         assert kernel.components["counter0"].configuration.values["step"] == 6.0
 
 
-async def test_with_keep_going_a_line_that_is_no_such_command_ends_it_before_the_first(
+async def test_with_keep_going_every_line_that_is_no_such_command_is_named_and_the_others_are_carried_out(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     file = tmp_path / "robot.txt"
-    file.write_text("conf counter0 step=5\nrun other.toml\n")
+    file.write_text("conf counter0 step=5\nrun other.toml\nconf counter0 step=6\nrnu 3\n")
     async with controlled() as kernel:
-        status, said = await commanded(capsys, "batch", str(file), "--keep-going")
-        assert (status, "robot.txt:2: run: is no command" in said) == (2, True)
-        assert kernel.components["counter0"].configuration.values["step"] == 1.0
+        for more, step in (("--dry-run",), 1.0), ((), 6.0):
+            status, said = await commanded(capsys, "batch", str(file), "--keep-going", *more)
+            assert status == 2
+            assert "robot.txt:2: run: is no command" in said
+            assert "robot.txt:4: rnu: is no command" in said
+            assert "2 of 4 commands failed" in said
+            assert kernel.components["counter0"].configuration.values["step"] == step
+
+
+async def test_with_keep_going_a_line_is_carried_out_before_the_next_comes(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with controlled() as kernel:
+        seen = []
+
+        def lines() -> Iterator[str]:
+            yield "conf counter0 step=5\n"
+            seen.append(kernel.components["counter0"].configuration.values["step"])
+            yield "conf counter0 step=6\n"
+
+        monkeypatch.setattr("sys.stdin", lines())
+        assert (await commanded(capsys, "batch", "-", "--keep-going"))[0] == 0
+    assert seen == [5.0]
+
+
+async def test_json_has_each_command_with_its_output_and_error(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    file = tmp_path / "robot.txt"
+    file.write_text("conf counter0 step=5\n\nls -l counter0\nexit reader9\nconf counter0 step=6\n")
+    async with controlled():
+        status, said = await commanded(capsys, "batch", str(file), "--json")
+    document = json.loads(said[said.index("{\n") : said.rindex("}") + 1])
+    assert (status, document["failed"]) == (6, 1)
+    assert [(one["line"], one["command"], one["status"]) for one in document["commands"]] == [
+        (1, ["conf", "counter0", "step=5"], 0),
+        (3, ["ls", "-l", "counter0"], 0),
+        (4, ["exit", "reader9"], 6),
+    ]
+    assert "counter0" in document["commands"][1]["output"]
+    assert "robot.txt:4: reader9" in document["commands"][2]["error"]["text"]

@@ -163,7 +163,18 @@ def test_every_option_and_parameter_of_a_flexi_component_is_there(capsys: pytest
     assert len(entries) == 7
     for name, text in entries.items():
         options = re.findall(r"^  (?:-\w, )?(--[\w-]+)", printed(capsys, name.lower(), "--help"), re.MULTILINE)
-        common = {"--for", "--loop", "--codec", "--debug", "--help", "--count", "--rate", "--name", "--connect"}
+        common = {
+            "--for",
+            "--loop",
+            "--codec",
+            "--debug",
+            "--help",
+            "--count",
+            "--rate",
+            "--name",
+            "--connect",
+            "--plugins",
+        }
         assert [option for option in options if not listed(option, text) and option not in common] == []
         params = json.loads(printed(capsys, "inspect", name, "--json"))["parameters"]
         assert [one["name"] for one in params if f"`{one['name']}: " not in text] == []

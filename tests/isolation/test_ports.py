@@ -102,6 +102,7 @@ async def test_ports_follow_the_parameters() -> None:
         }
 
 
+@pytest.mark.slow(kept_by="observe/test_samples.py::test_it_gives_each_sample_from_now_on")
 async def test_samples_of_a_component_in_a_process_of_its_own_are_given_here() -> None:
     with fail_after(20.0):
         async with Kernel() as kernel:

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from aiorts import Catalogue, Component, Kernel, KernelService, PeriodicContext
 from aiorts.cli.commands.plugin_kinds import fault_of
 from aiorts.cli.commands.run import run
+from aiorts.cli.console.plugins_option import with_plugins
 from aiorts.cli.runtime.dump import state_of
 from aiorts.cli.runtime.service_options import chosen
 from aiorts.cli.runtime.target import find_target
@@ -89,7 +90,7 @@ async def test_a_kernel_attaches_what_it_was_given_by_name(catalogue: Catalogue)
         (
             {"mqtt": {}},
             PluginError,
-            "named 'mqtt'; there are control, fence, links, openrtm, record, rules, supervision, watch_loop, zenoh",
+            "named 'mqtt'; there are control, fence, links, openrtm, record, replay, rules, supervision, watch_loop, zenoh",
         ),
         ({"fence": {"lo": 1}}, ConfigurationError, "service 'fence': lo: unknown key 'lo'; did you mean 'low'?"),
         ({"fence": {"low": "x"}}, ConfigurationError, "service 'fence': low: expected a number, got 'x'"),
@@ -168,7 +169,7 @@ def test_its_options_are_found_where_its_plugin_is_named(folder: Path, monkeypat
     done = CliRunner().invoke(run, ["x.toml", "--fence-wya", "up"])
     assert (done.exit_code, "--fence-way" in done.output) == (2, True)
     with pytest.raises(ConfigurationError, match=r"service 'fence': high: expected at most 100 m, got 101\.0"):
-        find_target("FlexiConst", (), (), None, {"fence": {"high": 101.0}})
+        find_target("FlexiConst", (), None, {"fence": {"high": 101.0}})
 
 
 class Part(Component):
@@ -308,7 +309,7 @@ def test_an_option_takes_what_its_field_is_declared_to_be(tmp_path: Path) -> Non
     assert chosen(run.make_context("run", [system, *words]).params) == {"opts": given}
     assert CliRunner().invoke(run, [system, "--opts-limit", "far"]).exit_code == 2
     for args in ([system, "--help"], ["--plugins", str(tmp_path), "--help"], [system, "--opts-limit", "2", "--help"]):
-        shown = CliRunner().invoke(run, args).output
+        shown = CliRunner().invoke(with_plugins(run), args).output
         assert shown.count("--opts-limit FLOAT") == 1
         assert "--opts-way [up|down]" in shown
 

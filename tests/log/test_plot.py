@@ -19,10 +19,17 @@ from hypothesis import strategies as st
 from aiorts.cli.app import run_command
 from aiorts.types import NDArray, Point2D, Pose2D, TimedDouble, TimedDoubleSeq, TimedPose2D, TimedString, record
 from aiorts_log import RecordingOptions, RecordingWriter, open_recording
-from aiorts_log.analysis.series import read_series
+from aiorts_log.analysis.series import numeric_fields, read_series
 from aiorts_log.analysis.thinning import thinned, thinned_path
 
 FLOATS = st.floats(-1e6, 1e6) | st.just(math.nan)
+
+
+@record
+class Partly:
+    tm: int = 0
+    speed: float | None = None
+    never: float | None = None
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
@@ -349,7 +356,8 @@ def test_what_cannot_be_drawn_is_one_line_and_leaves_nothing(drive: Path, capsys
         (["odometry.pose"], "odometry.pose.data: is Pose2D, not a number; name a field of it: position, heading"),
         (["note"], "note.data: is str, not a number"),
         (["base.speed", "--start", "+100"], "base.speed has no sample there; nothing is drawn"),
-        ([], "expected PORT.FIELD once or more, or --xy X Y, and not both"),
+        (["base.speed", "--xy", "base.speed", "base.speed"], "expected fields or --xy X Y, and not both"),
+        (["--start", "+100"], "has no numbers there; nothing is drawn"),
         (["--xy", "base.sonar", "base.speed"], "--xy: base.sonar.data[0] is one of 3; name one item"),
         (["base.speed", "--size", "nan"], "no finite number"),
     ):
@@ -363,6 +371,35 @@ def test_what_cannot_be_drawn_is_one_line_and_leaves_nothing(drive: Path, capsys
     assert "exists already" in run(capsys, drive, "base.speed", "-o", target)[2]
     assert target.read_text() == "mine"
     assert sorted(os.listdir(drive.parent)) == ["drive.mcap", "x.svg"]
+
+
+def test_without_fields_all_numbers_are_drawn(drive: Path) -> None:
+    pytest.importorskip("matplotlib")
+    with open_recording(drive) as reader:
+        assert numeric_fields(reader, None, None) == [
+            "odometry.pose.data.position.x",
+            "odometry.pose.data.position.y",
+            "odometry.pose.data.heading",
+            "base.speed.data",
+            "base.sonar.data",
+        ]
+    target = drive.with_name("all.svg")
+    command = [sys.executable, "-m", "aiorts", "log", "plot", drive, "-o", target]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{target}: 7000 values of 7 curves\n", "")
+
+
+def test_a_field_that_the_first_sample_lacks_is_drawn_too(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "part.mcap", RecordingOptions(min_free=0)) as writer:
+        part = writer.add_port("part", Partly)
+        scan = writer.add_port("scan", TimedDoubleSeq)
+        bare = writer.add_port("bare", float)
+        for i in range(3):
+            writer.write(part, Partly(i, None if i == 0 else 1.0), i)
+            writer.write(scan, TimedDoubleSeq(i, [0.0] * 100), i)
+            writer.write(bare, 0.5, i)
+    with open_recording(tmp_path / "part.mcap") as reader:
+        assert numeric_fields(reader, None, None) == ["part.speed", "bare"]
 
 
 def test_without_matplotlib_the_command_is_named(

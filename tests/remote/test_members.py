@@ -427,6 +427,7 @@ async def test_a_component_that_another_kernel_has_as_a_member_joins_no_composit
                 await asyncio.sleep(0.01)
 
 
+@pytest.mark.slow(kept_by="observe/test_samples.py::test_it_gives_each_sample_from_now_on")
 async def test_samples_of_a_component_of_another_kernel_are_given_by_what_stands_for_it(tmp_path: Path) -> None:
     async with left(tmp_path, activate=True), right() as kernel:
         local, gripper = await kernel.add(Local("local")), await kernel.stand_in("left/gripper")

@@ -11,7 +11,6 @@ from aiorts import exits
 from aiorts.cli.commands.live.showing import json_option, timeout_option
 from aiorts.cli.commands.live.target import complete_kernels, is_file, kernels
 from aiorts.cli.commands.planning import check_steps, parts_of, say_planned, say_steps, wanted_of
-from aiorts.cli.commands.unrun import plugins_option
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.output import say, say_json
 from aiorts.errors import SystemFileError
@@ -39,7 +38,6 @@ _LEFT_OFF: Final = (
 @click.option("--dry-run", is_flag=True, help="Print the steps and change nothing, as aiorts plan --live.")
 @click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter of the file.")
 @choices_options
-@plugins_option
 @timeout_option(30.0, "Wait S seconds, and twice the window")
 @json_option("One JSON document: the steps, and what became of them.")
 def apply(
@@ -49,7 +47,6 @@ def apply(
     dry_run: bool,
     changes: tuple[str, ...],
     choices: Choices,
-    plugins: tuple[Path, ...],
     timeout: float,
     as_json: bool,
 ) -> int:
@@ -67,13 +64,13 @@ def apply(
     if len(pairs) > 1:
         if window or dry_run or changes:
             raise click.UsageError("with several kernels there is no --window, --dry-run and --set")
-        return _together(pairs, choices, plugins, timeout, as_json=as_json)
+        return _together(pairs, choices, timeout, as_json=as_json)
     ((live, file),) = pairs
-    parts = parts_of(wanted_of(file, changes, choices, plugins))
+    parts = parts_of(wanted_of(file, changes, choices))
     with kernels(changing=not dry_run) as found:
         client = found.kernel(live.rstrip("/")).client
         planned = client.call("plan", timeout, wanted=parts)
-        check_steps(planned["steps"], file, changes, choices, plugins)
+        check_steps(planned["steps"], file, changes, choices)
         if dry_run or planned["refused"]:
             return say_planned(planned, as_json=as_json)
         if window and planned["steps"]:
@@ -103,19 +100,17 @@ def _pair(word: str, live: str) -> tuple[str, Path]:
     return kernel, Path(file)
 
 
-def _together(
-    pairs: list[tuple[str, Path]], choices: Choices, plugins: tuple[Path, ...], timeout: float, *, as_json: bool
-) -> int:
+def _together(pairs: list[tuple[str, Path]], choices: Choices, timeout: float, *, as_json: bool) -> int:
     if unnamed := [str(file) for kernel, file in pairs if not kernel]:
         raise click.UsageError(f"{unnamed[0]}: of several files each needs its kernel: KERNEL={unnamed[0]}")
-    wanted = [(kernel, file, parts_of(wanted_of(file, (), choices, plugins))) for kernel, file in pairs]
+    wanted = [(kernel, file, parts_of(wanted_of(file, (), choices))) for kernel, file in pairs]
     with kernels(changing=True) as found:
         meant = [(found.kernel(kernel.rstrip("/")), parts) for kernel, _, parts in wanted]
         if len({id(one) for one, _ in meant}) < len(meant):
             raise click.UsageError("a kernel is named twice")
         for (one, parts), (_, file, _) in zip(meant, wanted, strict=True):
             planned = one.client.call("plan", timeout, wanted=parts)
-            check_steps(planned["steps"], file, (), choices, plugins)
+            check_steps(planned["steps"], file, (), choices)
             if planned["refused"]:
                 raise SystemFileError(f"{one.name}: {'; '.join(planned['refused'])}")
         try:

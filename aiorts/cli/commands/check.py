@@ -6,6 +6,8 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Sequence
+from difflib import unified_diff
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -14,11 +16,14 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.look.reading import is_live, profiles_of, tell_of
 from aiorts.cli.commands.live.target import complete_systems
-from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
+from aiorts.cli.commands.unrun import catalogue_of, quietly
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.finding import below, line_of
 from aiorts.cli.console.report import has_colours, painted, printed
-from aiorts.system import Choices, Finding, check, check_running
+from aiorts.configuration import replace_text
+from aiorts.system import Choices, Finding, check, check_running, check_text
+from aiorts.system.checks.fixing import fixed
+from aiorts.system.text.toml import read_text
 
 _WORDS: Final = {"error": "E", "warning": "W", "note": "N"}
 _GITHUB: Final = {"error": "error", "warning": "warning", "note": "notice"}
@@ -45,16 +50,18 @@ _GITHUB: Final = {"error": "error", "warning": "warning", "note": "notice"}
 )
 @click.option("--json", "layout", flag_value="json", help="The same as --format json.")
 @choices_options
-@plugins_option
 @click.option("--strict", is_flag=True, help="Exit status 1 when there are warnings and no errors.")
+@click.option("--fix", is_flag=True, help="Print the difference that mends what has one answer, and what is left.")
+@click.option("--write", is_flag=True, help="With --fix: replace the files, whole.")
 @click.option("-q", "--quiet", is_flag=True, help="Leave notes out.")
 def check_command(
     files: tuple[str, ...],
     changes: tuple[str, ...],
     choices: Choices,
     layout: str,
-    plugins: tuple[Path, ...],
     strict: bool,
+    fix: bool,
+    write: bool,
     quiet: bool,
 ) -> int:
     """Find everything wrong with system files that can be found without running them.
@@ -63,9 +70,20 @@ def check_command(
 
     Component files and plugins are imported, as running would; no hook runs and nothing is opened. Exit status: 0 when
     nothing is wrong, 2 when there are errors; warnings change it to 1, only with --strict.
+
+    --fix mends the text of each file where there is one answer: a name for which a similar one is meant; a member with
+    a process of its own among others, which gets a context of its own. All else stays, comments too. The difference is
+    printed, and what is wrong after it on standard error; --write puts it into the file, in one step. Exit status: 2
+    when errors are left, 1 when there is a difference and no --write, else 0.
     """
+    if write and not fix:
+        raise click.UsageError("--write is for --fix: it writes what that has mended")
+    if fix:
+        if layout != "text":
+            raise click.UsageError(f"--fix prints a difference, and goes not with --format {layout}")
+        return _fix(files, changes, catalogue_of(None).folders, choices, write=write)
     counts: Counter[str] = Counter()
-    folders = catalogue_of(None, plugins).folders
+    folders = catalogue_of(None).folders
     for file in files:
         found: Sequence[Finding]
         if is_live(file):
@@ -81,6 +99,31 @@ def check_command(
     if counts["error"]:
         return exits.REFUSED
     return exits.FAILED if strict and counts["warning"] else exits.DONE
+
+
+def _fix(
+    files: Sequence[str], changes: Sequence[str], folders: Sequence[Path], choices: Choices, *, write: bool
+) -> int:
+    """Mend files, or show how they would be; the exit status."""
+    status = exits.DONE
+    for file in files:
+        if is_live(file):
+            raise click.UsageError(f"--fix mends system files, and {file} is none")
+        path = Path(file)
+        with quietly():
+            text = read_text(path)
+            new, left = fixed(
+                text, path, partial(check_text, path=path, overrides=changes, plugins=folders, choices=choices)
+            )
+        lines = unified_diff(text.splitlines(keepends=True), new.splitlines(keepends=True), file, file)
+        click.echo("".join(one if one.endswith("\n") else f"{one}\n" for one in lines), nl=False)
+        wrong = [one for one in left if one.severity == "error"]
+        for one in wrong:
+            click.echo("\n".join((line_of(one), *below(one))), err=True)
+        if write and new != text:
+            replace_text(path, new)
+        status = max(status, exits.REFUSED if wrong else exits.FAILED if new != text and not write else exits.DONE)
+    return status
 
 
 def _text(file: str, findings: Sequence[Finding]) -> None:

@@ -33,9 +33,9 @@ from aiorts.system import AS_WRITTEN, Choices, graph, load
     help="The language; by default html where FILE of -o ends in .html, else md.",
 )
 @click.option("-o", "--output", metavar="FILE", type=click.Path(), help="Write the page there, not to standard output.")
+@click.option("--force", is_flag=True, help="Overwrite FILE.")
 @choices_options
-@click.option("--plugins", "folders", multiple=True, type=click.Path(path_type=Path), help="A folder with plugins.")
-def doc(name: str, language: str | None, output: str | None, choices: Choices, folders: tuple[Path, ...]) -> int:
+def doc(name: str, language: str | None, output: str | None, force: bool, choices: Choices) -> int:
     """Write a page about a component or a system: its text, ports, services, parameters, options and state machine.
 
     TYPE is an installed component, FILE.py:Class or package.module:Class; of FILE.py it is all its components, of a
@@ -44,22 +44,22 @@ def doc(name: str, language: str | None, output: str | None, choices: Choices, f
     """
     with quietly():
         if name.endswith(".toml"):
-            title, found, blocks = _system(name, choices, folders)
+            title, found, blocks = _system(name, choices)
         elif choices != AS_WRITTEN:
             raise click.UsageError("--var and --remap are for a system file, not for a component alone")
         else:
-            found, blocks = list(_subjects(name, folders)), []
+            found, blocks = list(_subjects(name)), []
             title = ", ".join(one.cls.__name__ for one in found)
         blocks += [block for one in found for block in _blocks(one, draw(one, (), name))]
     ending = Path(output).suffix.lower() if output else ""
     language = language or ("html" if ending in (".html", ".htm") else "md")
-    give(output, html_of(title, blocks) if language == "html" else markdown_of(blocks))
+    give(output, html_of(title, blocks) if language == "html" else markdown_of(blocks), force=force)
     return exits.DONE
 
 
-def _subjects(name: str, folders: tuple[Path, ...]) -> Iterator[Subject]:
+def _subjects(name: str) -> Iterator[Subject]:
     if not name.endswith(".py"):
-        subject = find_subject(name, folders)
+        subject = find_subject(name)
         if not subject.is_component:
             raise ConfigurationError(f"{printed(name)}: is no component; aiorts inspect shows a record type")
         yield subject
@@ -73,7 +73,7 @@ def _subjects(name: str, folders: tuple[Path, ...]) -> Iterator[Subject]:
     some = False
     for node in tree.body:
         if isinstance(node, ast.ClassDef):
-            subject = find_subject(f"{name}:{node.name}", folders)
+            subject = find_subject(f"{name}:{node.name}")
             if subject.is_component:
                 some = True
                 yield subject
@@ -146,10 +146,10 @@ def _transitions(state: StateStructure, inside: str) -> Iterator[tuple[str, ...]
         yield from _transitions(inner, f"{name}.")
 
 
-def _system(file: str, choices: Choices, folders: tuple[Path, ...]) -> tuple[str, list[Subject], list[Block]]:
+def _system(file: str, choices: Choices) -> tuple[str, list[Subject], list[Block]]:
     """Title, the types of its components, and what is said of the system itself."""
     system = load(file, (), choices)
-    catalogue = catalogue_of(system, folders)
+    catalogue = catalogue_of(system)
     homes = {name: context.name for context in system.contexts.values() for name in context.members}
     rows = [(one.name, one.type, homes.get(one.name, "")) for one in system.components.values()]
     entries = system.components.values()

@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from importlib import metadata
-from pathlib import Path
 from typing import Final
 
 import click
@@ -51,14 +50,13 @@ class Finding:
 
 
 @click.command(short_help="Check this computer, and print remedies.")
-@click.option("--plugins", "folders", multiple=True, type=click.Path(path_type=Path), help="A folder with plugins.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document.")
-def doctor(folders: tuple[Path, ...], as_json: bool) -> int:
+def doctor(as_json: bool) -> int:
     """Look at Python, the event loop, kernels that run, timers, real-time privileges, extras, plugins and limits.
 
     Each line is ok, a note (it works and could be better) or a problem. Exit status 1 when there is a problem.
     """
-    found = list(findings(folders))
+    found = list(findings())
     problems = sum(one.verdict == PROBLEM for one in found)
     if as_json:
         say_json({"aiorts": __version__, "findings": [asdict(one) for one in found], "problems": problems})
@@ -74,11 +72,11 @@ def doctor(folders: tuple[Path, ...], as_json: bool) -> int:
     return exits.FAILED if problems else exits.DONE
 
 
-def findings(folders: tuple[Path, ...] = ()) -> Iterator[Finding]:
+def findings() -> Iterator[Finding]:
     """All findings, in the order of the lines."""
     for look in _LOOKS:
         yield from look()
-    yield from _plugins(folders)
+    yield from _plugins()
 
 
 def _count(number: int, what: str) -> str:
@@ -150,8 +148,8 @@ def _version(name: str) -> str | None:
         return None
 
 
-def _plugins(folders: tuple[Path, ...]) -> Iterator[Finding]:
-    catalogue = catalogue_of(folders)
+def _plugins() -> Iterator[Finding]:
+    catalogue = catalogue_of()
     count = 0
     clashes = []
     for kind in Catalogue.KINDS:

@@ -10,7 +10,7 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.look.reading import is_live, profiles_of, tell_of
 from aiorts.cli.commands.live.target import complete_systems
-from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
+from aiorts.cli.commands.unrun import catalogue_of, quietly
 from aiorts.cli.commands.written import give
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.finding import below, line_of
@@ -42,14 +42,12 @@ _ENDINGS: Final = {
     "--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter of the drawn system."
 )
 @choices_options
-@plugins_option
 def graph_command(
     file: str,
     language: str | None,
     output: str | None,
     changes: tuple[str, ...],
     choices: Choices,
-    plugins: tuple[Path, ...],
 ) -> int:
     """Draw the system that SYSTEM.toml describes: its components by context, their ports, and the connectors.
 
@@ -69,7 +67,7 @@ def graph_command(
         return exits.DONE
     system = load(file, changes, choices)
     with quietly():
-        catalogue = catalogue_of(system, plugins)
+        catalogue = catalogue_of(system)
         text = graph(system, language, catalogue)
         wrong = [one for one in check(file, changes, catalogue.folders, choices) if one.severity == "error"]
     give(output, text)

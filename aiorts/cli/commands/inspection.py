@@ -9,7 +9,6 @@ from __future__ import annotations
 import inspect as source_of
 from collections.abc import Iterable
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any, Final
 
 import click
@@ -38,11 +37,8 @@ _DIRECTIONS: Final = {"in": "in ", "out": "out", "service": "srv"}
 @click.argument("name", shell_complete=subjects)
 @click.argument("options", nargs=-1, type=click.UNPROCESSED, metavar="[ITS OPTIONS]...", shell_complete=type_names)
 @click.option("--type-mod", "modules", multiple=True, metavar="MODULE", help="Import MODULE, which defines types.")
-@click.option("--plugins", "folders", multiple=True, type=click.Path(path_type=Path), help="A folder with plugins.")
 @click.option("--json", "as_json", is_flag=True, help="The profile as one JSON document.")
-def inspect(
-    name: str, options: tuple[str, ...], modules: tuple[str, ...], folders: tuple[Path, ...], as_json: bool
-) -> int:
+def inspect(name: str, options: tuple[str, ...], modules: tuple[str, ...], as_json: bool) -> int:
     """Show what NAME is: ports, parameters, hooks, documentation, package and source.
 
     NAME is an installed component (FlexiFilter), FILE.py:Class, package.module:Class, or a record type (TimedPose2D);
@@ -56,7 +52,7 @@ def inspect(
         raise click.NoSuchOption(name)
     import_types(modules)
     try:
-        subject = find_subject(name, folders)
+        subject = find_subject(name)
     except UnknownTypeError:
         if not _inspect_running(name, options, as_json=as_json):
             raise

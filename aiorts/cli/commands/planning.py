@@ -11,7 +11,7 @@ import click
 from aiorts import Catalogue, exits
 from aiorts.cli.commands.live.showing import timeout_option
 from aiorts.cli.commands.live.target import complete_kernels, kernels
-from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
+from aiorts.cli.commands.unrun import catalogue_of, quietly
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.finding import text_of
 from aiorts.cli.console.output import say, say_json
@@ -33,7 +33,6 @@ _MOST: Final = 500_000
 @click.option("--live", metavar="KERNEL", help="In place of OLD.toml: what runs.", shell_complete=complete_kernels)
 @click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter of NEW.")
 @choices_options
-@plugins_option
 @timeout_option(8.0, "With --live wait S seconds")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document: the steps, each with its text.")
 def plan_command(
@@ -42,7 +41,6 @@ def plan_command(
     live: str | None,
     changes: tuple[str, ...],
     choices: Choices,
-    plugins: tuple[Path, ...],
     timeout: float,
     as_json: bool,
 ) -> int:
@@ -54,16 +52,16 @@ def plan_command(
     """
     if live is not None and new is None:
         file = old
-        parts = parts_of(wanted_of(file, changes, choices, plugins))
+        parts = parts_of(wanted_of(file, changes, choices))
         with kernels() as running:
             found = running.kernel(live.rstrip("/")).client.call("plan", timeout, wanted=parts)
     elif live is None and new is not None:
         file = new
-        both = wanted_of(old, (), AS_WRITTEN, plugins), wanted_of(file, changes, choices, plugins)
+        both = wanted_of(old, (), AS_WRITTEN), wanted_of(file, changes, choices)
         found = plan(*(without_provenance(one, Catalogue(one.plugin_paths)) for one in both)).to_plain()
     else:
         raise click.UsageError("give two files, or one file and --live KERNEL")
-    check_steps(found["steps"], file, changes, choices, plugins)
+    check_steps(found["steps"], file, changes, choices)
     return say_planned(found, as_json=as_json)
 
 
@@ -72,7 +70,6 @@ def check_steps(
     file: Path,
     changes: tuple[str, ...],
     choices: Choices,
-    plugins: tuple[Path, ...],
 ) -> None:
     """Look whether the file can run at all, as `aiorts check` does, where more than parameters is to be changed.
 
@@ -82,7 +79,7 @@ def check_steps(
     if all(step["step"] == "Configure" for step in steps):
         return
     with quietly():
-        wrong = [one for one in check(file, changes, plugins, choices) if one.severity == "error"]
+        wrong = [one for one in check(file, changes, catalogue_of(None).folders, choices) if one.severity == "error"]
     if wrong:
         more = f" ({len(wrong) - 1} more, see aiorts check {file})" if wrong[1:] else ""
         raise SystemFileError(text_of(wrong[0]) + more)
@@ -111,11 +108,11 @@ def say_steps(steps: Iterable[Mapping[str, Any]]) -> None:
         say(f"{step['sign']} {step['text']}")
 
 
-def wanted_of(file: Path, changes: tuple[str, ...], choices: Choices, plugins: tuple[Path, ...]) -> Wanted:
+def wanted_of(file: Path, changes: tuple[str, ...], choices: Choices) -> Wanted:
     """The system that a file describes."""
     with quietly():
         system = load(file, changes, choices)
-        return wanted(prepare(system, catalogue_of(system, plugins)))
+        return wanted(prepare(system, catalogue_of(system)))
 
 
 def parts_of(system: Wanted) -> tuple[str, ...]:

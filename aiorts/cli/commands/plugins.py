@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
-from pathlib import Path
 from typing import Final
 
 import click
@@ -37,15 +36,14 @@ class _Finding:
 
 @click.command(short_help="List what plugins offer.")
 @click.option("--check", is_flag=True, help="Import each in a process of its own, and show the result.")
-@click.option("--plugins", "folders", multiple=True, type=click.Path(path_type=Path), help="A folder with plugins.")
 @click.option("--limit", type=click.FloatRange(min=0.1), default=10.0, help="Seconds that an import may take.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document.")
-def plugins(check: bool, folders: tuple[Path, ...], limit: float, as_json: bool) -> int:
+def plugins(check: bool, limit: float, as_json: bool) -> int:
     """List the components, contexts, services, codecs, converters, describers and other things to be used.
 
     Nothing is imported, but with --check. Exit status 1 when something is broken, or a name is offered twice.
     """
-    catalogue = catalogue_of(folders)
+    catalogue = catalogue_of()
     offers = [
         (one, several) for kind in Catalogue.KINDS for several in catalogue.extensions(kind).values() for one in several
     ]

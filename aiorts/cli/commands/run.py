@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,11 +16,14 @@ import click
 from aiorts import exits
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.completion import targets
+from aiorts.cli.console.output import say_json
 from aiorts.cli.runtime.alone import DEFAULT_RATE, input_is_given
 from aiorts.cli.runtime.options import Options, checked, with_clock
+from aiorts.cli.runtime.printing import printing
 from aiorts.cli.runtime.service_options import RunCommand, chosen
 from aiorts.cli.runtime.session import execute, log_of, refuse
 from aiorts.cli.runtime.stopping import Stopper
+from aiorts.cli.runtime.summary import Summary
 from aiorts.cli.runtime.target import errors_of, find_target
 from aiorts.cli.runtime.watching import WINDOW, Watch
 from aiorts.errors import AiortsError, ComponentError
@@ -51,18 +56,23 @@ from aiorts.system import Choices
     help=f"With --watch: S seconds after a change it must not do worse, {WINDOW:g} by default; 0 does not measure.",
 )
 @click.option("--lenient", is_flag=True, help="A component that ended in error makes the exit status no worse.")
-@click.option(
-    "--plugins",
-    "folders",
-    multiple=True,
-    type=Path,
-    metavar="DIR",
-    help="A folder with plugins that are not installed; repeatable.",
-)
 @click.option("--loop", type=click.Choice(["auto", "uvloop", "asyncio"]), default="auto", help="The event loop.")
 @click.option("--log-level", default="", metavar="LEVELS", help="Levels of the log, such as warning,pid0=debug.")
 @click.option("--log-file", type=Path, metavar="PATH", help="Append the log to a file.")
 @click.option("--log-format", type=click.Choice(["text", "json"]), default="text", help="json: an object in a line.")
+@click.option(
+    "--print",
+    "printed",
+    multiple=True,
+    metavar="PORT",
+    help="Print the samples of these out-ports, COMPONENT.PORT with * and ?, as JSON lines; repeatable.",
+)
+@click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="At the end one JSON document: status, errors, profile. Samples and prints do not go to standard output.",
+)
 @click.option("-q", "--quiet", is_flag=True, help="Do not print the samples of a component alone.")
 @click.option("--no-status", is_flag=True, help="No status line on the terminal.")
 @click.option("-v", "--verbose", is_flag=True, help="Short for --log-level info.")
@@ -75,10 +85,11 @@ def run(
     target: str,
     changes: tuple[str, ...],
     choices: Choices,
-    folders: tuple[Path, ...],
     rate: float | None,
     count: int | None,
     duration_once: float | None,
+    printed: tuple[str, ...],
+    as_json: bool,
     quiet: bool,
     no_status: bool,
     watch: bool,
@@ -94,22 +105,27 @@ def run(
         raise click.UsageError("--window is for --watch")
     if given["duration"] is None:
         given["duration"] = duration_once
+    if as_json and printed:
+        raise click.UsageError("--print goes not with --json, whose document has standard output for itself")
     services = chosen(given)
     options = checked(Options(**given, status=not no_status, post_mortem=True))
     stopper = Stopper()
-    with stopper.signals(), log_of(options, stopper) as log:
+    summary = Summary() if as_json else None
+    with stopper.signals(), log_of(options, stopper) as log, _alone_there(summary) as say:
         try:
             fed = not options.simulate and input_is_given()
-            quiet = quiet or sys.stdout is None
-            found = find_target(target, changes, folders, rate, services, choices, quiet=quiet, fed=fed, count=count)
+            quiet = quiet or sys.stdout is None or as_json
+            found = find_target(target, changes, rate, services, choices, quiet=quiet, fed=fed, count=count)
         except AiortsError as error:
+            if summary is not None:
+                summary.refused(error)
             status = exits.FAILED if isinstance(error, ComponentError) else exits.REFUSED
-            return refuse(log, error, errors_of(target, changes, folders, choices), status)
+            return say(refuse(log, error, errors_of(target, changes, choices), status))
         log.levels.check(found.names)
         options = with_clock(options, found.clock)
         if watch and options.simulate:
             raise click.UsageError("--watch: no file can change while virtual time passes; leave --simulate out")
-        if found.streams and sys.stdout is not None and sys.stdout.isatty():
+        if (found.streams or printed) and sys.stdout is not None and sys.stdout.isatty():
             options = replace(options, status=False)  # its samples are what is looked at, and go past the line
         if log.levels.default <= logging.WARNING:
             for text in found.doubts:
@@ -118,13 +134,15 @@ def run(
         if watch:
             if found.plan is None or found.read is None:
                 raise click.UsageError("--watch is for a system file; `aiorts reload` replaces the code of a component")
-            wrong = partial(errors_of, target, changes, folders, choices, running=True)
+            wrong = partial(errors_of, target, changes, choices, running=True)
             watched = Watch(found.plan, found.read, wrong, WINDOW if window is None else window)
         ends = found.ends
         if ends is not None:
             stopper.last_words.append(ends.report_rest)
+        make = printing(printed, found.make) if printed else found.make
+        make = make if summary is None else summary.of(make)
         status = execute(
-            found.make,
+            make,
             len(found.names),
             options,
             stopper,
@@ -132,10 +150,27 @@ def run(
             catalogue=found.catalogue,
             unfed_advice=found.unfed,
             streams=found.streams,
-            errors=lambda: errors_of(target, changes, folders, choices),
+            errors=lambda: errors_of(target, changes, choices),
             watch=watched,
         )
         if ends is None:
-            return status
+            return say(status)
         ends.report_rest()
-        return status or (exits.FAILED if ends.bad else exits.DONE)
+        return say(status or (exits.FAILED if ends.bad else exits.DONE))
+
+
+@contextlib.contextmanager
+def _alone_there(summary: Summary | None) -> Iterator[Callable[[int], int]]:
+    """Keep standard output for the document of `--json`, which what is given here prints; the status."""
+    if summary is None:
+        yield lambda status: status
+        return
+
+    def say(status: int) -> int:
+        with contextlib.redirect_stdout(stream):
+            say_json(summary.document(status))
+        return status
+
+    stream = sys.stdout
+    with contextlib.redirect_stdout(sys.stderr):
+        yield say

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
+from aiorts.cli.commands.unrun import catalogue_of, quietly
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.system import Choices, load, schema
 
@@ -16,8 +16,7 @@ from aiorts.system import Choices, load, schema
 @click.command("schema", short_help="Print the JSON Schema of system files.")
 @click.argument("file", metavar="[SYSTEM.toml]", required=False, type=click.Path(dir_okay=False, path_type=Path))
 @choices_options
-@plugins_option
-def schema_command(file: Path | None, choices: Choices, plugins: tuple[Path, ...]) -> int:
+def schema_command(file: Path | None, choices: Choices) -> int:
     """Print the JSON Schema of system files, by which editors complete them and mark mistakes.
 
     It has the component types that are installed with their parameters; with SYSTEM.toml those of its plugin folders,
@@ -28,6 +27,6 @@ def schema_command(file: Path | None, choices: Choices, plugins: tuple[Path, ...
         #:schema ./aiorts.schema.json
     """
     with quietly():
-        made = schema(catalogue_of(None if file is None else load(file, (), choices), plugins))
+        made = schema(catalogue_of(None if file is None else load(file, (), choices)))
     click.echo(json.dumps(made, indent=2, ensure_ascii=False, allow_nan=False))
     return exits.DONE

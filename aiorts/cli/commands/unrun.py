@@ -4,28 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterable, Iterator
-from pathlib import Path
-
-import click
+from collections.abc import Iterator
 
 from aiorts import Catalogue
 from aiorts.cli.console.plugins_option import catalogue_of as named
 from aiorts.system import SystemFile
 
-plugins_option = click.option(
-    "--plugins",
-    multiple=True,
-    metavar="DIR",
-    type=click.Path(path_type=Path),
-    help="A folder with plugins, besides those that the file names; may be repeated.",
-)
 
-
-def catalogue_of(system: SystemFile | None, plugins: Iterable[Path]) -> Catalogue:
-    """The installed extensions, those of the system file's folders, and those of these folders."""
-    folders = () if system is None else system.plugin_paths
-    return named((*folders, *plugins))
+def catalogue_of(system: SystemFile | None) -> Catalogue:
+    """The extensions for this command, and those of the system file's folders."""
+    return named(() if system is None else system.plugin_paths)
 
 
 @contextlib.contextmanager

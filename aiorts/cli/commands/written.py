@@ -10,11 +10,13 @@ import click
 from aiorts.errors import ConfigurationError
 
 
-def give(output: str | None, text: str) -> None:
-    """Print the text, or write it to the file that `-o` names."""
+def give(output: str | None, text: str, *, force: bool = True) -> None:
+    """Print the text, or write it to the file that `-o` names, which may only be there already with `force`."""
     if output is None or output == "-":
         click.echo(text, nl=False)
     else:
+        if not force and Path(output).is_file():
+            raise ConfigurationError(f"-o {output}: is there already; --force overwrites it")
         _write(Path(output), text)
 
 

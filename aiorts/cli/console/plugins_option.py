@@ -38,7 +38,8 @@ def _path(folder: str) -> Path:
 
 
 def _named(context: click.Context, option: click.Parameter, folders: tuple[str, ...]) -> None:
-    use_environment(folders)
+    if folders:
+        Catalogue(dict.fromkeys((*map(_path, folders), *Catalogue.default().folders))).make_default()
 
 
 plugins_option = click.option(
@@ -47,8 +48,18 @@ plugins_option = click.option(
     metavar="DIR",
     type=click.Path(exists=True, file_okay=False),
     help=f"A folder with plugins that are not installed; repeat for more, or set {ENVIRONMENT}.",
-    is_eager=True,  # before --help, which lists the commands of plugins
+    is_eager=True,  # before --help, which lists the commands of plugins, and whatever loads a type
     expose_value=False,
     callback=_named,
 )
-"""Belongs to the group of all commands."""
+"""Belongs to the group of all commands, and to each command that loads types (`with_plugins`)."""
+
+
+def with_plugins(command: click.Command) -> click.Command:
+    """The command, which from now on has the option --plugins; of a group, each of its commands has it."""
+    if isinstance(command, click.Group):
+        for one in command.commands.values():
+            with_plugins(one)
+    elif not any("--plugins" in one.opts for one in command.params):
+        plugins_option(command)
+    return command

@@ -87,7 +87,6 @@ class Target:
 def find_target(
     text: str,
     changes: Sequence[str],
-    folders: Sequence[Path],
     rate: float | None,
     services: Settings,
     choices: Choices = AS_WRITTEN,
@@ -100,7 +99,6 @@ def find_target(
 
     Args:
         changes: parameters as "component.param=value"; for a component alone also "param=value".
-        folders: plugins that are not installed.
         rate: Hz, for a component alone.
         quiet: whether the samples of a component alone are left alone, in place of written to standard output.
         services: what options say, by service.
@@ -111,9 +109,6 @@ def find_target(
     Raises:
         AiortsError: says what is wrong with it. click.UsageError: options that do not go together.
     """
-    for folder in folders:
-        if not folder.is_dir():
-            raise ConfigurationError(f"--plugins {folder}: no such folder; name one with plugins in it")
     if text.endswith(".py") and Path(text).is_file():
         raise ConfigurationError(f"{text}: no system file; {_give_class(Path(text))}")
     if is_file(text):
@@ -121,16 +116,16 @@ def find_target(
             raise click.UsageError("--rate is for a component alone; a system file has rate under [contexts.NAME]")
         if count is not None:
             raise click.UsageError("--count is for a component alone; a system file ends with its sources, or by --for")
-        return _system(text, changes, folders, services, choices)
+        return _system(text, changes, services, choices)
     if choices != AS_WRITTEN:
         raise click.UsageError("--var and --remap are for a system file, not for a component alone")
-    catalogue = catalogue_of(folders)
+    catalogue = catalogue_of()
     catalogue.make_default()
     if ":" not in text and text not in catalogue.extensions("components"):
         raise ConfigurationError(f"{in_quotes(text)}: {_no_such(text, catalogue)}")
     cls = extension_of(text, catalogue).load_class(Component)
     return _alone(
-        cls, changes, catalogue, rate, _fed_by(text, folders), services, shown=not quiet, fed=fed, count=count
+        cls, changes, catalogue, rate, _fed_by(text, catalogue.folders), services, shown=not quiet, fed=fed, count=count
     )
 
 
@@ -172,9 +167,9 @@ def _no_such(text: str, catalogue: Catalogue) -> str:
     return f"no system file and no installed component; {hint}"
 
 
-def _system(text: str, changes: Sequence[str], folders: Sequence[Path], services: Settings, choices: Choices) -> Target:
+def _system(text: str, changes: Sequence[str], services: Settings, choices: Choices) -> Target:
     def read() -> Blueprint:
-        return _prepared(text, changes, folders, services, choices)
+        return _prepared(text, changes, services, choices)
 
     plan = read()
     system = plan.system
@@ -189,16 +184,14 @@ def _system(text: str, changes: Sequence[str], folders: Sequence[Path], services
     )
 
 
-def _prepared(
-    text: str, changes: Sequence[str], folders: Sequence[Path], services: Settings, choices: Choices
-) -> Blueprint:
+def _prepared(text: str, changes: Sequence[str], services: Settings, choices: Choices) -> Blueprint:
     try:
         system = load(text, changes, choices)
     except SystemFileError as error:
         if str(error).startswith(f"{text}: --"):
             raise ConfigurationError(str(error)).like(error) from None
         raise
-    catalogue = catalogue_of((*folders, *system.plugin_paths))
+    catalogue = catalogue_of(system.plugin_paths)
     plan = prepare(system, catalogue, _settings(_activated(system), _program(system), system.services, services))
     if not (system.components or system.composites):
         raise SystemFileError(
@@ -212,7 +205,6 @@ def _prepared(
 def errors_of(
     text: str,
     changes: Sequence[str],
-    folders: Sequence[Path],
     choices: Choices = AS_WRITTEN,
     *,
     running: bool = False,
@@ -228,7 +220,7 @@ def errors_of(
 
     # What its components print when they are made once more.
     with contextlib.nullcontext() if running else contextlib.redirect_stdout(sys.stderr):
-        found = check(text, changes, catalogue_of(folders).folders, choices)
+        found = check(text, changes, catalogue_of().folders, choices)
     wrong = [one for one in found if one.severity == "error"]
     # What the command line says is no mistake of the file.
     return tuple(replace(one, code=ConfigurationError.code) if one.where.startswith("--") else one for one in wrong)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from operator import attrgetter
@@ -24,6 +24,8 @@ _STEP: Final = re.compile(r"\.?([^.\[\]]+)|\[(\d{1,9})\]")
 _ENDLESS: Final = 2**63
 _INDEX: Final = re.compile(r"\[(-?\d{1,9})\]")
 _STAMPS: Final = ("tm", "sec", "nsec", "header")
+_LOOKED: Final = 20
+"""Samples of a port that show which of its fields are numbers: the first may lack some."""
 _BATCH: Final = 2048
 
 
@@ -227,6 +229,33 @@ def read_series(
         if why := one.why_empty:
             raise RecordingError(f"{reader.path}: {why}; nothing is drawn")
     return [one.series for one in fields]
+
+
+def numeric_fields(reader: Recording, start: int | None, end: int | None) -> list[str]:
+    """PORT.FIELD of all that the first samples of each port have numbers in, but for stamps and long sequences."""
+    looked = dict.fromkeys(reader.ports, 0)
+    found: dict[str, dict[str, None]] = {name: {} for name in reader.ports}
+    names = {id(port): name for name, port in reader.ports.items()}
+    for sample in reader.samples(start=start, end=end):
+        name = names[id(sample.port)]
+        found[name] |= dict.fromkeys(_numeric(values_of(sample), name))
+        looked[name] += 1
+        if looked[name] >= _LOOKED and all(n >= min(_LOOKED, reader.ports[one].count) for one, n in looked.items()):
+            break
+    return [path for paths in found.values() for path in paths]
+
+
+def _numeric(value: Any, path: str, *, top: bool = True) -> Iterator[str]:
+    if isinstance(value, dict):
+        for name, one in value.items():
+            if not (top and name in _STAMPS):
+                yield from _numeric(one, f"{path}.{name}", top=False)
+        return
+    if hasattr(value, "dtype"):
+        value = value.tolist() if 0 < value.size <= _MOST else []
+    items = value if isinstance(value, list) else [value]
+    if 0 < len(items) <= _MOST and all(isinstance(one, int | float) for one in items) and any(x == x for x in items):
+        yield path
 
 
 def _find(reader: Recording, name: str) -> _Field:

@@ -10,7 +10,7 @@ from aiorts import exits
 from aiorts.errors import ConfigurationError
 from aiorts.progress import progress
 from aiorts_log.analysis.plot import Picture, check_picture, draw_path, draw_times
-from aiorts_log.analysis.series import Series, read_series
+from aiorts_log.analysis.series import Series, numeric_fields, read_series
 from aiorts_log.commands.output import FILE, UNLIMITED, Finite, moment, number, safe, say_unclosed
 from aiorts_log.commands.working import WritingCommand
 from aiorts_log.errors import RecordingError
@@ -46,10 +46,12 @@ def plot(
     """Draw fields of a recording over time, or one over the other as a path.
 
     \b
+      aiorts log plot run.mcap -o all.png
       aiorts log plot run.mcap pid0.command motor0.speed.data -o run.png
       aiorts log plot run.mcap --xy odometry.pose.data.position.x odometry.pose.data.position.y -o path.svg
 
-    A port without a field is its data; each item of a sequence is a curve, the first 16 unless others are
+    Without fields all numbers of all ports are drawn, but for stamps and sequences of more than 16 items. A port
+    without a field is its data; each item of a sequence is a curve, the first 16 unless others are
     named (scan.ranges[20]). An enumeration is its number. Long recordings are thinned so that no
     peak is lost. Needs matplotlib: pip install "aiorts[plot]".
 
@@ -57,11 +59,14 @@ def plot(
     """
     file_type = check_picture(output)
     names = [*(xy or ()), *fields]
-    if not names or (xy and fields):
-        raise ConfigurationError("expected PORT.FIELD once or more, or --xy X Y, and not both")
+    if xy and fields:
+        raise ConfigurationError("expected fields or --xy X Y, and not both")
     picture = Picture(title=safe(title or file.name), width=size)
     with open_recording(file, limits=limits) as reader:
         first, last = moment("--start", start, reader.start), moment("--end", end, reader.start)
+        names = names or numeric_fields(reader, first, last)
+        if not names:
+            raise RecordingError(f"{file}: has no numbers there; nothing is drawn")
         with progress("reading", reader.count) as step:
             groups = read_series(reader, names, first, last, step)
         unclosed = tuple(not_closed([reader]))

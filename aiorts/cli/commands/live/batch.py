@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import shlex
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
 import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.conf import text_of
+from aiorts.cli.commands.live.showing import json_option
 from aiorts.cli.commands.live.target import sharing
-from aiorts.cli.console.report import report, report_error
+from aiorts.cli.console.output import say_json
+from aiorts.cli.console.report import report
 from aiorts.errors import AiortsError
 
 _HERE: Final = __name__.rpartition(".")[0]
@@ -23,49 +28,89 @@ _LONGEST: Final = 65_536
 @click.argument("file", type=click.Path(dir_okay=False, allow_dash=True), metavar="FILE | -")
 @click.option("--dry-run", is_flag=True, help="Only look whether each line is such a command.")
 @click.option("--keep-going", is_flag=True, help="Go on after a line that fails; say at the end how many did.")
+@json_option("One JSON document: each command with its line, status, output and error.")
 @click.pass_context
-def batch(ctx: click.Context, file: str, dry_run: bool, keep_going: bool) -> int:
+def batch(ctx: click.Context, file: str, dry_run: bool, keep_going: bool, as_json: bool) -> int:
     """Carry out the commands in FILE, or on standard input, a line each as after `aiorts`; # begins a comment.
 
     Commands for what runs are taken: conf, connect, comp, ctx, call ... They share one session with each kernel that
     runs when it begins. The first that fails ends it with its own status, file and line before its message; what was
-    done before stays. Where a line is no such command, none is carried out. With --keep-going the others are carried
-    out all the same, and the status is that of the first that failed.
+    done before stays. Where a line is no such command, none is carried out. With --keep-going each line is carried out
+    when it is read, whatever the others are, and each that fails or is no such command is named; the status is that of
+    the first that failed.
     """
-    root: Any = ctx.find_root().command
     place = "standard input" if file == "-" else file
-    lines = list(_lines(text_of(file), place))
-    for number, words in lines:
-        _check(ctx, root, f"{place}:{number}", words)
-    if dry_run:
-        return exits.DONE
-    failed: list[int] = []
-    with sharing():
+    done = _Done(ctx, place, keep_going=keep_going, as_json=as_json)
+    lines = _lines(sys.stdin if keep_going and file == "-" else text_of(file).splitlines(), place)
+    if not keep_going:
+        read = list(lines)
+        for number, words in read:
+            done.check(number, words)
+        lines = iter(read)
+    with contextlib.nullcontext() if dry_run else sharing():
         for number, words in lines:
-            try:
-                status = _carry_out(root, f"{place}:{number}", words)
-            except AiortsError as error:
-                if not keep_going:
-                    raise
-                report_error(error, verbose=False)
-                status = exits.of_error(error)
-            except click.ClickException as error:
-                if not keep_going:
-                    raise
-                report("E-USAGE", error.format_message())
-                status = error.exit_code
-            if status:
-                failed.append(status)
-                if not keep_going:
-                    break
-    if keep_going and failed:
-        click.echo(f"{place}: {len(failed)} of {len(lines)} commands failed", err=True)
-    return failed[0] if failed else exits.DONE
+            if done.carry_out(number, words, dry_run=dry_run) and not keep_going:
+                break
+    return done.end()
 
 
-def _lines(text: str, place: str) -> Iterator[tuple[int, list[str]]]:
+class _Done:
+    """The commands that were carried out."""
+
+    def __init__(self, ctx: click.Context, place: str, *, keep_going: bool, as_json: bool) -> None:
+        self._ctx, self._place = ctx, place
+        self._root: Any = ctx.find_root().command
+        self._keep_going, self._as_json = keep_going, as_json
+        self._commands: list[dict[str, Any]] = []
+
+    def check(self, number: int, words: list[str]) -> None:
+        """Raise UsageError unless it is a command for what runs."""
+        command = self._root.get_command(self._ctx, words[0])
+        module = getattr(command.callback, "__module__", "") if command is not None else ""
+        if not module.startswith(f"{_HERE}.") or module == __name__:
+            place = f"{self._place}:{number}: {words[0][:60]}"
+            raise click.UsageError(f"{place}: is no command for what runs, such as conf, connect, call")
+
+    def carry_out(self, number: int, words: list[str], *, dry_run: bool) -> int:
+        """Carry out a line, or look whether it is a command; the status."""
+        output, status, why = io.StringIO(), exits.DONE, None
+        try:
+            if self._keep_going:
+                self.check(number, words)
+            if not dry_run:
+                with contextlib.redirect_stdout(output) if self._as_json else contextlib.nullcontext():
+                    status = _carry_out(self._root, f"{self._place}:{number}", words)
+        except (AiortsError, click.ClickException) as error:
+            if not (self._keep_going or self._as_json):
+                raise
+            code, text = (
+                ("E-USAGE", error.format_message()) if isinstance(error, click.ClickException) else _said(error)
+            )
+            why = {"code": code, "text": text}
+            report(code, text)
+            status = error.exit_code if isinstance(error, click.ClickException) else exits.of_error(error)
+        self._commands.append(
+            {"line": number, "command": words, "status": status, "output": output.getvalue(), "error": why}
+        )
+        return status
+
+    def end(self) -> int:
+        """Say how it went; the status of the first that failed."""
+        failed = [one["status"] for one in self._commands if one["status"]]
+        if self._as_json:
+            say_json({"commands": self._commands, "failed": len(failed)})
+        if self._keep_going and failed:
+            click.echo(f"{self._place}: {len(failed)} of {len(self._commands)} commands failed", err=True)
+        return failed[0] if failed else exits.DONE
+
+
+def _said(error: AiortsError) -> tuple[str, str]:
+    return error.code, str(error)
+
+
+def _lines(text: Iterable[str], place: str) -> Iterator[tuple[int, list[str]]]:
     """The words of each line that has any, and its number."""
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(text, 1):
         if len(line) > _LONGEST:
             long = f"a line of {len(line)} characters; at most {_LONGEST} are taken; give long values in a file"
             raise click.UsageError(f"{place}:{number}: {long}")
@@ -77,14 +122,6 @@ def _lines(text: str, place: str) -> Iterator[tuple[int, list[str]]]:
             del words[0]
         if words:
             yield number, words
-
-
-def _check(ctx: click.Context, root: Any, place: str, words: list[str]) -> None:
-    """Raise UsageError unless it is a command for what runs."""
-    command = root.get_command(ctx, words[0])
-    module = getattr(command.callback, "__module__", "") if command is not None else ""
-    if not module.startswith(f"{_HERE}.") or module == __name__:
-        raise click.UsageError(f"{place}: {words[0][:60]}: is no command for what runs, such as conf, connect, call")
 
 
 def _carry_out(root: Any, place: str, words: list[str]) -> int:

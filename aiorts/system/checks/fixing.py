@@ -1,0 +1,144 @@
+"""Mends the text of a system file where what a check found has one answer: `aiorts check --fix`.
+
+Two things have one: a name for which a similar one is meant, and members of a context of which one has a process of its
+own, which needs a context of its own. Everything else of the text, its comments too, stays as it is.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+from aiorts.model.configuration.toml_values import value_text
+from aiorts.system.checks.findings import Finding
+from aiorts.system.text.places import Place, Places, places_of
+
+Edit: TypeAlias = tuple[int, int, str]
+"""Where a stretch of the text begins and ends, and what stands there instead."""
+_ROUNDS: Final = 10
+"""A type that is mended shows which of its ports are misspelt, and so on."""
+_HEADER: Final = re.compile(r"^[ \t]*\[", re.MULTILINE)
+_AFTER: Final = re.compile(r"[ \t]*,[ \t]*")
+_BEFORE: Final = re.compile(r",[ \t]*\Z")
+
+
+def fixed(text: str, path: Path, check: Callable[[str], Sequence[Finding]]) -> tuple[str, tuple[Finding, ...]]:
+    """The text with all that has one answer mended, and what is found in it then.
+
+    A change after which more is wrong than before is not made.
+
+    Args:
+        path: of the file that has the text; what is wrong in files that it includes is left alone.
+        check: what is found in a text.
+    """
+    found = tuple(check(text))
+    for _ in range(_ROUNDS):
+        wrong = [one for one in found if one.severity == "error" and one.path == path]
+        for edits in (_respelt(wrong, text), _set_apart(wrong, text)):
+            new = _edited(text, edits)
+            if new == text:
+                continue
+            after = tuple(check(new))
+            if _errors(after) <= _errors(found):
+                text, found = new, after
+                break
+        else:
+            break
+    return text, found
+
+
+def _errors(found: Iterable[Finding]) -> int:
+    return sum(one.severity == "error" for one in found)
+
+
+def _edited(text: str, edits: Iterable[Edit]) -> str:
+    """The text with these changes, of which none is made within another."""
+    end = len(text)
+    for start, stop, new in sorted(set(edits), reverse=True):
+        if stop <= end:
+            text, end = text[:start] + new + text[stop:], start
+    return text
+
+
+def _respelt(wrong: Iterable[Finding], text: str) -> list[Edit]:
+    """The names that were meant, in their places."""
+    edits: list[Edit] = []
+    places = _places(text)
+    for one in wrong:
+        if one.mended.startswith("schema = "):
+            if re.search(r"^[ \t]*schema\b", text, re.MULTILINE) is None:
+                edits.append((0, 0, f"{one.mended}\n"))
+        elif one.mended and places is not None:
+            edits.append((*places.extent(Place(one.line, one.column, one.width)), one.mended))
+    return edits
+
+
+def _set_apart(wrong: Iterable[Finding], text: str) -> list[Edit]:
+    """A context of its own for the first member that has a process of its own, in the first context that needs it."""
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return []
+    components, contexts = tables.get("components", {}), tables.get("contexts", {})
+    places = places_of(text)
+    for one in wrong:
+        front, _, name = one.where.removesuffix(".members").partition(".")
+        table: Any = contexts.get(name) if front == "contexts" else None
+        table = table if isinstance(table, dict) else {}
+        members = table.get("members", ())
+        apart = [at for at, member in enumerate(members) if _is_isolated(components, member)]
+        if not apart or len(members) < 2 or any(isinstance(value, dict) for value in table.values()):
+            continue
+        at = apart[-1]
+        new_name = f"{name}_{members[at]}"
+        heading = places.extent(places.value(("contexts", name)))[0]
+        if new_name in contexts or not text[:heading].rpartition("\n")[2].lstrip().startswith("["):
+            continue  # no table with a heading of its own
+        lines = [f"[contexts.{new_name}]"]
+        alone = {**table, "members": [members[at]]}
+        lines += [f"{key} = {value_text(key, value)}" for key, value in alone.items()]
+        end = _end_of_table(text, heading)
+        return [
+            _without(text, *places.extent(places.value(("contexts", name, "members", at)))),
+            _added(text, end, lines),
+        ]
+    return []
+
+
+def _is_isolated(components: Any, member: object) -> bool:
+    table = components.get(member) if isinstance(member, str) else None
+    return isinstance(table, dict) and table.get("isolation") == "process"
+
+
+def _places(text: str) -> Places | None:
+    """None: the text is no TOML, and nothing in it has a place."""
+    try:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return None
+    return places_of(text)
+
+
+def _end_of_table(text: str, heading: int) -> int:
+    """Where the last line of a table ends that is not blank or a comment before the next heading."""
+    following = _HEADER.search(text, text.find("\n", heading) + 1 or len(text))
+    lines = text[heading : len(text) if following is None else following.start()].splitlines(keepends=True)
+    while lines and (not lines[-1].strip() or lines[-1].lstrip().startswith("#")):
+        lines.pop()
+    return heading + len("".join(lines))
+
+
+def _added(text: str, end: int, lines: Sequence[str]) -> Edit:
+    return end, end, ("" if text[:end].endswith("\n") else "\n") + "\n" + "\n".join(lines) + "\n"
+
+
+def _without(text: str, start: int, end: int) -> Edit:
+    """An element of a list, with the comma that goes with it."""
+    if (found := _AFTER.match(text, end)) is not None:
+        return start, found.end(), ""
+    if (before := _BEFORE.search(text, 0, start)) is not None:
+        return before.start(), end, ""
+    return start, end, ""

@@ -1,0 +1,164 @@
+"""`aiorts run --replay` and `aiorts replay`: what was recorded, in the place of who sent it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from aiorts.testing import check_service
+from aiorts.types import TimedDouble, TimedLong
+from aiorts_log import RecordingWriter
+from aiorts_log.playing.in_place import InPlace
+from log_parts import BEGIN, MS, read
+from run_parts import here
+
+PARTS = '''\
+from aiorts import Component, InPort, OutPort
+from aiorts.types import TimedLong
+
+class Camera(Component):
+    """Needs a device that is not there."""
+    out = OutPort(TimedLong)
+    wanted = InPort(TimedLong)
+    def on_initialize(self):
+        raise RuntimeError("no camera")
+
+class Both(Component):
+    """Sends of itself."""
+    left = OutPort(TimedLong)
+    right = OutPort(TimedLong)
+    def on_execute(self):
+        self.left.write_nowait(TimedLong(0, -1))
+        self.right.write_nowait(TimedLong(0, -2))
+        self.finish()
+
+class Double(Component):
+    into = InPort(TimedLong)
+    out = OutPort(TimedLong)
+    def on_execute(self):
+        for sample in self.into.drain():
+            self.out.write_nowait(TimedLong(0, 2 * sample.data))
+'''
+SYSTEM = """\
+schema = 1
+[components.camera]
+type = "parts.py:Camera"
+[components.double]
+type = "parts.py:Double"
+[components.both]
+type = "parts.py:Both"
+[[connections]]
+from = "camera.out"
+to = "double.into"
+length = 100
+[[connections]]
+from = "double.out"
+to = "camera.wanted"
+full = "block"
+timeout = 100.0
+[contexts.sources]
+kind = "periodic"
+rate = 100.0
+members = ["camera", "both"]
+[contexts.readers]
+kind = "event"
+members = ["double"]
+"""
+COUNT = 30
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "parts.py").write_text(PARTS)
+    (tmp_path / "system.toml").write_text(SYSTEM)
+    with RecordingWriter(tmp_path / "run.mcap") as writer:
+        ports = [writer.add_port(name, TimedLong) for name in ("camera.out", "both.left")]
+        for i in range(COUNT):
+            for port in ports:
+                assert writer.write(port, TimedLong(BEGIN + i * MS, i), BEGIN + i * MS)
+    return tmp_path
+
+
+def answers(folder: Path) -> dict[str, list[int]]:
+    found: dict[str, list[int]] = {}
+    for port, _, sample in read(folder / "answer.mcap"):
+        found.setdefault(port, []).append(sample.data)
+    return found
+
+
+@pytest.mark.parametrize("kind", ["periodic", "thread"])
+def test_the_recording_stands_for_a_component_that_is_not_started_and_the_others_answer(
+    folder: Path, kind: str
+) -> None:
+    (folder / "system.toml").write_text(SYSTEM.replace('"periodic"', f'"{kind}"'))
+    done = here(
+        folder, "run", "system.toml", "--replay", "run.mcap", "--replay-speed", "100", "--record", "answer.mcap"
+    )
+    assert done.returncode == 0, done.stderr
+    assert answers(folder) == {
+        "camera.out": [*range(COUNT)],
+        "double.out": [*range(0, 2 * COUNT, 2)],
+        "both.left": [-1],
+        "both.right": [-2],
+    }
+    assert done.stderr.splitlines() == [
+        "aiorts: warning: both: runs, and its recorded ports are not replayed: both.right was not recorded; "
+        "--replay-port both.left replays what was"
+    ]
+
+
+def test_named_ports_alone_are_replayed_and_the_other_ports_of_their_component_are_silent(folder: Path) -> None:
+    words = ("--port", "*.out", "--port", "both.*", "--end", "+0.01", "--loop", "2", "--absolute", "--simulate")
+    (folder / "system.toml").write_text(SYSTEM + '[record]\nfile = "answer.mcap"\n')
+    done = here(folder, "replay", "run.mcap", "system.toml", *words)
+    assert (done.returncode, done.stderr) == (
+        0,
+        "aiorts: warning: both: is replayed, and sends nothing from both.right\n",
+    )
+    twice = [*range(10)] * 2
+    assert answers(folder) == {"camera.out": twice, "both.left": twice, "double.out": [2 * n for n in twice]}
+    stamps = {sample.tm for port, _, sample in read(folder / "answer.mcap") if port == "camera.out"}
+    assert min(stamps) == BEGIN
+
+
+def test_alone_it_prints_the_samples(folder: Path) -> None:
+    done = here("replay", folder / "run.mcap", "--speed", "max", "--port", "both.left", "--absolute")
+    assert (done.returncode, done.stderr) == (0, "")
+    said = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [(one["port"], one["tm"], one["data"]) for one in said] == [
+        ("both_left", BEGIN + i * MS, i) for i in range(COUNT)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("--replay", "none.mcap"), "none.mcap"),
+        (
+            ("--replay", "run.mcap", "--replay-port", "camera.ouf"),
+            "has no port 'camera.ouf'; did you mean 'camera.out'?",
+        ),
+        (("--replay", "run.mcap", "--replay-start", "+3", "--replay-end", "+2"), "start is not before end"),
+        (("--replay", "run.mcap", "--replay-start", "soon"), "replay: start: expected +SECONDS or seconds since 1970"),
+        (("--replay", "other.mcap"), "camera.out was recorded as TimedDouble, and sends TimedLong here"),
+        (("--replay", "else.mcap"), "no component here has its out-ports among those recorded: arm.angle"),
+        (("--replay-speed", "2"), "nothing says what to replay"),
+        (("--replay", "run.mcap", "--replay-loop", "-1"), "loop: expected 1 or more"),
+    ],
+)
+def test_what_cannot_be_replayed_is_said_before_anything_runs(folder: Path, words: tuple[str, ...], why: str) -> None:
+    for name, port in (("other", "camera.out"), ("else", "arm.angle")):
+        with RecordingWriter(folder / f"{name}.mcap") as writer:
+            writer.write(writer.add_port(port, TimedDouble), TimedDouble(0, 1.0), BEGIN)
+    (folder / "system.toml").write_text(SYSTEM.replace('"parts.py:Camera"', '"good.py:Camera"'))
+    (folder / "good.py").write_text(PARTS.replace("raise", "return\n        raise"))
+    done = here(folder, "run", "system.toml", *words)
+    assert done.returncode == 2
+    assert why in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_it_is_a_service() -> None:
+    check_service(InPlace)
