@@ -12,7 +12,7 @@ import aiorts.types
 from aiorts.guide import headings, page
 from aiorts.tiers import LATTER
 
-FEWEST = {"aiorts": 28, "aiorts.testing": 5, "aiorts.types": 182, "aiorts_log": 12}
+FEWEST = {"aiorts": 28, "aiorts.testing": 5, "aiorts.types": 184, "aiorts_log": 12}
 """How many names of a module were stable once: the list of the page cannot be made shorter unnoticed."""
 
 
