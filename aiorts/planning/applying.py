@@ -47,6 +47,7 @@ from aiorts.model.wanted.steps import (
     Renew,
     RenewContext,
     Retime,
+    Rule,
     StartContext,
     Step,
     StopContext,
@@ -57,7 +58,12 @@ from aiorts.planning.shown import shown_name
 from aiorts.planning.snapshot import Snapshot
 from aiorts.planning.switching import CompositesAside, switch, tops, without_components
 from aiorts.reload import Trial, check_replaceable, code_of
+<<<<<<< HEAD
 from aiorts.supervision import Patience, Supervising
+=======
+from aiorts.rules import ConnectingRules
+from aiorts.supervision import Supervising
+>>>>>>> s47-h6
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
@@ -106,6 +112,7 @@ class Application:
             Configure: self._configure,
             Reload: self._reload,
             Supervise: self._supervise,
+            Rule: self._rule,
             Connect: self._connect,
             Disconnect: self._disconnect,
             Change: self._change,
@@ -281,6 +288,9 @@ class Application:
             trial.end_watch()
             self._trials[entry.name] = trial
         self._supervise_as(kernel.components[entry.name], entry)
+
+    async def _rule(self, step: Rule) -> None:
+        self._kernel.service(ConnectingRules).change(step.after)
 
     async def _supervise(self, step: Supervise) -> None:
         self._supervise_as(self._component(step.after.name), step.after)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
@@ -96,6 +96,11 @@ class _Live:
                             yield out, in_
 
 
+def _live(rules: Sequence[Mapping[str, Any]]) -> tuple[_Live, ...]:
+    found = enumerate(rules_of(rules), 1)
+    return tuple(_Live(f"rules[{number}] ({one.source} to {one.target})", one) for number, one in found)
+
+
 class ConnectingRules(KernelService):
     """The rules of one kernel, from its table on: of a system file, once the system was made."""
 
@@ -108,20 +113,43 @@ class ConnectingRules(KernelService):
         self._changed: dict[str, None] = {}
         """Components that have come, gone or changed since the last look."""
         self._held = 0
-        self._waits = False
+        self._waits = self._hears = False
         self._gone: dict[Pair, str] = {}
         """The names of connectors that a rule made, whose ports are gone."""
         self._told: set[Pair] = set()
 
     def configure(self, settings: RulesSettings) -> None:
-        found = enumerate(rules_of(settings.rules), 1)
-        self._rules = tuple(_Live(f"rules[{number}] ({one.source} to {one.target})", one) for number, one in found)
+        self._rules = _live(settings.rules)
+        self._follow_bus()
+
+    def _follow_bus(self) -> None:
+        """Hear of ports from now on, and look at those that are there."""
+        for name in self.kernel.components:
+            self._note(name)
+        if self._hears:
+            return
+        self._hears = True
         bus = self.kernel.bus
         bus.subscribe(PortAdded, lambda event: self._note(event.component))
         bus.subscribe(PortRemoved, lambda event: self._note(event.component))
         bus.subscribe(Disconnected, lambda _event: self._soon())
-        for name in self.kernel.components:
-            self._note(name)
+
+    def change(self, rules: Sequence[Mapping[str, Any]]) -> None:
+        """Have these rules: the first of those that there are, and others behind them, or fewer of them.
+
+        A further one connects what is there and fits. What one that is gone had connected is disconnected.
+
+        Raises:
+            ConfigurationError: one of them is none; nothing was changed.
+        """
+        stay = min(len(rules), len(self._rules))
+        gone, kept = self._rules[stay:], self._rules[:stay]
+        self._rules = (*kept, *_live(rules)[stay:])
+        self._follow_bus()
+        self.table = {"rules": list(rules)} if rules else None
+        for rule in gone:
+            for connector in tuple(rule.made.values()):
+                connector.close()
 
     def component_added(self, component: Component) -> None:
         self._note(component.name)

@@ -30,6 +30,7 @@ from aiorts.model.wanted.steps import (
     Renew,
     RenewContext,
     Retime,
+    Rule,
     StartContext,
     Step,
     StopContext,
@@ -179,6 +180,7 @@ class _Planner:
             *self._contexts(),
             *self._move(),
             *self._activity(),
+            *self._rules(),
             *(StopContext(replace(one, members=())) for one in reversed(stopped)),
             *(one for one in ending if one not in clearing),
             *map(Remove, reversed(gone)),
@@ -191,6 +193,8 @@ class _Planner:
             yield "the clock of a system that runs cannot be changed; stop it and run the file"
         for name in {**now.services, **wanted.services}:
             before, after = now.services.get(name), wanted.services.get(name)
+            if name == "rules" and self._adds_rules():
+                continue
             if before != after:
                 what = "is added" if before is None else "is taken away" if after is None else "is changed"
                 yield f"[{name}] {what}: the table of a service is read when a system starts; stop it and run the file"
@@ -202,6 +206,16 @@ class _Planner:
             for name in one.components:
                 if name in other.composites:
                     yield f"{name}: becomes a {what} of the same name; give it another one"
+
+    def _adds_rules(self) -> bool:
+        """Whether all rules that there are stay, and others come behind them."""
+        before, after = rules_of(self._now), rules_of(self._wanted)
+        return len(after) >= len(before) and after[: len(before)] == before
+
+    def _rules(self) -> Iterator[Step]:
+        before, after = rules_of(self._now), rules_of(self._wanted)
+        if before != after:
+            yield Rule(before, after)
 
     # -- components ------------------------------------------------------------------------------------------------
 
@@ -273,6 +287,11 @@ class _Planner:
                     MappingProxyType({name: self._wanted.composites.get(name) for name in composites}),
                 ),
             )
+
+
+def rules_of(system: Wanted) -> tuple[Mapping[str, Any], ...]:
+    """The entries of `[[rules]]`."""
+    return tuple(system.services.get("rules", {}).get("rules", ()))
 
 
 def _shape(one: ComponentEntry) -> tuple[Any, ...]:

@@ -186,6 +186,23 @@ class Supervise(_Change):
 
 
 @dataclass(frozen=True, slots=True)
+class Rule(Step):
+    """Have further rules of `[[rules]]`, behind those that there are; its reverse takes them back."""
+
+    before: tuple[Mapping[str, Any], ...]
+    after: tuple[Mapping[str, Any], ...]
+
+    def reverse(self) -> Rule:
+        return Rule(self.after, self.before)
+
+    @property
+    def text(self) -> str:
+        few, many = sorted((self.before, self.after), key=len)
+        names = ", ".join(f"{one['from']} to {one['to']}" for one in many[len(few) :])
+        return f"{'add' if few is self.before else 'take away'} rules: {names}"
+
+
+@dataclass(frozen=True, slots=True)
 class Change(_Change):
     """Change options of a connector in place: no sample is touched."""
 
