@@ -58,12 +58,8 @@ from aiorts.planning.shown import shown_name
 from aiorts.planning.snapshot import Snapshot
 from aiorts.planning.switching import CompositesAside, switch, tops, without_components
 from aiorts.reload import Trial, check_replaceable, code_of
-<<<<<<< HEAD
-from aiorts.supervision import Patience, Supervising
-=======
 from aiorts.rules import ConnectingRules
-from aiorts.supervision import Supervising
->>>>>>> s47-h6
+from aiorts.supervision import Patience, Supervising
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
