@@ -441,7 +441,8 @@ def test_a_circle_that_waits_for_itself_is_noted(write: Write) -> None:
     one = only(write(CYCLE), "note")
     assert (one.code, one.where, one.line) == ("N-CIRCLE", "connections[2]", 9)
     ring = "one.output → two.input → two.output → one.input → one.output"
-    assert one.cause.startswith(f"{ring}: each waits for a sample of the one before, and none begins; write the first")
+    assert one.cause == f"{ring}: each waits for a sample of the one before, and none begins"
+    assert one.remedy.startswith("write the first one in on_activated, to a connection with keep_last = true")
 
 
 @pytest.mark.parametrize(

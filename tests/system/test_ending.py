@@ -308,7 +308,7 @@ async def test_a_source_in_error_leaves_the_others_their_time() -> None:
 async def test_a_source_that_another_component_switches_off_has_not_finished(again: bool) -> None:
     async with Kernel() as kernel:
         source = await chain(kernel, Numbers)
-        source.fails = 0
+        await source.configure(fails=0)
         boss = await kernel.create(Boss, "boss", again=again)
         await kernel.start(PeriodicContext(10.0), boss, activate=True)
         took = await seconds_until_the_end(kernel)
@@ -368,7 +368,7 @@ async def test_a_source_that_stopped_with_its_composite_waits_as_long_as_that_is
 async def test_a_source_that_has_finished_stays_so_wherever_it_goes() -> None:
     async with Kernel() as kernel:
         source = await chain(kernel, Numbers)
-        source.fails = 0
+        await source.configure(fails=0)
         other = await kernel.create(Numbers, "other", count=30, fails=0)
         await kernel.start(PeriodicContext(10.0), other, activate=True)
         ending = asyncio.ensure_future(wait_finished(kernel))
@@ -521,7 +521,7 @@ async def test_what_was_sent_to_a_reader_that_was_stopped_is_not_waited_for() ->
         await kernel.stop(kernel.contexts["second"])
         assert not ending.done()
         source = kernel.components["source"]
-        source.count = 5  # type: ignore[attr-defined]
+        await source.configure(count=5)
         assert await asyncio.wait_for(ending, 1.5) == ()
         assert source.has_finished
 
