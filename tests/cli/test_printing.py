@@ -29,6 +29,7 @@ def test_a_port_that_is_not_there_is_refused_with_the_nearest(tmp_path: Path) ->
     assert "--print: no out-port is called 'counter.ouf'; did you mean 'counter.out'?" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_ends_the_run(tmp_path: Path) -> None:
     system = folder_of(tmp_path) / "system.toml"
     system.write_text(system.read_text().replace('type = "parts.py:Sink"', 'type = "parts.py:Quiet"'))

@@ -373,6 +373,7 @@ def test_what_cannot_be_drawn_is_one_line_and_leaves_nothing(drive: Path, capsys
     assert sorted(os.listdir(drive.parent)) == ["drive.mcap", "x.svg"]
 
 
+@pytest.mark.slow(kept_by="test_a_field_that_the_first_sample_lacks_is_drawn_too")
 def test_without_fields_all_numbers_are_drawn(drive: Path) -> None:
     pytest.importorskip("matplotlib")
     with open_recording(drive) as reader:
