@@ -65,7 +65,7 @@ async def follow(kernel: Kernel, told: list[str]) -> None:
             if came and isinstance(out, OutPort):
                 displays += 1
                 display = await kernel.create(Display, f"display{displays}")
-                await kernel.connect(out, display.shown)
+                await kernel.connect(out, display.shown, keep_last=True)
                 await kernel.start(EventContext(), display, activate=True)
 
 

@@ -396,7 +396,8 @@ async def test_a_source_that_is_switched_on_again_while_the_rest_is_taken_is_wai
         ending = asyncio.ensure_future(wait_finished(kernel))
         await kernel.sleep(1.0)
         assert source.has_finished
-        source.count, source.n = 80, 0
+        await source.configure(count=80)
+        source.n = 0
         await context.activate(source)
         await kernel.sleep(6.0)
         assert not ending.done()

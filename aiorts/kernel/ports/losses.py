@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, Protocol
 from aiorts.errors import SLOW_READER
 from aiorts.kernel.loop.bus import ConversionFailed
 from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.kernel.ports.port import NOTHING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,6 +32,11 @@ _LAST_LOOK: Final = 3600.0
 """Seconds of the kernel's clock between two looks at connectors that lose samples."""
 _MOST_NAMED: Final = 8
 _SUMMARISED: Final = "further losses are summarised here, all are counted in connector.statistics"
+
+_EARLY: Final = (
+    "W-INACTIVE: %s -> %s: the first sample was dropped, %s was not active yet: connect with keep_last = true, or have "
+    'the writer start later (start.after = "%s active"); further ones are counted in connector.statistics'
+)
 
 
 class LossListener(Protocol):
@@ -75,8 +81,15 @@ class Losses:
     def early(self, connector: Connector) -> None:
         """It has dropped a sample, in this thread, since its reader was never active: report the first of all."""
         if not self._early:
-            self._early = True
-            self._kernel.loop.call_soon_threadsafe(_report_early, connector)
+            self._kernel.loop.call_soon_threadsafe(self._report_early, connector)
+
+    def _report_early(self, connector: Connector) -> None:
+        if self._early or any(one._transport.delivered() > 0 for one in connector.out._connectors):
+            return  # who is added to readers of a stream has missed nothing that others wait for
+        self._early = True
+        out, in_ = connector.out.path, connector.in_.path
+        reader = in_.partition(".")[0]
+        _LOG.warning(_EARLY, out, in_, reader, reader)
 
     def stop(self, connector: Connector) -> None:
         """Its user has chosen what is lost: report what was not reported yet, and nothing from now on."""
@@ -189,21 +202,10 @@ def note_early(connector: Connector) -> None:
     in_, host = connector.in_, connector.in_._host
     if host is None or host.kernel is None or host.kernel.closed or host.was_active:
         return
+    if connector.out._saved is not NOTHING:
+        return  # the writer has written before: its reader joins a stream
     if not (connector.profile.keep_last or connector.out.is_tap or in_.is_tap or in_.is_far):
         host.kernel.connections.losses.early(connector)
-
-
-def _report_early(connector: Connector) -> None:
-    out, in_ = connector.out.path, connector.in_.path
-    reader = in_.partition(".")[0]
-    _LOG.warning(
-        "W-INACTIVE: %s -> %s: the first sample was dropped, %s was not active yet: connect with keep_last = true, or "
-        'have the writer start later (start.after = "%s active"); further ones are counted in connector.statistics',
-        out,
-        in_,
-        reader,
-        reader,
-    )
 
 
 def _samples(count: int) -> str:
