@@ -209,7 +209,7 @@ class RemoteComponent(Component, kind=RemoteKind()):
     async def _retire(self) -> None:
         """End it there as a component of this kernel ends: it has, and reads, what was written to it before."""
         connectors = [one for port in self.ports.values() for one in port.connectors]
-        await self.kernel.service(Links).sent(connectors, StopBudget(self.kernel.loop))
+        await self.kernel.service(Links).ends.sent(connectors, StopBudget(self.kernel.loop))
         await self._running.ask("retire", context=self.context.name)
 
     async def on_reset(self) -> None:

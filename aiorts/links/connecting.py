@@ -55,8 +55,6 @@ _FIRST_SECONDS: Final = 5.0
 """How long `connect` waits at the most for what the other kernel answers."""
 _AT_ONCE: Final = 64
 """Links that are offered to one kernel at once: of thousands, the last would have no answer in time."""
-_LAST_SECONDS: Final = 1.0
-"""How long a kernel that ends waits for acknowledgements."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,14 +299,7 @@ class Links(KernelService):
     # -- ending --------------------------------------------------------------------------------------------------------
 
     async def ending(self, budget: StopBudget) -> None:
-        await self.sent(self.ends.writers, budget)
-
-    async def sent(self, connectors: Iterable[Connector], budget: StopBudget) -> None:
-        """Wait until what was written to these connectors is acknowledged, for a short time."""
-        ends = [end for one in connectors if (end := self.ends.writers.get(one)) is not None]
-        waits = [idle for one in ends if (idle := one.link.idle()) is not None]
-        if waits and (seconds := min(_LAST_SECONDS, budget.rest)) > 0:
-            await asyncio.wait(waits, timeout=seconds)
+        await self.ends.sent(self.ends.writers, budget)
 
     def stopped(self) -> None:
         for end in self.ends.all():

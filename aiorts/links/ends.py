@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -32,6 +32,7 @@ from aiorts.model.policy import Dataflow, OnLinkLost
 from aiorts.observe import Introspection
 
 if TYPE_CHECKING:
+    from aiorts.kernel.loop.deadlines import StopBudget
     from aiorts.kernel.loop.timers import Cancellable
     from aiorts.kernel.ports import InPort, Port
     from aiorts.kernel.ports.connector import Connector
@@ -54,6 +55,8 @@ _GIVEN_UP: Final = 1_000
 """Reader's ends that were disconnected before the first answer, of which is known that their offers are late."""
 _READERS: Final = 256
 """Connectors that others may have made with one out-port: each takes part in every write (2 ms with 1,000 of them)."""
+_LAST_SECONDS: Final = 1.0
+"""How long what ends waits for acknowledgements."""
 Name: TypeAlias = tuple[str, str]
 Side = TypeVar("Side", bound="WriterLink | ReaderLink", covariant=True)
 
@@ -576,6 +579,13 @@ class Ends:
         """Two where both ends of the connector are in other kernels."""
         found = self.writers.get(connector), self.readers.get(connector)
         return [end for end in found if end is not None]
+
+    async def sent(self, connectors: Iterable[Connector], budget: StopBudget) -> None:
+        """Wait until what was written to these connectors is acknowledged, for a short time."""
+        ends = [end for one in connectors if (end := self.writers.get(one)) is not None]
+        waits = [idle for one in ends if (idle := one.link.idle()) is not None]
+        if waits and (seconds := min(_LAST_SECONDS, budget.rest)) > 0:
+            await asyncio.wait(waits, timeout=seconds)
 
     def at(self, kernel: str, component: str | None = None) -> list[LinkEnd[Any]]:
         """The ends of links to kernels of this name, or to a component there."""

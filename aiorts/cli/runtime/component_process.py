@@ -191,7 +191,7 @@ class _Process:
         """Have the members read what is unread, and end; what they write last has arrived."""
         runner, budget = self._kernel.contexts[context].runner, StopBudget(self._kernel.loop)
         await runner.retire(tuple(runner.members), budget)
-        await self._links.sent(self._kernel.connectors.values(), budget)
+        await self._links.ends.sent(self._kernel.connectors.values(), budget)
 
     def _changed(self, event: StateChanged) -> None:
         component = self._kernel.components.get(event.component)
