@@ -111,6 +111,7 @@ def system(tmp_path: Path) -> Path:
     return tmp_path / "s.toml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "ends"),
     [
@@ -137,6 +138,7 @@ def test_what_is_under_way_when_its_kernel_ends_is_not_done(
         assert run.wait(WAIT) == 0
 
 
+@pytest.mark.slow
 def test_a_call_and_a_goal_that_are_done_are_so_although_the_kernel_ends_next(system: Path) -> None:
     """What they wrote is with a periodic reader, whose next cycle has it."""
     system.write_text(SYSTEM.format(rate=2.0))
@@ -170,6 +172,7 @@ def test_a_filter_that_takes_what_runs_has_all_to_the_last(system: Path, how: st
     assert set(range(200)) <= set(lines)
 
 
+@pytest.mark.slow
 def test_a_simulated_run_is_alone_whatever_its_links_lead_to(system: Path) -> None:
     system.write_text(SYSTEM.format(rate=50.0))
     alone = system.with_name("alone.toml")

@@ -52,6 +52,7 @@ def test_the_roomba_is_shown_and_the_end_of_it_too(subprotocol: str) -> None:
         assert process.wait(WAIT) == 0
 
 
+@pytest.mark.slow
 def test_it_ends_soon_after_its_kernel_beside_a_viewer_that_does_not_read(tmp_path: Path) -> None:
     (tmp_path / "large.py").write_text(
         "import numpy\nfrom aiorts import Component, OutPort\nfrom aiorts.types import TimedDoubleSeq\n"

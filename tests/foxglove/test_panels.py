@@ -197,14 +197,14 @@ def test_angles_turn_about_x_then_y_then_z() -> None:
 
 
 @record
-class Marked(TimedPose2D):
+class Labelled(TimedPose2D):
     """A pose with a name, of a user."""
 
     name: str = ""
 
 
 def test_a_type_that_derives_from_one_is_drawn_and_others_are_as_they_were() -> None:
-    kind, message = shown(Marked(TM, POSE, "here"))
+    kind, message = shown(Labelled(TM, POSE, "here"))
     assert (Channel(1, "a.out", kind).plain["schemaName"], message["name"]) == ("foxglove.PoseInFrame", "here")
     assert message["pose"] == _approx(IN_MAP["pose"])
     kind, message = shown(TimedDouble(TM, 1.0))

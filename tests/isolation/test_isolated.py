@@ -476,6 +476,7 @@ def test_its_process_imports_the_operations_that_it_is_asked_for_alone() -> None
     assert {"components", "lifecycle"} <= found <= {"components", "configuration", "contexts", "lifecycle", "known"}
 
 
+@pytest.mark.slow
 async def test_a_process_that_does_not_end_is_killed_and_the_log_says_so(caplog: pytest.LogCaptureFixture) -> None:
     async with Kernel() as kernel:
         await kernel.create_isolated(Lingers, "lingers")

@@ -90,6 +90,7 @@ async def test_it_is_shown_saved_and_planned_as_any_other(tmp_path: Path, capsys
         assert f"process  {one.pid}, busy for" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["Scale", "Stubborn"])
 async def test_a_hook_over_its_deadline_in_a_process_is_told_with_the_state(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -130,6 +131,7 @@ async def test_a_plan_changes_a_value_in_the_process_too(tmp_path: Path) -> None
         assert (await sink.inp.read(timeout=20.0)).data == 14
 
 
+@pytest.mark.slow(kept_by="test_a_plan_changes_a_value_in_the_process_too")
 async def test_a_plan_adds_one_with_its_context_and_takes_both_away(tmp_path: Path) -> None:
     """The plan made a context of this process, in which the component could not run."""
     (tmp_path / "isolated_parts.py").write_text(Path(__file__).with_name("isolated_parts.py").read_text())
