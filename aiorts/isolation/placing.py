@@ -76,8 +76,10 @@ class RemoteContext(Context):
         if process is None or not process.runs:
             return None
         if process.busy:
-            late = process.deadline is not None and process.busy > process.deadline
-            return OverdueHook("", to_ns(process.busy), to_ns(process.deadline)) if late else None
+            deadline = process.deadline
+            if deadline is None or process.busy <= deadline:
+                return None
+            return OverdueHook("", to_ns(process.busy), to_ns(deadline))
         passed_ns = self.runner.kernel.clock.monotonic_ns() - self._late_ns
         return self._late and replace(self._late, running_ns=self._late.running_ns + passed_ns)
 

@@ -50,8 +50,9 @@ class Patience:
             return
         kernel, first = self._kernel, min(waiting, key=self.left)
         begun = kernel.clock.monotonic_ns()
+        limit = asyncio.timeout(None)
         try:
-            async with asyncio.timeout(None) as limit:
+            async with limit:
                 timer = kernel.call_later(self.left(first), lambda: limit.reschedule(kernel.loop.time()))
                 try:
                     yield
