@@ -13,7 +13,7 @@ class Tier(NamedTuple):
 
     name: str
     promise: str
-    """What may happen to its names, in half a sentence."""
+    """The promise about its names, in half a sentence."""
     things: tuple[str, ...]
     commands: frozenset[str]
     pages: frozenset[str]

@@ -126,7 +126,7 @@ class _Place(NamedTuple):
 
 @cache
 def _places(one: Page) -> list[_Place]:
-    """What stands below each heading of a page; the line of its tier is no answer to anything."""
+    """The text below each heading of a page, without the line of its tier, which answers nothing."""
     tier = tier_of_page(one.name)
     lines = [line for line in one.text.splitlines()[1:] if tier is None or line != tier.note]
     places, heading, text, fenced = [], one.title, list[str](), False

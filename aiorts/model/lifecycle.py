@@ -26,7 +26,7 @@ class LifecycleState(StrEnum):
 
 
 def joint(states: Iterable[LifecycleState]) -> LifecycleState | None:
-    """What a component is said to be that has these states in its contexts; None without any."""
+    """The one state of a component that has these states in its contexts; None without any."""
     there = set(states)
     order = (LifecycleState.ERROR, LifecycleState.ACTIVE, LifecycleState.INACTIVE)
     return next((state for state in order if state in there), None)
@@ -41,7 +41,7 @@ class OverdueHook:
     running_ns: int
     """For so long, on the kernel's clock."""
     deadline_ns: int
-    """It was to take so long at the most."""
+    """Nanoseconds that the hook may take."""
 
 
 def state_texts(states: Mapping[str, str], overdue: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
@@ -58,7 +58,7 @@ def state_texts(states: Mapping[str, str], overdue: Mapping[str, Mapping[str, An
 
 
 def state_text(states: Mapping[str, str], overdue: Mapping[str, Mapping[str, Any]]) -> str:
-    """The same of all contexts in one line, in which each is said once."""
+    """The states of all contexts in one line, each said once."""
     return ", ".join(dict.fromkeys(state_texts(states, overdue).values())) or "in no context"
 
 

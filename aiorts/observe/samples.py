@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from aiorts.errors import BusyError, ConfigurationError, WiringError
 from aiorts.kernel.loop.bus import ComponentRemoved, PortRemoved
 from aiorts.kernel.ports import InPort, OutPort
+from aiorts.kernel.ports.port import host_of
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -81,7 +82,7 @@ class Samples(AsyncIterator[T], Generic[T]):
 
 
 class Feed:
-    """What a tap has taken, for one `Samples`, which it does not refer to."""
+    """The buffer of one `Samples`, filled by a tap; it does not refer to the iterator, which may go unclosed."""
 
     def __init__(self, service: KernelService, out: OutPort[Any], length: int, *, keep_last: bool) -> None:
         self.path = out.path
@@ -193,7 +194,7 @@ def samples_of(
             f'have its component here: await kernel.stand_in("{owner}"), and take the samples of its port'
         )
     out = out_port_of(kernel, port) if isinstance(port, str) else port
-    host = out._host if isinstance(out, OutPort) else None
+    host = host_of(out) if isinstance(out, OutPort) else None
     if host is None or host.kernel is not kernel:
         raise WiringError(f"samples({out!r:.100}): expected an out-port of a component of this kernel, or its path")
     if type(keep_last) is not bool:

@@ -50,7 +50,7 @@ class Field:
     unit: str = ""
     """The unit of its values, such as "rad"; of a nested record, of all in it that says none."""
     doc: str = ""
-    """What it is."""
+    """The field's description."""
 
     @property
     def spelling(self) -> str:

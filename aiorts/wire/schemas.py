@@ -68,7 +68,7 @@ def _type_schema(cls: type, as_json: bool) -> dict[str, Any]:
 
 
 def without_units(schema: Any) -> Any:
-    """The same document, of the same type, whatever the units of its fields are."""
+    """The document without the units of its fields: records that differ in units alone have one type."""
     if isinstance(schema, dict):
         is_field = "type" in schema or "anyOf" in schema
         return {key: without_units(one) for key, one in schema.items() if key != _UNIT or not is_field}
@@ -76,7 +76,7 @@ def without_units(schema: Any) -> Any:
 
 
 def units_in(schema: Any) -> dict[str, str]:
-    """The units in a schema's document, which may be of anybody, by the paths of the fields without indices."""
+    """The units in a schema's document, by the paths of the fields without indices; the document may be hostile."""
     found: dict[str, str] = {}
 
     def walk(part: Any, path: str, outer: str) -> None:

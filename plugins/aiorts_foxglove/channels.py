@@ -26,7 +26,7 @@ class Kind:
     cls: type | None
     schema: str = ""
     panel: Panel | None = None
-    """What draws them, beside what shows any record."""
+    """The panel that draws the samples, beside those that show any record."""
     _encoders: dict[type, Callable[[Any], bytes]] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod

@@ -1,4 +1,4 @@
-"""What Foxglove's 3D and Image panels draw: which records, under which of its schemas, and made how.
+"""The records that Foxglove's 3D and Image panels draw, with the schema of each and how it is made.
 
 A panel goes by the name of a schema and by its fields. A message of one of these types has the fields of its record,
 so that plots and tables have them, and those of the schema beside them.
@@ -28,7 +28,7 @@ class Panel:
     """How the records of a type are drawn."""
 
     name: str
-    """Of the schema."""
+    """The schema's name."""
     fields: Mapping[str, Any]
     """JSON schemas of the fields that are added, or that take the place of one of the record."""
     values: Callable[[Any], Mapping[str, Any]]
@@ -53,7 +53,7 @@ class Panel:
 
 
 def panel_of(cls: type) -> Panel | None:
-    """What draws the records of a type, or of one that it derives from; None where nothing does."""
+    """The panel that draws the records of a type, or of one that it derives from; None where none does."""
     return next((PANELS[name] for name in map(full_name, cls.__mro__[:-1]) if name in PANELS), None)
 
 
@@ -144,7 +144,7 @@ def _turned(roll: float, pitch: float, yaw: float) -> dict[str, float]:
 
 
 def _pose(one: Any) -> dict[str, Any]:
-    """Of a Pose2D, a Pose3D or a pose of ROS."""
+    """Foxglove's pose of a Pose2D, a Pose3D or a pose of ROS."""
     if hasattr(one, "heading"):
         turn = _turned(0.0, 0.0, one.heading)
     elif hasattr(one.orientation, "w"):

@@ -188,7 +188,7 @@ class _Process:
         await give_state(self._kernel, self._component, state)
 
     async def _retire(self, context: str) -> None:
-        """Have the members read what is unread, and end; what they write last has arrived."""
+        """End the members: they read what is unread before, and what they write last has arrived."""
         runner, budget = self._kernel.contexts[context].runner, StopBudget(self._kernel.loop)
         await runner.retire(tuple(runner.members), budget)
         await self._links.ends.sent(self._kernel.connectors.values(), budget)

@@ -28,11 +28,11 @@ _WHY: Final = {
     "disconnected": "unread when the connection ended",
 }
 _LEFT: Final = ("inactive", "disconnected")
-"""What an end does to samples that wait."""
+"""The reasons of samples that wait when the reader or the connection ends."""
 
 
 class Drops:
-    """What the connectors have lost that were to deliver every sample. Made before the kernel ends, told afterwards."""
+    """The losses of connectors that were to deliver every sample: made before the kernel ends, told afterwards."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._before = [

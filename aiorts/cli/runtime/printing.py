@@ -92,7 +92,7 @@ class Printing(KernelService):
 
 
 def printing(ports: tuple[str, ...], make: Construct) -> Construct:
-    """The same system, whose ports are printed."""
+    """Makes the system of `make`, and prints what these ports of it send."""
 
     async def both(kernel: Kernel) -> None:
         kernel.service(Printing).wanted = ports

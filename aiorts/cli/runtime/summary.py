@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Summary:
-    """What is known of a run, also of one that never began."""
+    """The outcome of a run as JSON: status, errors and profile; the error alone of a run that never began."""
 
     def __init__(self) -> None:
         self._found: dict[str, Any] = {"errors": {}, "profile": None}
@@ -25,7 +25,7 @@ class Summary:
         self._found["error"] = {"code": error.code, "text": str(error)}
 
     def of(self, make: Construct) -> Construct:
-        """The same system, which is looked at when it ends."""
+        """Makes the system of `make`, and takes its profile when it ends."""
 
         async def both(kernel: Kernel) -> None:
             kernel.service(_Look).found = self._found

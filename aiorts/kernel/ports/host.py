@@ -88,6 +88,11 @@ class PortHost:
         self.thread_id: int | None = None
         """The thread of a ThreadContext that this component runs in; None means the kernel's loop."""
 
+    def dropped_first(self, connector: Any) -> None:
+        """A connector to its component has dropped a sample for the first time, since that was not active."""
+        if self.kernel is not None and not self.kernel.closed and not self.was_active:
+            self.kernel.connections.losses.early(connector)
+
     @property
     def debug(self) -> bool:
         """Whether every port call is checked (the test kit's debug mode)."""

@@ -12,7 +12,7 @@ forever: the first one of a kernel is logged, with what helps.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Final, Protocol
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from aiorts.errors import SLOW_READER
 from aiorts.kernel.loop.bus import ConversionFailed
@@ -37,12 +37,6 @@ _EARLY: Final = (
     "W-INACTIVE: %s -> %s: the first sample was dropped, %s was not active yet: connect with keep_last = true, or have "
     'the writer start later (start.after = "%s active"); further ones are counted in connector.statistics'
 )
-
-
-class LossListener(Protocol):
-    """Who hears of the first sample that a transport loses."""
-
-    def begin(self, connector: Connector) -> None: ...
 
 
 class Losses:
@@ -79,8 +73,13 @@ class Losses:
         )
 
     def early(self, connector: Connector) -> None:
-        """It has dropped a sample, in this thread, since its reader was never active: report the first of all."""
-        if not self._early:
+        """It has dropped its first sample, in this thread, since its reader was never active: report the first of all.
+
+        What nobody waits for is not reported: samples for a reader that joins a stream, for a tap, or of a link.
+        """
+        in_, out = connector.in_, connector.out
+        waited = out._saved is NOTHING and not (connector.profile.keep_last or out.is_tap or in_.is_tap or in_.is_far)
+        if waited and not self._early:
             self._kernel.loop.call_soon_threadsafe(self._report_early, connector)
 
     def _report_early(self, connector: Connector) -> None:
@@ -195,17 +194,6 @@ class Unconverted(Losses):
     def _first(self, connector: Connector, fault: str) -> None:
         self._kernel.bus.publish(ConversionFailed(connector.name, fault))
         self._begun(connector, f"convert = {connector.profile.convert}: {fault}; {_SUMMARISED}")
-
-
-def note_early(connector: Connector) -> None:
-    """Its reader is not active and has dropped the first sample: have it reported where nobody asked for that."""
-    in_, host = connector.in_, connector.in_._host
-    if host is None or host.kernel is None or host.kernel.closed or host.was_active:
-        return
-    if connector.out._saved is not NOTHING:
-        return  # the writer has written before: its reader joins a stream
-    if not (connector.profile.keep_last or connector.out.is_tap or in_.is_tap or in_.is_far):
-        host.kernel.connections.losses.early(connector)
 
 
 def _samples(count: int) -> str:

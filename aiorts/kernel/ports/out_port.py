@@ -27,9 +27,8 @@ if TYPE_CHECKING:
 
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import PortHost
-    from aiorts.kernel.ports.losses import LossListener
     from aiorts.kernel.ports.receiver import Receiver
-    from aiorts.kernel.ports.transport import Transport, Waiting
+    from aiorts.kernel.ports.transport import LossListener, Transport, Waiting
     from aiorts.model.profile import ThreadWriteStatistics
 
 T = TypeVar("T")

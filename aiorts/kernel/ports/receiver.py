@@ -25,9 +25,8 @@ from aiorts.model.policy import Dataflow
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
-    from aiorts.kernel.ports.features import TransportKind
     from aiorts.kernel.ports.in_port import InPort
-    from aiorts.kernel.ports.transport import Transport
+    from aiorts.kernel.ports.transport import Kind, Transport
 
 
 _PULL: Final = Dataflow.PULL
@@ -44,7 +43,7 @@ class EndingError(ClosedError):
 class Receiver:
     """The general path of an in-port: which sample is the next, who waits for it, who is notified.
 
-    The classes of a `TransportKind` derive from it. `replace` puts one of another kind in its place.
+    The classes of a `Kind` derive from it. `replace` puts one of another kind in its place.
     """
 
     __slots__ = (
@@ -66,7 +65,7 @@ class Receiver:
         "waiter",
     )
 
-    kind: ClassVar[TransportKind]
+    kind: ClassVar[Kind]
     """The row of the table of transports that names this class."""
     has_fast_path: ClassVar[bool] = True
     """Whether a port of this kind may read straight from a queue."""
@@ -98,7 +97,7 @@ class Receiver:
         self.extra: Any = None
         """What another kind of receiver keeps besides."""
 
-    def replace(self, kind: TransportKind, *, all_transports: bool) -> Receiver:
+    def replace(self, kind: Kind, *, all_transports: bool) -> Receiver:
         """Put a receiver of another kind in the place of this one, with all that it holds; and transports of that kind.
 
         On the loop; the caller holds the lock, and calls `refresh_all` afterwards.

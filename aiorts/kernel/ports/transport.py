@@ -18,10 +18,9 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import AbstractContextManager
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Protocol
 
 from aiorts.kernel.ports.figures import statistics_of
-from aiorts.kernel.ports.losses import note_early
 from aiorts.kernel.ports.port import NOTHING, OFF, UNLOCKED
 from aiorts.late import dataclass
 from aiorts.model.buffer import FullPolicy, Verdict, decide
@@ -31,9 +30,7 @@ from aiorts.model.timing import ConnectorTimes
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
-    from aiorts.kernel.ports.features import TransportKind
     from aiorts.kernel.ports.host import KernelSide
-    from aiorts.kernel.ports.losses import LossListener
     from aiorts.kernel.ports.receiver import Receiver
 
 
@@ -49,19 +46,23 @@ _REPLACE_OLDEST = Verdict.REPLACE_OLDEST
 _WAIT = Verdict.WAIT
 _DISPLACED: Final = {FullPolicy.OVERWRITE: "overwritten", FullPolicy.REJECT: "rejected"}
 _CARRIED_ON: Final = (
-    "arrived_at",
-    "dead",
-    "dropped",
-    "last",
-    "listeners",
-    "losses",
-    "missed",
-    "offered",
-    "queue",
-    "written",
-)
+    "arrived_at", "dead", "dropped", "last", "listeners", "losses", "missed", "offered", "queue", "written",
+)  # fmt: skip
 """What a connector keeps when it gets other options."""
 _NO_DROPS: Final[Mapping[str, int]] = MappingProxyType({})
+
+
+class Kind(Protocol):
+    """A row of the table of transports, as the classes that it names see it: see `TransportKind` in `features.py`."""
+
+    def of(self, profile: ConnectorProfile) -> type[Transport]: ...
+    def receiver_of(self, connectors: Iterable[Connector]) -> type[Receiver]: ...
+
+
+class LossListener(Protocol):
+    """Hears of the first sample that a transport loses."""
+
+    def begin(self, connector: Connector) -> None: ...
 
 
 @dataclass(eq=False, slots=True)
@@ -109,7 +110,7 @@ class Transport:
         "written",
     )
 
-    kind: ClassVar[TransportKind]
+    kind: ClassVar[Kind]
     """The row of the table of transports that names this class."""
     admits_plainly: ClassVar[bool] = True
     """Whether who waits for room may be moved in without a call for each."""
@@ -157,7 +158,7 @@ class Transport:
         """Samples that a full buffer displaced or refused and `dropped` does not have yet."""
         self.dropped: Mapping[str, int] = _NO_DROPS
 
-    def replace(self, kind: TransportKind, receiver: Receiver) -> None:
+    def replace(self, kind: Kind, receiver: Receiver) -> None:
         """Put a transport of another kind in the place of this one, with all that waits in it and its counts.
 
         On the loop; the caller holds the lock, and has the ports update their fast path afterwards.
@@ -274,8 +275,8 @@ class Transport:
 
     def _note_drop(self, reason: str, count: int) -> None:
         dropped = self.dropped
-        if reason == "inactive" and reason not in dropped:
-            note_early(self.connector)
+        if reason == "inactive" and reason not in dropped and (host := self.connector.in_._host) is not None:
+            host.dropped_first(self.connector)
         if not isinstance(dropped, dict):
             dropped = self.dropped = {}
         dropped[reason] = dropped.get(reason, 0) + count

@@ -187,7 +187,7 @@ class Supervise(_Change):
 
 @dataclass(frozen=True, slots=True)
 class Rule(Step):
-    """Have further rules of `[[rules]]`, behind those that there are; its reverse takes them back."""
+    """Adds rules of `[[rules]]` behind those that there are; its reverse takes them back."""
 
     before: tuple[Mapping[str, Any], ...]
     after: tuple[Mapping[str, Any], ...]

@@ -17,7 +17,7 @@ from aiorts.system.checks.findings import Finding
 from aiorts.system.text.places import Place, Places, places_of
 
 Edit: TypeAlias = tuple[int, int, str]
-"""Where a stretch of the text begins and ends, and what stands there instead."""
+"""A change of the text: begin and end of a stretch, and what takes its place."""
 _ROUNDS: Final = 10
 """A type that is mended shows which of its ports are misspelt, and so on."""
 _HEADER: Final = re.compile(r"^[ \t]*\[", re.MULTILINE)
@@ -123,7 +123,7 @@ def _places(text: str) -> Places | None:
 
 
 def _end_of_table(text: str, heading: int) -> int:
-    """Where the last line of a table ends that is not blank or a comment before the next heading."""
+    """The end of a table's last line of content: blank lines and comments before the next heading are not of it."""
     following = _HEADER.search(text, text.find("\n", heading) + 1 or len(text))
     lines = text[heading : len(text) if following is None else following.start()].splitlines(keepends=True)
     while lines and (not lines[-1].strip() or lines[-1].lstrip().startswith("#")):

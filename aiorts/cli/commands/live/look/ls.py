@@ -138,6 +138,6 @@ def _row(names: Mapping[str, Any], component: str, *, long: bool) -> tuple[str, 
 
 
 def _overdue(names: Mapping[str, Any], component: str) -> Mapping[str, Any]:
-    """Of a kernel of an earlier release nothing is known."""
+    """The late hooks of a component by context; none from a kernel of an earlier release, which does not say them."""
     found: Mapping[str, Any] = names.get("overdue", {}).get(component, {})
     return found
