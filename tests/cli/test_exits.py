@@ -152,7 +152,7 @@ def test_every_command_has_help_and_refuses_what_it_does_not_know(
         (("inspect", "FlexiDump"), exits.DONE),
         (("inspect", "FlexiDmp"), exits.ABSENT),
         (("inspect", "parts.py:Sorce"), exits.ABSENT),
-        (("inspect", "missing.py:Source"), exits.REFUSED),
+        (("inspect", "missing.py:Source"), exits.ABSENT),
         (("types", "TimedLong"), exits.DONE),
         (("types", "TimedLnog"), exits.ABSENT),
         (("plugins",), exits.DONE),

@@ -242,8 +242,8 @@ def test_a_filter_tells_of_every_sample_it_passed_over(folder: Path, name: str, 
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("Forgets", "parts.py:37: OutPort.write was never awaited and did nothing; use write_nowait, or async def"),
-        ("Sleepy", "parts.py:43: Component.sleep was never awaited and did nothing; use async def and await"),
+        ("Forgets", "parts.py:41: OutPort.write was never awaited and did nothing; use write_nowait, or async def"),
+        ("Sleepy", "parts.py:47: Component.sleep was never awaited and did nothing; use async def and await"),
     ],
 )
 def test_a_missing_await_is_told_with_component_line_and_remedy(folder: Path, name: str, said: str) -> None:

@@ -48,13 +48,13 @@ class Bad(Component):
             raise KeyboardInterrupt
         if self.how == "forget":
             vars(self).clear()
-        if self.how == "fault":
+        if self.how == "fault" and not hasattr(self, "mistaken"):
             type(self.context)._end_cycle, self.end = self.mistake, type(self.context)._end_cycle
     async def leave(self):
         sys.exit(7)
     def mistake(self, members):
         type(self.context)._end_cycle = self.end
-        self.how = ""
+        self.mistaken = True
         raise RuntimeError("a mistake of aiorts")
 """
 SYSTEM = """

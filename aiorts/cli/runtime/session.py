@@ -185,7 +185,8 @@ async def _session(run: _Run) -> int:
         failures.end()
         stopper.watch(_status(kernel, status, error, failures, run))
     every = options.tell_drops or run.log.levels.default <= logging.INFO
-    for line in () if drops is None else drops.lines(every=every):
+    cut_off = stopper.output_failed or stopper.status in (exits.FAILED, exits.BROKEN_PIPE)
+    for line in () if drops is None or cut_off else drops.lines(every=every):  # else its output says what is lost
         run.warn("W-DROPPED", line)
     _report_failed(failures.in_error, run)
     status = _status(kernel, status, error, failures, run)
