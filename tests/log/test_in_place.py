@@ -123,6 +123,41 @@ def test_named_ports_alone_are_replayed_and_the_other_ports_of_their_component_a
     assert min(stamps) == BEGIN
 
 
+MACHINES = """\
+from aiorts import InPort, OutPort
+from aiorts import MultiModeComponent, StateMachineComponent
+from aiorts.statechart import Chart, On, State
+from aiorts.types import TimedLong
+
+class Door(StateMachineComponent):
+    chart = Chart(State("closed", On("into", to="open"), initial=True, entry="note"), State("open", entry="note"))
+    into = InPort(TimedLong)
+    out = OutPort(TimedLong)
+    def note(self, data=None):
+        self.out.write_nowait(TimedLong(0, -5))
+
+class Lamp(MultiModeComponent):
+    modes = ("dark", "bright")
+    out = OutPort(TimedLong)
+    def on_execute_dark(self):
+        self.out.write_nowait(TimedLong(0, -6))
+"""
+
+
+@pytest.mark.parametrize("kind", ["Door", "Lamp"])
+def test_a_state_machine_and_modes_are_replayed_and_do_nothing_of_themselves(folder: Path, kind: str) -> None:
+    (folder / "machines.py").write_text(MACHINES)
+    system = SYSTEM.replace("parts.py:Camera", f"machines.py:{kind}").partition('[[connections]]\nfrom = "double.out"')[
+        0
+    ]
+    system += '[contexts.all]\nkind = "periodic"\nrate = 100.0\nmembers = ["camera", "double", "both"]\n'
+    (folder / "system.toml").write_text(system)
+    words = ("--simulate", "--record", "answer.mcap", "--record-port", "camera.out")
+    done = here(folder, "run", "system.toml", "--replay", "run.mcap", *words)
+    assert done.returncode == 0, done.stderr
+    assert answers(folder) == {"camera.out": [*range(COUNT)]}
+
+
 def test_alone_it_prints_the_samples(folder: Path) -> None:
     done = here("replay", folder / "run.mcap", "--speed", "max", "--port", "both.left", "--absolute")
     assert (done.returncode, done.stderr) == (0, "")

@@ -19,9 +19,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts import Component, InPort, KernelService, OutPort, WouldBlock, setting
+from aiorts import Component, InPort, KernelService, OutPort, StateMachineComponent, WouldBlock, setting
 from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.exits import FAILED
+from aiorts.statechart import Chart, State
 from aiorts.types import type_name
 from aiorts_log.commands.moment import moment_ns
 from aiorts_log.errors import RecordingError
@@ -253,10 +254,16 @@ def _without_hooks(cls: type[Component]) -> type[Component]:
     def nothing_of(self: Component, error: BaseException) -> None:
         """It is replayed, and does nothing of itself."""
 
-    names: dict[str, Any] = {**dict.fromkeys(_HOOKS, nothing), **dict.fromkeys(_HOOKS_OF_ERRORS, nothing_of)}
     # By the original's name it is listed, and saved.
-    names |= {"__module__": cls.__module__, "__qualname__": cls.__qualname__}
+    names: dict[str, Any] = {"__module__": cls.__module__, "__qualname__": cls.__qualname__}
+    if issubclass(cls, StateMachineComponent):
+        names["chart"] = Chart(State("replayed", initial=True))
     made: type[Component] = types.new_class(cls.__name__, (cls,), exec_body=lambda body: body.update(names))
+    # Set afterwards: a class of state machines that defines the hooks in which its machine runs is refused.
+    for hook in _HOOKS:
+        setattr(made, hook, nothing)
+    for hook in _HOOKS_OF_ERRORS:
+        setattr(made, hook, nothing_of)
     return made
 
 
