@@ -287,7 +287,7 @@ class Links(KernelService):
         return self._arrivals.making()
 
     def expect(self, component: str) -> None:
-        """A component is about to be made: other kernels that ask for it meanwhile are told so."""
+        """A component is about to be made: other kernels that ask for it meanwhile hear so."""
         self._arrivals.expect(component)
 
     def component_added(self, component: Component) -> None:
