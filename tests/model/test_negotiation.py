@@ -27,7 +27,7 @@ A, E, S = LinkAction, LinkEvent, NegotiationState
 STATES = dict(zip("akowure", (S.ABSENT, S.ASKING, S.OFFERED, S.WAITING, S.UP, S.REFUSED, S.ENDED), strict=True))
 AFTER = {
     LinkRole.OFFERS: """
-        present kkkk...     gone .aaaa..      missing xaxxxxx     come .k.k...        wanted ...kk..
+        present kkkk...     gone .aaaa..      missing xaxxxxx     come .k.k...        wanted k..kk..
         due xxxkxxx         agreed xoxxxxx    promised xxxxxxx    lacking xwxxxxx     refused xrxxxxx
         unanswered xwxxxxx  offer xxxxxxx     made xxuxxxx        unmade xxwxxxx      late .....==
         lost xxxxwx.        silent xxxxwx.    left eeeee..        disconnected eeeeeee
