@@ -128,10 +128,10 @@ def systems(draw: st.DrawFn) -> str:
     text = "schema = 1\n"
     for name in names:
         text += f"[components.{name}]\ntype = {json.dumps(draw(NASTY), ensure_ascii=True)}\n"
-    for _ in range(draw(st.integers(0, 6))):
-        one, two = draw(st.sampled_from(names)), draw(st.sampled_from(names))
+    ends = st.tuples(st.sampled_from(names), st.integers(0, 1), st.sampled_from(names))
+    for one, port, two in draw(st.lists(ends, max_size=6, unique=True)):
         option = draw(st.sampled_from(["", 'subscription = "new"\n', 'full = "block"\n']))
-        text += f'[[connections]]\nfrom = "{one}.o{draw(st.integers(0, 1))}"\nto = "{two}.i"\n{option}'
+        text += f'[[connections]]\nfrom = "{one}.o{port}"\nto = "{two}.i"\n{option}'
     for number in range(draw(st.integers(0, 3))):
         members = draw(st.lists(st.sampled_from(names), unique=True))
         kind = json.dumps(draw(NASTY), ensure_ascii=True)
