@@ -19,7 +19,7 @@ from aiorts.cli.group import strict
 
 def _speed(text: str) -> float:
     number = math.inf if text == "max" else float(text)
-    if not (0.1 <= number <= 1000.0 or math.isinf(number)):
+    if not (0.1 <= number <= 1000.0 or number == math.inf):
         raise ValueError(text)
     return number
 
@@ -27,13 +27,21 @@ def _speed(text: str) -> float:
 @click.command(short_help="Replay a recording, alone or in a system.")
 @click.argument("file", type=click.Path(exists=True, dir_okay=False))
 @click.argument("system", metavar="[SYSTEM.toml]", required=False, shell_complete=targets)
-@click.option("--port", "ports", multiple=True, metavar="PORT", help="Replay this port; repeatable; all by default.")
+@click.option(
+    "--port",
+    "ports",
+    multiple=True,
+    metavar="PORT",
+    help="Replay this port; repeatable. By default all; in SYSTEM all of components whose out-ports were all recorded.",
+)
 @click.option("--start", default="", metavar="T", help="From +SECONDS after its first sample, or seconds since 1970.")
 @click.option("--end", default="", metavar="T", help="Up to there, without it.")
 @click.option("--speed", type=_speed, metavar="X", help="0.1 to 1000 times as fast, or max.")
 @click.option("--rate", type=click.FloatRange(min=0, min_open=True), metavar="HZ", help="Samples in a second.")
 @click.option("--loop", type=click.IntRange(min=0), metavar="N", help="N times; 0 is without end.")
-@click.option("--max-gap", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Wait no longer in a gap.")
+@click.option(
+    "--max-gap", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Wait so long at most in a gap."
+)
 @click.option("--absolute", is_flag=True, help="Time stamps as recorded, in place of the time now.")
 @click.option("--for", "duration", type=float, metavar="S", help="End after S seconds.")
 @click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="With SYSTEM: set a parameter.")
@@ -76,9 +84,8 @@ def replay(
     parent = ctx.parent or ctx
     if system is not None:
         words = [system, f"--replay={file}", *common, *(f"--set={one}" for one in changes)]
-        words += (
-            [f"--replay-port={one}" for one in ports] + ["--replay-absolute"] * absolute + ["--simulate"] * simulate
-        )
+        words += [*(f"--print={one}" for one in printed), *(f"--replay-port={one}" for one in ports)]
+        words += ["--replay-absolute"] * absolute + ["--simulate"] * simulate
         words += [f"--replay-{key}={value}" for key, value in given.items()]
         with strict(run).make_context("run", words, parent=parent) as inner:
             return run.invoke(inner)

@@ -73,6 +73,16 @@ members = [
 """
 
 
+def test_an_array_of_arrays_is_no_heading_and_toml_stays_toml(tmp_path: Path) -> None:
+    """A line that begins with a bracket ended the table: the new one came inside the array, as the one error left."""
+    file = folder_of(tmp_path) / "nested.toml"
+    file.write_text(TOGETHER.replace("rate = 100.0 ", "bogus = [\n  [1, 2],\n  [3, 4],\n]\nrate = 100.0 "))
+    done = here(tmp_path, "check", "--fix", "--write", "nested.toml")
+    assert done.returncode == 2, done.stderr  # `bogus` has no answer
+    assert tomllib.loads(file.read_text())["contexts"]["all"]["bogus"] == [[1, 2], [3, 4]]
+    assert "not valid TOML" not in done.stdout + done.stderr
+
+
 def test_misspelt_names_are_mended_and_comments_stay(tmp_path: Path) -> None:
     file = folder_of(tmp_path) / "bad.toml"
     file.write_text(MISSPELT)

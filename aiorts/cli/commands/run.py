@@ -13,15 +13,15 @@ from typing import Any
 
 import click
 
-from aiorts import exits
+from aiorts import Kernel, exits
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.completion import targets
 from aiorts.cli.console.output import say_json
 from aiorts.cli.runtime.alone import DEFAULT_RATE, input_is_given
 from aiorts.cli.runtime.options import Options, checked, with_clock
-from aiorts.cli.runtime.printing import printing
+from aiorts.cli.runtime.printing import Printing
 from aiorts.cli.runtime.service_options import RunCommand, chosen
-from aiorts.cli.runtime.session import execute, log_of, refuse
+from aiorts.cli.runtime.session import execute, log_of, prepared, refuse
 from aiorts.cli.runtime.stopping import Stopper
 from aiorts.cli.runtime.summary import Summary
 from aiorts.cli.runtime.target import errors_of, find_target
@@ -139,10 +139,11 @@ def run(
         ends = found.ends
         if ends is not None:
             stopper.last_words.append(ends.report_rest)
-        make = printing(printed, found.make) if printed else found.make
-        make = make if summary is None else summary.of(make)
+        steps: list[Callable[[Kernel], None]] = [] if summary is None else [summary.prepare]
+        if printed:
+            steps.append(partial(Printing.prepare, printed))
         status = execute(
-            make,
+            prepared(found.make, *steps),
             len(found.names),
             options,
             stopper,
@@ -152,6 +153,7 @@ def run(
             streams=found.streams,
             errors=lambda: errors_of(target, changes, choices),
             watch=watched,
+            refused=lambda error: None if summary is None else summary.refused(error),
         )
         if ends is None:
             return say(status)
@@ -161,7 +163,7 @@ def run(
 
 @contextlib.contextmanager
 def _alone_there(summary: Summary | None) -> Iterator[Callable[[int], int]]:
-    """Keep standard output for the document of `--json`, which what is given here prints; the status."""
+    """Redirect standard output to standard error; yield a function that prints the document there instead."""
     if summary is None:
         yield lambda status: status
         return

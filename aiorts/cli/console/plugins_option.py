@@ -25,10 +25,9 @@ def catalogue_of(more: Iterable[Path] = ()) -> Catalogue:
     return Catalogue((*known.folders, *added)) if added else known
 
 
-def use_environment(folders: Iterable[str] = ()) -> None:
-    """Make every command use the folders of the environment, after these."""
-    named = [*folders, *filter(None, os.environ.get(ENVIRONMENT, "").split(os.pathsep))]
-    Catalogue([_path(folder) for folder in named]).make_default()
+def use_environment() -> None:
+    """Make every command use the folders of the environment."""
+    Catalogue(map(_path, filter(None, os.environ.get(ENVIRONMENT, "").split(os.pathsep)))).make_default()
 
 
 def _path(folder: str) -> Path:

@@ -32,7 +32,7 @@ _LEFT: Final = ("inactive", "disconnected")
 
 
 class Drops:
-    """The losses of connectors that were to deliver every sample: made before the kernel ends, told afterwards."""
+    """Losses of the connectors that are to deliver every sample, counted before the kernel ends and told afterwards."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._before = [
@@ -51,7 +51,7 @@ class Drops:
             ledger = connector.statistics
             for reason, why in _WHY.items():
                 count = ledger.dropped.get(reason, 0)
-                if reason in _LEFT:  # that more are left than a buffer usually holds is no matter of the last cycle
+                if reason in _LEFT:  # a buffer's usual length may be left by the last cycle; more is a loss
                     surprising = count - before.get(reason, 0) > DEFAULT_LENGTH
                 else:
                     surprising = reason == "superseded" and 2 * count >= ledger.written and on_events

@@ -1,6 +1,6 @@
-"""`aiorts run --print PORT`: prints what out-ports of the system send, beside it, as JSON lines.
+"""`aiorts run --print PORT`: prints the samples of out-ports of a system as JSON lines.
 
-The system does not know it: no component is added. Where nobody reads standard output for long, the writers wait.
+It adds no component to the system. Where standard output is not read for long, the writers wait.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts import InPort, KernelService, OutPort, exits
-from aiorts.errors import WiringError
+from aiorts.errors import ConfigurationError
 from aiorts.kernel.loop.line_stream import LineStream, OutputError
 from aiorts.wire.lines import LineWriter
 
 if TYPE_CHECKING:
     from aiorts import Connector, Kernel
-    from aiorts.cli.runtime.session import Construct
     from aiorts.kernel.loop.deadlines import StopBudget
 
 _MOST: Final = 1000
@@ -28,12 +27,22 @@ _MOST: Final = 1000
 
 
 class Printing(KernelService):
-    """Prints the samples of the out-ports that `wanted` names, in the order in which they were sent."""
+    """Prints the samples of the out-ports that `wanted` names.
 
+    Each port's are in order; those of several ports are in the order in which they were sent as long as standard output
+    keeps up.
+    """
+
+    name = "print"
     wanted: tuple[str, ...] = ()
     """COMPONENT.PORT, with * and ?."""
     _over = False
     _task: asyncio.Task[None] | None = None
+
+    @classmethod
+    def prepare(cls, ports: tuple[str, ...], kernel: Kernel) -> None:
+        """Have these out-ports of this kernel printed."""
+        kernel.service(cls).wanted = ports
 
     def starting(self) -> None:
         self._taps: list[tuple[Connector, Callable[[InPort[Any]], None]]] = []
@@ -51,7 +60,7 @@ class Printing(KernelService):
             if not found:
                 near = get_close_matches(glob, outs, n=1)
                 hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(list(outs)[:20]) or 'none'}"
-                raise WiringError(f"--print: no out-port is called {glob!r}; {hint}")
+                raise ConfigurationError(f"--print: no out-port is called {glob!r}; {hint}")
             chosen |= found
         for path, out in chosen.items():
             take = partial(self._take, LineWriter(path, out.type))
@@ -88,14 +97,6 @@ class Printing(KernelService):
         self._over = True
         self._some.set()
         await asyncio.wait({self._task}, timeout=budget.left)
+        if self._task.done() and not self._task.cancelled():
+            self._task.result()  # a fault of its own is the service's
         self._task.cancel()
-
-
-def printing(ports: tuple[str, ...], make: Construct) -> Construct:
-    """Makes the system of `make`, and prints what these ports of it send."""
-
-    async def both(kernel: Kernel) -> None:
-        kernel.service(Printing).wanted = ports
-        await make(kernel)
-
-    return both

@@ -42,9 +42,22 @@ from aiorts.kernel.loop.origins import in_brackets, origin_of
 from aiorts.late import dataclass
 from aiorts.system import Ending, Finding
 
-__all__ = ("Construct", "Options", "checked", "execute", "log_of")
+__all__ = ("Construct", "Options", "checked", "execute", "log_of", "prepared")
 
 Construct: TypeAlias = Callable[[Kernel], Coroutine[Any, Any, None]]
+
+
+def prepared(make: Construct, *steps: Callable[[Kernel], None]) -> Construct:
+    """Make the system after these steps, each of which gives the kernel a service."""
+
+    async def made(kernel: Kernel) -> None:
+        for step in steps:
+            step(kernel)
+        await make(kernel)
+
+    return made
+
+
 """Makes the system in a kernel."""
 _INITIALIZE_SECONDS = 30.0
 """What a component may take to be initialised: one that hangs is told of, and not waited for till somebody looks."""
@@ -66,6 +79,7 @@ class _Run:
     streams: tuple[str, ...]
     errors: Callable[[], Sequence[Finding]]
     watch: Watch | None
+    refused: Callable[[BaseException], None]
 
     def warn(self, code: str, message: str) -> None:
         """A line of the command itself, unless only errors are asked for."""
@@ -85,6 +99,7 @@ def execute(
     streams: tuple[str, ...] = (),
     errors: Callable[[], Sequence[Finding]] = tuple,
     watch: Watch | None = None,
+    refused: Callable[[BaseException], None] = lambda _error: None,
 ) -> int:
     """Open a kernel, have the system made in it, run it to its end; the exit status.
 
@@ -96,12 +111,15 @@ def execute(
         streams: components that are the command's own standard streams.
         errors: asked when the system cannot be made: all that is wrong with its file.
         watch: applies what is changed in its files while it runs.
+        refused: called with the error of a system that cannot be made.
     """
     with contextlib.ExitStack() as stack:
         if log is None:
             log = stack.enter_context(log_of(options, stopper))
         try:
-            run = _Run(construct, components, options, stopper, log, catalogue, unfed_advice, streams, errors, watch)
+            run = _Run(
+                construct, components, options, stopper, log, catalogue, unfed_advice, streams, errors, watch, refused
+            )
             with unawaited_reported(log.tell) as unawaited:
                 status = _run(run)
             return status or (exits.FAILED if unawaited and not options.lenient else exits.DONE)
@@ -170,6 +188,7 @@ async def _session(run: _Run) -> int:
             found = run.errors() if isinstance(error, (*_FILE_FAULTS, ComponentError)) else ()
             status = exits.REFUSED if isinstance(error, _FILE_FAULTS) else exits.FAILED
             status = refuse(run.log, error, found, status)
+            run.refused(error)
             if debugger is not None:
                 debugger.look("", error)
         elif built:
@@ -185,8 +204,9 @@ async def _session(run: _Run) -> int:
         failures.end()
         stopper.watch(_status(kernel, status, error, failures, run))
     every = options.tell_drops or run.log.levels.default <= logging.INFO
+    # Where its output failed, the line about that says that samples are lost.
     cut_off = stopper.output_failed or stopper.status in (exits.FAILED, exits.BROKEN_PIPE)
-    for line in () if drops is None or cut_off else drops.lines(every=every):  # else its output says what is lost
+    for line in () if drops is None or cut_off else drops.lines(every=every):
         run.warn("W-DROPPED", line)
     _report_failed(failures.in_error, run)
     status = _status(kernel, status, error, failures, run)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from aiorts import KernelService
-from aiorts.errors import AiortsError, format_error
+from aiorts.errors import AiortsError, ComponentError, format_error
 from aiorts.system import ended_in_error
 
 if TYPE_CHECKING:
     from aiorts import Kernel
-    from aiorts.cli.runtime.session import Construct
     from aiorts.kernel.loop.deadlines import StopBudget
 
 
@@ -20,18 +19,16 @@ class Summary:
     def __init__(self) -> None:
         self._found: dict[str, Any] = {"errors": {}, "profile": None}
 
-    def refused(self, error: AiortsError) -> None:
-        """Nothing was run."""
-        self._found["error"] = {"code": error.code, "text": str(error)}
+    def refused(self, error: BaseException) -> None:
+        """Keep the error for which nothing was run."""
+        code, text = ComponentError.code, format_error(error)
+        if isinstance(error, AiortsError):
+            code, text = error.code, str(error)
+        self._found["error"] = {"code": code, "text": text}
 
-    def of(self, make: Construct) -> Construct:
-        """Makes the system of `make`, and takes its profile when it ends."""
-
-        async def both(kernel: Kernel) -> None:
-            kernel.service(_Look).found = self._found
-            await make(kernel)
-
-        return both
+    def prepare(self, kernel: Kernel) -> None:
+        """Have the profile of this kernel taken when it ends."""
+        kernel.service(_Look).found = self._found
 
     def document(self, status: int) -> dict[str, Any]:
         """The exit status, the errors of components by name, and the profile of the kernel when its contexts ended."""
@@ -51,5 +48,5 @@ class _Look(KernelService):
 
     async def ending(self, budget: StopBudget) -> None:
         kernel: Any = self.kernel
-        last = kernel.profile().to_plain()
-        self.found["profile"]["connectors"] = last["connectors"]
+        if (profile := self.found["profile"]) is not None:
+            profile["connectors"] = kernel.profile().to_plain()["connectors"]

@@ -120,7 +120,6 @@ def find_target(
     if choices != AS_WRITTEN:
         raise click.UsageError("--var and --remap are for a system file, not for a component alone")
     catalogue = catalogue_of()
-    catalogue.make_default()
     if ":" not in text and text not in catalogue.extensions("components"):
         raise ConfigurationError(f"{in_quotes(text)}: {_no_such(text, catalogue)}")
     cls = extension_of(text, catalogue).load_class(Component)

@@ -1,7 +1,7 @@
 """Mends the text of a system file where what a check found has one answer: `aiorts check --fix`.
 
-Two things have one: a name for which a similar one is meant, and members of a context of which one has a process of its
-own, which needs a context of its own. Everything else of the text, its comments too, stays as it is.
+Three findings have one: a name for which a similar one is meant; a `schema` that is missing; and a member of a shared
+context that has a process of its own, which needs a context of its own. The rest of the text, its comments too, stays.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from typing import Any, Final, TypeAlias
 
 from aiorts.model.configuration.toml_values import value_text
 from aiorts.system.checks.findings import Finding
-from aiorts.system.text.places import Place, Places, places_of
+from aiorts.system.text.places import Place, places_of
 
 Edit: TypeAlias = tuple[int, int, str]
 """A change of the text: begin and end of a stretch, and what takes its place."""
 _ROUNDS: Final = 10
 """A type that is mended shows which of its ports are misspelt, and so on."""
-_HEADER: Final = re.compile(r"^[ \t]*\[", re.MULTILINE)
 _AFTER: Final = re.compile(r"[ \t]*,[ \t]*")
 _BEFORE: Final = re.compile(r",[ \t]*\Z")
 
@@ -39,8 +38,8 @@ def fixed(text: str, path: Path, check: Callable[[str], Sequence[Finding]]) -> t
         wrong = [one for one in found if one.severity == "error" and one.path == path]
         for edits in (_respelt(wrong, text), _set_apart(wrong, text)):
             new = _edited(text, edits)
-            if new == text:
-                continue
+            if new == text or (_tables(new) is None and _tables(text) is not None):
+                continue  # the one error of a text that is no TOML hides all others
             after = tuple(check(new))
             if _errors(after) <= _errors(found):
                 text, found = new, after
@@ -66,7 +65,7 @@ def _edited(text: str, edits: Iterable[Edit]) -> str:
 def _respelt(wrong: Iterable[Finding], text: str) -> list[Edit]:
     """The names that were meant, in their places."""
     edits: list[Edit] = []
-    places = _places(text)
+    places = None if _tables(text) is None else places_of(text)
     for one in wrong:
         if one.mended.startswith("schema = "):
             if re.search(r"^[ \t]*schema\b", text, re.MULTILINE) is None:
@@ -77,10 +76,9 @@ def _respelt(wrong: Iterable[Finding], text: str) -> list[Edit]:
 
 
 def _set_apart(wrong: Iterable[Finding], text: str) -> list[Edit]:
-    """A context of its own for the first member that has a process of its own, in the first context that needs it."""
-    try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
+    """A context of its own for the last member that has a process of its own, in the first context that needs it."""
+    tables = _tables(text)
+    if tables is None:
         return []
     components, contexts = tables.get("components", {}), tables.get("contexts", {})
     places = places_of(text)
@@ -100,7 +98,8 @@ def _set_apart(wrong: Iterable[Finding], text: str) -> list[Edit]:
         lines = [f"[contexts.{new_name}]"]
         alone = {**table, "members": [members[at]]}
         lines += [f"{key} = {value_text(key, value)}" for key, value in alone.items()]
-        end = _end_of_table(text, heading)
+        end = max(places.end(("contexts", name, key)) for key in table)
+        end = len(text) if (line := text.find("\n", end)) < 0 else line + 1
         return [
             _without(text, *places.extent(places.value(("contexts", name, "members", at)))),
             _added(text, end, lines),
@@ -113,22 +112,12 @@ def _is_isolated(components: Any, member: object) -> bool:
     return isinstance(table, dict) and table.get("isolation") == "process"
 
 
-def _places(text: str) -> Places | None:
-    """None: the text is no TOML, and nothing in it has a place."""
+def _tables(text: str) -> dict[str, Any] | None:
+    """The tables of the text; None for a text that is no TOML, in which nothing has a place."""
     try:
-        tomllib.loads(text)
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError:
         return None
-    return places_of(text)
-
-
-def _end_of_table(text: str, heading: int) -> int:
-    """The end of a table's last line of content: blank lines and comments before the next heading are not of it."""
-    following = _HEADER.search(text, text.find("\n", heading) + 1 or len(text))
-    lines = text[heading : len(text) if following is None else following.start()].splitlines(keepends=True)
-    while lines and (not lines[-1].strip() or lines[-1].lstrip().startswith("#")):
-        lines.pop()
-    return heading + len("".join(lines))
 
 
 def _added(text: str, end: int, lines: Sequence[str]) -> Edit:

@@ -75,6 +75,10 @@ class Places:
         start = self._starts[place.line - 1] + place.column - 1
         return start, start + place.width
 
+    def end(self, key: Key) -> int:
+        """Where the value of a key ends, which may be in a later line, in characters of the text from 0."""
+        return self._values[key][1]
+
     def line(self, number: int) -> str:
         """A line of the text, counted from 1; "" where there is none."""
         if not 0 < number <= len(self._starts):
