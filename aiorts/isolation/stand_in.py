@@ -16,7 +16,7 @@ from aiorts.isolation.placing import RemoteContext, placed
 from aiorts.isolation.ports import fail, follow
 from aiorts.isolation.process import text_of
 from aiorts.isolation.services import RemoteServices, remote_end
-from aiorts.kernel.component import Component
+from aiorts.kernel.component import Component, Elsewhere
 from aiorts.kernel.declarations import Kind, declarations
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.deadlines import StopBudget
@@ -52,7 +52,7 @@ class RemoteKind(Kind):
             follow(component, ports, process.kernel)
 
 
-class RemoteComponent(Component, kind=RemoteKind()):
+class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
     """A component that runs in a process of its own, as its kernel sees it. `Kernel.create_isolated` makes it."""
 
     original: ClassVar[type[Component]]

@@ -50,6 +50,14 @@ Hook = Awaitable[None] | None
 LINK_LOST: Final = ("continue", "deactivate", "error")
 
 
+class Elsewhere:
+    """What the stand-in of a component has besides, whose code runs in another process or in another kernel."""
+
+    async def ask(self, operation: str, **arguments: Any) -> Any:
+        """The answer of the component's process or kernel to an operation of control."""
+        raise NotImplementedError
+
+
 class Component(Configurable):
     """The unit of a system. Derive from it, declare ports and parameters, write the hooks you need.
 

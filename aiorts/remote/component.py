@@ -16,7 +16,7 @@ from aiorts.errors import AiortsError, ClosedError, ComponentError, LinkError, N
 from aiorts.isolation import fail, follow
 from aiorts.kernel.between_cycles import between_cycles
 from aiorts.kernel.commit import commit
-from aiorts.kernel.component import Component
+from aiorts.kernel.component import Component, Elsewhere
 from aiorts.kernel.declarations import Kind
 from aiorts.kernel.execution.cell import cell
 from aiorts.links import Links
@@ -50,7 +50,7 @@ class FarKind(Kind):
         return "it runs in another kernel; reload it there"
 
 
-class FarComponent(Component, kind=FarKind()):
+class FarComponent(Component, Elsewhere, kind=FarKind()):
     """A component of another kernel, as this one sees it. `Kernel.stand_in` makes it."""
 
     _where: Path

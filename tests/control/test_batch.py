@@ -108,6 +108,22 @@ async def test_with_keep_going_every_line_that_is_no_such_command_is_named_and_t
             assert kernel.components["counter0"].configuration.values["step"] == step
 
 
+async def test_with_keep_going_a_line_that_cannot_be_read_fails_alone(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """It ended the batch, without a word of the lines behind it."""
+    file = tmp_path / "robot.txt"
+    file.write_text(f"conf counter0 step=5\nconf 'unclosed\n{'x' * 2**17}\nconf counter0 step=6\n")
+    async with controlled() as kernel:
+        status, said = await commanded(capsys, "batch", str(file), "--keep-going", "--json")
+        assert status == 2
+        found = json.loads(said[said.index("{") : said.rindex("}") + 1])
+        assert [one["status"] for one in found["commands"]] == [0, 2, 2, 0]
+        assert "No closing quotation" in found["commands"][1]["error"]["text"]
+        assert "at most 65536 are taken" in found["commands"][2]["error"]["text"]
+        assert kernel.components["counter0"].configuration.values["step"] == 6.0
+
+
 async def test_with_keep_going_a_line_is_carried_out_before_the_next_comes(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,7 +5,7 @@ Of a component that runs in a process of its own, or in another kernel, they are
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.configuration import Whose
@@ -13,15 +13,11 @@ from aiorts.control.operations.known import absent, component_named
 from aiorts.control.session import Session
 from aiorts.control.values import Done
 from aiorts.errors import StateError
+from aiorts.kernel.component import Elsewhere
 from aiorts.kernel.declarations import kinds_of
 from aiorts.late import dataclass
 from aiorts.model.reading import from_plain
 from aiorts.observe import MachineReport, ModeReport
-
-if TYPE_CHECKING:
-    from aiorts.isolation import RemoteComponent
-    from aiorts.kernel.component import Component
-    from aiorts.remote import FarComponent
 
 _ELSEWHERE: Final = 4.0
 """Seconds that a change of mode may take in another process or kernel, which has to answer then."""
@@ -54,23 +50,15 @@ class Mode:
     component: str
     mode: str
     timeout: float | None = 5.0
-    """Seconds of the kernel's clock; None waits forever."""
-
-
-def _elsewhere(component: Component) -> RemoteComponent | FarComponent | None:
-    """The stand-in of a component that runs in another process or kernel; None for one that runs in this kernel."""
-    from aiorts.isolation import RemoteComponent  # late: most systems have none
-    from aiorts.remote import FarComponent
-
-    return component if isinstance(component, RemoteComponent | FarComponent) else None
+    """Seconds of the kernel's clock; None waits forever, in another process or kernel 4 s."""
 
 
 async def _machine(session: Session, given: Whose) -> Shown:
     from aiorts.statemachines import MultiModeComponent, StateMachineComponent  # late: most systems have none
 
     component = component_named(session, given.component)
-    if (there := _elsewhere(component)) is not None:
-        return from_plain(Shown, await there.ask("machine", component=given.component))
+    if isinstance(component, Elsewhere):
+        return from_plain(Shown, await component.ask("machine", component=given.component))
     reports: dict[str, Any] = {}
     for kind in kinds_of(component):
         reports.update(kind.reports(component))
@@ -86,8 +74,8 @@ async def _send(session: Session, given: Sending) -> Done:
     from aiorts.statemachines import StateMachineComponent  # late: most systems have none
 
     component = component_named(session, given.component)
-    if (there := _elsewhere(component)) is not None:
-        await there.ask("send_event", component=given.component, event=given.event, data=given.data)
+    if isinstance(component, Elsewhere):
+        await component.ask("send_event", component=given.component, event=given.event, data=given.data)
         return Done()
     if not isinstance(component, StateMachineComponent):
         raise StateError(f"{given.component}: has no state machine; it is a {type(component).__name__}")
@@ -102,9 +90,9 @@ async def _set_mode(session: Session, given: Mode) -> Done:
     from aiorts.statemachines import MultiModeComponent  # late: most systems have none
 
     component = component_named(session, given.component)
-    if (there := _elsewhere(component)) is not None:
+    if isinstance(component, Elsewhere):
         timeout = _ELSEWHERE if given.timeout is None else min(given.timeout, _ELSEWHERE)
-        await there.ask("set_mode", component=given.component, mode=given.mode, timeout=timeout)
+        await component.ask("set_mode", component=given.component, mode=given.mode, timeout=timeout)
         return Done()
     if not isinstance(component, MultiModeComponent):
         raise StateError(f"{given.component}: has no modes; it is a {type(component).__name__}")

@@ -25,6 +25,10 @@ _KNOWN: Final = 1_024
 """Clients that are known, connected or not."""
 
 
+class FullError(BusyError):
+    """One client has all the connections that it may have."""
+
+
 class Client:
     """One client of a kernel."""
 
@@ -65,13 +69,13 @@ class Clients:
         """The client of a connection that begins.
 
         Raises:
-            BusyError: it has as many as one may have, or all clients have.
+            FullError: it has as many as one client may have. BusyError: all clients together have.
         """
         with self._lock:
             client = self._known.get((name, right)) or Client(name, right)
             looks = right is Right.VIEW
             if client.connections >= OF_ONE[right]:
-                raise BusyError(f"{name} has {OF_ONE[right]} connections with this kernel already; end one of them")
+                raise FullError(f"{name} has {OF_ONE[right]} connections with this kernel already; end one of them")
             if looks and self._looking >= LOOKING:
                 raise BusyError(
                     f"{LOOKING} clients look into this kernel already; the rest is for those who operate it"
@@ -83,12 +87,6 @@ class Clients:
             self._looking += looks
             self._keep(client)
             return client
-
-    def is_full(self, name: str, right: Right) -> bool:
-        """Whether one client has all the connections that it may have."""
-        with self._lock:
-            client = self._known.get((name, right))
-            return client is not None and client.connections >= OF_ONE[right]
 
     def disconnect(self, client: Client) -> None:
         """Count a connection that has ended."""

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operators import Operators
-from aiorts.control.server.clients import Clients
+from aiorts.control.server.clients import Clients, FullError
 from aiorts.control.server.connection import Call, Connection, peer_credentials, turn_away
 from aiorts.control.server.pace import Pace
 from aiorts.control.session import LOG, Session
@@ -405,7 +405,7 @@ class Listener:
             client = self._clients.connect(where, self.right)
         except BusyError as error:
             turn_away(connected, error)
-            self._forget_stranger(where if self._clients.is_full(where, self.right) else None)
+            self._forget_stranger(where if isinstance(error, FullError) else None)
             return
         self._connections.add(Connection(self, connected, client))
 

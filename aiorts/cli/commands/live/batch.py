@@ -6,7 +6,7 @@ import contextlib
 import io
 import shlex
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any, Final
 
 import click
@@ -41,15 +41,13 @@ def batch(ctx: click.Context, file: str, dry_run: bool, keep_going: bool, as_jso
     """
     place = "standard input" if file == "-" else file
     done = _Done(ctx, place, keep_going=keep_going, as_json=as_json)
-    lines = _lines(sys.stdin if keep_going and file == "-" else text_of(file).splitlines(), place)
+    lines: Iterable[str] = sys.stdin if keep_going and file == "-" else text_of(file).splitlines()
     if not keep_going:
-        read = list(lines)
-        for number, words in read:
-            done.check(number, words)
-        lines = iter(read)
+        for number, line in enumerate(lines, 1):
+            done.check(number, line)
     with contextlib.nullcontext() if dry_run else sharing():
-        for number, words in lines:
-            if done.carry_out(number, words, dry_run=dry_run) and not keep_going:
+        for number, line in enumerate(lines, 1):
+            if done.carry_out(number, line, dry_run=dry_run) and not keep_going:
                 break
     return done.end()
 
@@ -63,20 +61,30 @@ class _Done:
         self._keep_going, self._as_json = keep_going, as_json
         self._commands: list[dict[str, Any]] = []
 
-    def check(self, number: int, words: list[str]) -> None:
-        """Raise UsageError unless it is a command for what runs."""
+    def check(self, number: int, line: str) -> list[str]:
+        """The words of a line; none of one that is blank.
+
+        Raises:
+            UsageError: it is too long, its quotes are open, or it is no command for what runs.
+        """
+        words = _words(line, f"{self._place}:{number}")
+        if not words:
+            return words
         command = self._root.get_command(self._ctx, words[0])
         module = getattr(command.callback, "__module__", "") if command is not None else ""
         if not module.startswith(f"{_HERE}.") or module == __name__:
             place = f"{self._place}:{number}: {words[0][:60]}"
             raise click.UsageError(f"{place}: is no command for what runs, such as conf, connect, call")
+        return words
 
-    def carry_out(self, number: int, words: list[str], *, dry_run: bool) -> int:
+    def carry_out(self, number: int, line: str, *, dry_run: bool) -> int:
         """Carry out a line, or look whether it is a command; the status."""
         output, status, why = io.StringIO(), exits.DONE, None
+        words = [line[:60]]
         try:
-            if self._keep_going:
-                self.check(number, words)
+            words = self.check(number, line)
+            if not words:
+                return exits.DONE
             if not dry_run:
                 with contextlib.redirect_stdout(output) if self._as_json else contextlib.nullcontext():
                     status = _carry_out(self._root, f"{self._place}:{number}", words)
@@ -108,20 +116,20 @@ def _said(error: AiortsError) -> tuple[str, str]:
     return error.code, str(error)
 
 
-def _lines(text: Iterable[str], place: str) -> Iterator[tuple[int, list[str]]]:
-    """The words of each line that has any, and its number."""
-    for number, line in enumerate(text, 1):
-        if len(line) > _LONGEST:
-            long = f"a line of {len(line)} characters; at most {_LONGEST} are taken; give long values in a file"
-            raise click.UsageError(f"{place}:{number}: {long}")
-        try:
-            words = shlex.split(line, comments=True)
-        except ValueError as error:
-            raise click.UsageError(f"{place}:{number}: {error}") from None
-        if words[:1] == ["aiorts"]:
-            del words[0]
-        if words:
-            yield number, words
+def _words(line: str, place: str) -> list[str]:
+    """The words of a line, without `aiorts` before them.
+
+    Raises:
+        UsageError: it is too long, or its quotes are open.
+    """
+    if len(line) > _LONGEST:
+        long = f"a line of {len(line)} characters; at most {_LONGEST} are taken; give long values in a file"
+        raise click.UsageError(f"{place}: {long}")
+    try:
+        words = shlex.split(line, comments=True)
+    except ValueError as error:
+        raise click.UsageError(f"{place}: {error}") from None
+    return words[1:] if words[:1] == ["aiorts"] else words
 
 
 def _carry_out(root: Any, place: str, words: list[str]) -> int:
