@@ -223,7 +223,8 @@ class EventContext(Context):
     def _begin_last_cycle(self, member: EventMember) -> bool:  # type: ignore[override] # as above
         member.triggered = False  # it runs for data alone
         if not member.ready or member.execute is None or not _can_run(member) or not self._unread_by(member):
-            return False  # not by what has notified: after a cycle that left something unread nothing has
+            # `_has_cause` asks which ports have notified; after a cycle that left samples unread, none has.
+            return False
         self._ready.remove(member)
         member.ready = False
         self.ticks += 1

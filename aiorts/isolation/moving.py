@@ -26,7 +26,7 @@ from aiorts.kernel.detached_hook import run_alone
 from aiorts.kernel.execution.cell import ATTRIBUTE, as_group, cell, check_free
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.loop.guarded import KernelLog
-from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.kernel.loop.tasks import kernel_task, see_through
 from aiorts.kernel.ports import PortDeclaration
 from aiorts.kernel.ports.connector import Connector, unread_of
 from aiorts.kernel.ports.port import host_of
@@ -429,7 +429,6 @@ class _Move:
         if not isinstance(old, RemoteComponent):
             return
         unread: dict[tuple[str, str], list[Any]] = {}
-        taking: set[asyncio.Future[None]] = set()
 
         async def take_out() -> None:
             for port, writer, samples in await old.ask("unread"):
@@ -438,15 +437,13 @@ class _Move:
         async def has_all_come() -> bool:
             # Taken out again and again: it makes room there for what waits, where the buffer of its port is full.
             is_all_sent = await self._is_all_sent()
-            taking.add(taken := asyncio.ensure_future(take_out()))
-            await asyncio.shield(taken)  # cancelled, it would lose the answer, and the samples in it
-            taking.discard(taken)
+            # Cancelled, it would lose the answer, and the samples in it.
+            await see_through(kernel_task(self._kernel.loop, take_out(), f"aiorts move {old.name}"))
             return is_all_sent
 
         try:
             await self._wait_for("what was written to it to arrive", has_all_come)
         finally:  # what was taken out is in no buffer: it goes on here, or is passed on when the move is taken back
-            await asyncio.gather(*taking, return_exceptions=True)
             for connector, made in self._fed:
                 key = made.in_.name, str(self._links.path_of(connector.out))
                 put_in_front(made, [unpacked(one) for one in unread.get(key, ())])

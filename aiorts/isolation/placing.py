@@ -81,7 +81,8 @@ class RemoteContext(Context):
                 return None
             return OverdueHook("", to_ns(process.busy), to_ns(deadline))
         passed_ns = self.runner.kernel.clock.monotonic_ns() - self._late_ns
-        return self._late and replace(self._late, running_ns=self._late.running_ns + passed_ns)
+        late = self._late
+        return None if late is None else replace(late, running_ns=late.running_ns + passed_ns)
 
     def _hook_statistics(self) -> Mapping[str, HookStatistics]:
         return self._there.hooks

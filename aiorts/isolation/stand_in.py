@@ -19,7 +19,6 @@ from aiorts.isolation.services import RemoteServices, remote_end
 from aiorts.kernel.component import Component, Elsewhere
 from aiorts.kernel.declarations import Kind, declarations
 from aiorts.kernel.execution.cell import cell
-from aiorts.kernel.loop.deadlines import StopBudget
 from aiorts.kernel.parameters import Declared
 from aiorts.kernel.ports import InPort, OutPort, PortDeclaration
 from aiorts.kernel.ports.far import RemoteInPort, RemoteOutPort
@@ -209,7 +208,7 @@ class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
     async def _retire(self) -> None:
         """End it there as a component of this kernel ends: it has, and reads, what was written to it before."""
         connectors = [one for port in self.ports.values() for one in port.connectors]
-        await self.kernel.service(Links).ends.sent(connectors, StopBudget(self.kernel.loop))
+        await self.kernel.service(Links).ends.sent(connectors)
         await self._running.ask("retire", context=self.context.name)
 
     async def on_reset(self) -> None:

@@ -183,7 +183,8 @@ class Component(Configurable):
     def state(self) -> LifecycleState | None:
         """The lifecycle state in the context whose hook runs, else of all its contexts; None in no context.
 
-        Of several it is in error where one is, else active where one is; `states` has each.
+        Of several it is in error where one is, else active where one is; `states` has each. In a call that it serves it
+        is active where it is active in any.
         """
         running = cell(self).running
         return joint(self.states.values()) if running is None else running.state

@@ -14,7 +14,7 @@ from aiorts.kernel.loop.guarded import KernelLog, guarded
 from aiorts.kernel.ports import InPort, OutPort, Port, PortDeclaration, wiring
 from aiorts.kernel.ports.connector import Connector, transport_of, unread_of
 from aiorts.kernel.ports.features import offer
-from aiorts.kernel.ports.losses import Losses, Unconverted
+from aiorts.kernel.ports.losses import Early, Losses, Unconverted
 from aiorts.kernel.ports.tap import Injector, make_injector, make_tap, resize
 from aiorts.kernel.quality import FEATURES, Gaps
 from aiorts.kernel.service import notify, report_fault
@@ -52,7 +52,7 @@ class Connections:
         self.connectors: dict[str, Connector] = {}
         self.service_connectors: dict[str, Any] = {}
         """Those that are none of data ports."""
-        self.losses = Losses(kernel)
+        self.losses, self.early = Losses(kernel), Early(kernel)
         self.gaps = Gaps(kernel)
         self.unconverted = Unconverted(kernel)
         self.far: FarPorts | None = None

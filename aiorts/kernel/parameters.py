@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from aiorts.errors import ConfigurationError, DeclarationError
-from aiorts.kernel.execution.cell import cell, is_inside
+from aiorts.kernel.execution.cell import cell, has_cell, is_inside
 from aiorts.late import dataclass
 from aiorts.model.configuration.parameters import Constraint, ParameterSpec, validate
 from aiorts.model.values import shown
@@ -40,7 +40,7 @@ class Declared:
     validator: Callable[[Any], object] | None = None
     file: str = ""
     attribute: str = ""
-    """The name by which it is assigned; it is declared once for each."""
+    """The attribute that it stands at; `low = high = Param(...)` makes a declaration for each."""
 
     def __set_name__(self, owner: Any, name: str) -> None:
         if self.attribute:
@@ -54,6 +54,11 @@ class Declared:
         Raises:
             ConfigurationError: others change it with `configure`.
         """
+        if not has_cell(component):
+            raise DeclarationError(
+                f"{type(component).__name__}.{self.attribute}: is assigned before super().__init__() has run; "
+                "call that first"
+            )
         if cell(component).kernel is not None and not is_inside(component):
             what = f"{component.name}.{self.attribute}"
             raise ConfigurationError(

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections import deque
 from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.errors import LinkError, LinkTimeout, WiringError
+from aiorts.errors import WiringError
 from aiorts.kernel.loop.bus import StateChanged
 from aiorts.kernel.ports import InPort
 from aiorts.late import dataclass
+from aiorts.links.kernels import told
 from aiorts.links.messages import Answer, packed
 from aiorts.model.lifecycle import LifecycleState
-from aiorts.model.links.negotiation import LINGER, PAUSES
 from aiorts.model.names import Path
 
 if TYPE_CHECKING:
@@ -27,30 +26,7 @@ _AWAITED: Final = 1_000
 """Components that are not there whose coming one other kernel is told of."""
 _UNTOLD: Final = 1_000
 """Links that ended while the other kernel was away, of which it is told, at the most."""
-_SECONDS: Final = 2.0
 _STARTED: Final = "{} is being started"
-
-
-async def told(kernels: Kernels, peer: Peer, what: str, body: bytes) -> bool:
-    """Tell another kernel something, however long it stands still; it may hear it twice. False: it has gone."""
-    refusals, pause = iter(PAUSES), PAUSES[0]
-    while True:
-        try:
-            await kernels.ask(peer, what, body, _SECONDS)
-        except LinkTimeout:
-            # What it was told may lie before it until it goes on: less and less is added to that.
-            await asyncio.sleep(pause)
-            pause = min(2 * pause, LINGER)
-            continue
-        except LinkError:
-            if not kernels.is_there(peer):
-                return False
-            # It has too many questions now, or does not know this one.
-            if (rest := next(refusals, None)) is None:
-                return True
-            await asyncio.sleep(rest)
-            continue
-        return True
 
 
 class Arrivals:

@@ -25,13 +25,11 @@ from aiorts.errors import (
     ServiceUnavailable,
     StateError,
     WiringError,
-    format_error,
 )
 from aiorts.kernel.component import Component
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import current_task
-from aiorts.links.arrivals import told
 from aiorts.links.call_values import (
     DONE,
     ERRORS,
@@ -44,6 +42,7 @@ from aiorts.links.call_values import (
     restored,
     values_of,
 )
+from aiorts.links.kernels import told
 from aiorts.links.messages import Answer
 from aiorts.model.links.negotiation import LINGER, PAUSES
 from aiorts.model.names import Path
@@ -213,7 +212,7 @@ class FarProvider:
         self._binding = self._again = False
         """Whether a question to bind it is under way, and whether another one has to follow it."""
         self._unheard: tuple[Peer, list[Any]] | None = None
-        """The kernel that was asked to bind it and has not answered, and by what it knows it then."""
+        """The kernel that was asked to bind it and has not answered, and the names by which that kernel finds the binding."""
         self._timer: Cancellable | None = None
         self._changed: list[asyncio.Future[None]] = []
         self._goals: dict[int, tuple[Goal[Any, Any], GoalTypes]] = {}
@@ -278,9 +277,7 @@ class FarProvider:
         except asyncio.CancelledError:
             self._answer(None)
             raise
-        except Exception as error:  # noqa: BLE001 - whatever a transport raises, it is tried again
-            if not isinstance(error, LinkError):
-                _LOG.error("links: %s failed: %s", self.name, format_error(error), exc_info=error)
+        except LinkError as error:
             if self._over:
                 self._unbind()
             return self._wait(_AGAIN, str(error))

@@ -250,7 +250,13 @@ class Links(KernelService):
 
     async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:
         """See `Kernels.ask`."""
-        return await self.reach.carrier(peer).ask(peer, what, body, within=within)
+        try:
+            return await self.reach.carrier(peer).ask(peer, what, body, within=within)
+        except LinkError:
+            raise
+        except Exception as error:
+            _LOG.error("links: %s to %s failed: %s", what, peer.kernel, format_error(error), exc_info=error)
+            raise LinkError(f"{peer.kernel}: {format_error(error)}") from error
 
     def turn(self, peer: Peer) -> asyncio.Semaphore:
         """See `Kernels.turn`."""
@@ -299,7 +305,7 @@ class Links(KernelService):
     # -- ending --------------------------------------------------------------------------------------------------------
 
     async def ending(self, budget: StopBudget) -> None:
-        await self.ends.sent(self.ends.writers, budget)
+        await self.ends.sent(self.ends.writers, budget.rest)
 
     def stopped(self) -> None:
         for end in self.ends.all():

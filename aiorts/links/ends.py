@@ -25,14 +25,13 @@ from aiorts.links.reaching import new_epoch
 from aiorts.links.reader_link import ReaderLink, of_shape
 from aiorts.links.writer_link import WriterLink
 from aiorts.model.links import READ, versions
-from aiorts.model.links.negotiation import LINGER, LinkAction, LinkEvent, LinkRole, Negotiation, NegotiationState
+from aiorts.model.links.negotiation import LinkAction, LinkEvent, LinkRole, Negotiation, NegotiationState
 from aiorts.model.names import MAX_NAME_LENGTH, Path
 from aiorts.model.options import chosen_options
 from aiorts.model.policy import Dataflow, OnLinkLost
 from aiorts.observe import Introspection
 
 if TYPE_CHECKING:
-    from aiorts.kernel.loop.deadlines import StopBudget
     from aiorts.kernel.loop.timers import Cancellable
     from aiorts.kernel.ports import InPort, Port
     from aiorts.kernel.ports.connector import Connector
@@ -53,6 +52,8 @@ _BY_ALL: Final = 20_000
 """Connectors of this kernel that others may have made, all together."""
 _GIVEN_UP: Final = 1_000
 """Reader's ends that were disconnected before the first answer, of which is known that their offers are late."""
+_RECONNECTS: Final = 10.0
+"""Seconds in which a kernel that was restarted connects anew what it had connected before."""
 _READERS: Final = 256
 """Connectors that others may have made with one out-port: each takes part in every write (2 ms with 1,000 of them)."""
 _LAST_SECONDS: Final = 1.0
@@ -96,7 +97,7 @@ class LinkEnd(Generic[Side]):
         """One that was made and is not in use yet."""
         self._opening: asyncio.Task[Any] | None = None
         self._late = 0
-        """The epoch of the other end, whose kernel was late."""
+        """The epoch of the other end in an answer that came too late."""
         self._unheard = False
         """Whether the last offer has had no answer: the other kernel may have taken it."""
         self._timer: Cancellable | None = None
@@ -138,7 +139,7 @@ class LinkEnd(Generic[Side]):
             return
         if not self.own and self._peer not in (None, peer) and self.negotiation.state is NegotiationState.ABSENT:
             # The peer was restarted and may be about to connect it itself: it would be told that it is connected.
-            self._links.kernel.call_later(LINGER, partial(self._present_still, peer))
+            self._links.kernel.call_later(_RECONNECTS, partial(self._present_still, peer))
         else:
             self.on(LinkEvent.PRESENT)
 
@@ -580,12 +581,12 @@ class Ends:
         found = self.writers.get(connector), self.readers.get(connector)
         return [end for end in found if end is not None]
 
-    async def sent(self, connectors: Iterable[Connector], budget: StopBudget) -> None:
-        """Wait until what was written to these connectors is acknowledged, for a short time."""
+    async def sent(self, connectors: Iterable[Connector], within: float = _LAST_SECONDS) -> None:
+        """Wait until what was written to these connectors is acknowledged, so many seconds and no longer than 1 s."""
         ends = [end for one in connectors if (end := self.writers.get(one)) is not None]
         waits = [idle for one in ends if (idle := one.link.idle()) is not None]
-        if waits and (seconds := min(_LAST_SECONDS, budget.rest)) > 0:
-            await asyncio.wait(waits, timeout=seconds)
+        if waits and within > 0:
+            await asyncio.wait(waits, timeout=min(within, _LAST_SECONDS))
 
     def at(self, kernel: str, component: str | None = None) -> list[LinkEnd[Any]]:
         """The ends of links to kernels of this name, or to a component there."""

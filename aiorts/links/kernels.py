@@ -5,15 +5,23 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Collection, Coroutine, Iterator
 from contextlib import AbstractAsyncContextManager
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from aiorts.errors import LinkError, LinkTimeout
 from aiorts.links.messages import Answer
+from aiorts.model.links.negotiation import PAUSES
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports import InPort, OutPort, Port
     from aiorts.links.transport import Caller, Peer, Transport
     from aiorts.model.names import Path
+
+
+_SECONDS: Final = 2.0
+"""Seconds for an answer."""
+_LONGEST_PAUSE: Final = 10.0
+"""Seconds between two attempts while the other kernel stands still."""
 
 
 class Reached(Protocol):
@@ -113,3 +121,27 @@ class Kernels(Protocol):
     def come(self, component: str, peer: Peer | None) -> None:
         """A component has come to another kernel."""
         ...
+
+
+async def told(kernels: Kernels, peer: Peer, what: str, body: bytes) -> bool:
+    """Tell another kernel something until it has heard it, or refused it five times; it may hear it twice.
+
+    False: it has gone.
+    """
+    refusals, pause = iter(PAUSES), PAUSES[0]
+    while True:
+        try:
+            await kernels.ask(peer, what, body, _SECONDS)
+        except LinkTimeout:
+            # What it was told may lie before it until it goes on: less and less is added to that.
+            rest, pause = pause, min(2 * pause, _LONGEST_PAUSE)
+        except LinkError:
+            if not kernels.is_there(peer):
+                return False
+            # It has too many questions now, or does not know this one.
+            if (again := next(refusals, None)) is None:
+                return True
+            rest = again
+        else:
+            return True
+        await asyncio.sleep(rest)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.transport import Waiting
-    from aiorts.links.sides import Driver
+    from aiorts.links.sides import Owner
     from aiorts.links.transport import Channel
     from aiorts.model.links import Buffer
     from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
@@ -41,10 +41,10 @@ class ReaderLink(LinkSide[ReaderEnd]):
         kernel: Microkernel,
         connector: Connector,
         epoch: int,
-        driver: Driver,
+        owner: Owner,
         decode: Callable[[Buffer, Sequence[Buffer]], Any],
     ) -> None:
-        super().__init__(kernel, connector, ReaderEnd(0, epoch), driver)
+        super().__init__(kernel, connector, ReaderEnd(0, epoch), owner)
         self._decode = decode
         self._waits = 0
         """The number of the sample that waits for room in the reader's buffer; 0: none does."""
@@ -87,7 +87,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self._deliver(now)
         self._poll(now)
         if end.peer_ended and not self._ended:
-            self._driver.left()
+            self._owner.left()
 
     def on_room(self) -> None:
         now = self._now()

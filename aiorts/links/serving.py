@@ -25,7 +25,6 @@ from aiorts.errors import (
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.ports.port import is_removed
 from aiorts.links.answering import refusal, sent
-from aiorts.links.arrivals import told
 from aiorts.links.call_values import (
     DONE,
     ERRORS,
@@ -38,6 +37,7 @@ from aiorts.links.call_values import (
     restored,
     values_of,
 )
+from aiorts.links.kernels import told
 from aiorts.links.messages import Answer
 from aiorts.model.links import CALL
 from aiorts.model.names import MAX_NAME_LENGTH, Path

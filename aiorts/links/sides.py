@@ -20,7 +20,7 @@ report: Final = partial(KernelLog().warning, "W-LINK: %s")
 E = TypeVar("E", bound="WriterEnd | ReaderEnd")
 
 
-class Driver(Protocol):
+class Owner(Protocol):
     """The owner of a side: it hears what ends the side's channel."""
 
     def lost(self, why: str) -> None:
@@ -69,12 +69,12 @@ class Wakening:
 class LinkSide(Generic[E]):
     """One side of a link in its kernel. See `ChannelEvents` for what the transport calls."""
 
-    def __init__(self, kernel: Microkernel, connector: Connector, end: E, driver: Driver) -> None:
+    def __init__(self, kernel: Microkernel, connector: Connector, end: E, owner: Owner) -> None:
         self.connector = connector
         self.end: E = end
         self.why = "not connected yet"
         """Why it is not up; "" while it is."""
-        self._kernel, self._driver = kernel, driver
+        self._kernel, self._owner = kernel, owner
         self._now: Callable[[], int] = kernel.clock.monotonic_ns
         self._channel: Channel | None = None
         self._wakening = Wakening(kernel, self._wake)
@@ -83,7 +83,7 @@ class LinkSide(Generic[E]):
     def on_state(self, up: bool, why: str) -> None:
         if not up and self._channel is not None:
             self._down(why)
-            self._driver.lost(why)
+            self._owner.lost(why)
 
     def drop(self, why: str) -> None:
         """Give the channel up, if there is one: there will be another."""

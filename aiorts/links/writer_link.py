@@ -24,7 +24,7 @@ from aiorts.model.policy import Push
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
-    from aiorts.links.sides import Driver
+    from aiorts.links.sides import Owner
     from aiorts.links.transport import Channel
     from aiorts.model.links import Buffer
     from aiorts.model.names import Path
@@ -54,12 +54,12 @@ class WriterLink(LinkSide[WriterEnd]):
         kernel: Microkernel,
         connector: Connector,
         epoch: int,
-        driver: Driver,
+        owner: Owner,
         encode: Callable[[Any], tuple[bytes, Sequence[memoryview]]],
     ) -> None:
         profile = connector.profile
         end = WriterEnd(0, epoch, window=_NEWEST if profile.push is Push.NEW else _WINDOW)
-        super().__init__(kernel, connector, end, driver)
+        super().__init__(kernel, connector, end, owner)
         self._encode = encode
         self._turn_due = self._taking = False
         self._sent_ns = 0
@@ -253,7 +253,7 @@ class WriterLink(LinkSide[WriterEnd]):
         if self._idle is not None:
             self._look_idle()
         if end.peer_ended and not self._ended:
-            self._driver.left()
+            self._owner.left()
 
     def on_room(self) -> None:
         self.end.on_room(self._now())
@@ -283,7 +283,7 @@ class WriterLink(LinkSide[WriterEnd]):
         now = self._now()
         if self._channel is not None and self.end.is_unanswered(now):
             self.drop("the reader's end has not answered")
-            self._driver.silent()
+            self._owner.silent()
         else:
             self._poll(now)
 

@@ -1,4 +1,4 @@
-"""Everything about which lifecycle state follows which stands in this file; it never runs a hook, waits or logs.
+"""The lifecycle states: which follows which, and how a component's state is put in words. Pure.
 
 The machine exists once for each pair of component and execution context (OMG RTC 1.1, section 5.2.2). `TRANSITIONS`
 is the whole truth: what may be asked for in which state, which hooks run on the way, in which order, and where the pair
@@ -44,22 +44,18 @@ class OverdueHook:
     """Nanoseconds that the hook may take."""
 
 
-def state_texts(states: Mapping[str, str], overdue: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """The state of a component in each context in words, with what of it hangs there.
+def state_text(states: Mapping[str, str], overdue: Mapping[str, Mapping[str, Any]]) -> str:
+    """The states of a component in all contexts in one line, each said once, with the hook that is late there.
 
     Args:
         states: lifecycle states by context.
         overdue: the plain form of an `OverdueHook` for each context where one is.
     """
-    return {
-        context: f"{state}, {_overdue_text(**overdue[context])}" if context in overdue else state
+    texts = (
+        f"{state}, {_overdue_text(**overdue[context])}" if context in overdue else state
         for context, state in states.items()
-    }
-
-
-def state_text(states: Mapping[str, str], overdue: Mapping[str, Mapping[str, Any]]) -> str:
-    """The states of all contexts in one line, each said once."""
-    return ", ".join(dict.fromkeys(state_texts(states, overdue).values())) or "in no context"
+    )
+    return ", ".join(dict.fromkeys(texts)) or "in no context"
 
 
 def _overdue_text(hook: str, running_ns: int, deadline_ns: int, **_later: Any) -> str:

@@ -36,6 +36,7 @@ from aiorts.model.options import CHANGEABLE, connector_profile
 from aiorts.model.wanted.restart_policy import Supervision
 from aiorts.model.wanted.steps import (
     Activate,
+    AddRules,
     Change,
     Configure,
     Connect,
@@ -47,7 +48,6 @@ from aiorts.model.wanted.steps import (
     Renew,
     RenewContext,
     Retime,
-    Rule,
     StartContext,
     Step,
     StopContext,
@@ -108,7 +108,7 @@ class Application:
             Configure: self._configure,
             Reload: self._reload,
             Supervise: self._supervise,
-            Rule: self._rule,
+            AddRules: self._rule,
             Connect: self._connect,
             Disconnect: self._disconnect,
             Change: self._change,
@@ -285,7 +285,7 @@ class Application:
             self._trials[entry.name] = trial
         self._supervise_as(kernel.components[entry.name], entry)
 
-    async def _rule(self, step: Rule) -> None:
+    async def _rule(self, step: AddRules) -> None:
         self._kernel.service(ConnectingRules).change(step.after)
 
     async def _supervise(self, step: Supervise) -> None:

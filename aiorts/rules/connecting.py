@@ -135,9 +135,7 @@ class ConnectingRules(KernelService):
         bus.subscribe(Disconnected, lambda _event: self._soon())
 
     def change(self, rules: Sequence[Mapping[str, Any]]) -> None:
-        """Have these rules: the first of those that there are, and others behind them, or fewer of them.
-
-        A further one connects what is there and fits. What one that is gone had connected is disconnected.
+        """Replace the rules: those that both lists begin with stay, the rest are added, or end with their connectors.
 
         Raises:
             ConfigurationError: one of them is none; nothing was changed.

@@ -31,6 +31,8 @@ class SavedState:
     """Taken from the old instance before it is removed."""
 
     configuration: ConfigurationState
+    was_active: bool
+    """Whether it was active at any time: samples that the new one drops do not come before its start."""
     added: tuple[str, ...]
     """Parameters that its class does not declare."""
     composite: CompositeGroup | None
@@ -50,6 +52,7 @@ class SavedState:
         refused = commit(new, lambda state: self._configured(state, new.name), old=self.configuration)
         if refused is not None:
             raise refused
+        cell(new).was_active = self.was_active
 
     def _configured(self, state: ConfigurationState, owner: str) -> ConfigurationState:
         old = self.configuration
@@ -85,6 +88,7 @@ def standing_of(component: Component) -> SavedState:
     known = [] if composite is None else [composite.known.get(port, ()) for port in component.ports.values()]
     return SavedState(
         state,
+        cell(component).was_active,
         tuple(name for name in state.specs if name not in declared),
         composite,
         0 if composite is None else composite.members.index(component),

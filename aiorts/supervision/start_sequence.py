@@ -38,7 +38,8 @@ class Patience:
         """Lasts while these components are activated.
 
         Raises:
-            TransitionTimeout: a rule has waited for one of them for as long as it may; the activation is left to it.
+            TransitionTimeout: a rule has waited for one of them as long as it may; their activation is waited for no
+                longer.
         """
         waiting = [
             rule

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from aiorts.supervision.systemd import SystemdLink
 
 _SETTLES: Final = 10.0
+"""Seconds for which restarts are waited for."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -120,7 +120,12 @@ class Supervised:
     @property
     def is_between(self) -> bool:
         """Whether it is being restarted: the old instance goes, or the new one has not its whole place yet."""
-        return self._place is not None
+        return self._place is not None and not self.is_to_be_gone
+
+    @property
+    def is_to_be_gone(self) -> bool:
+        """Whether others than the restart have asked for the removal of its instance, too."""
+        return cell(self.component).removals > 1
 
     def __repr__(self) -> str:
         how = "exhausted" if self.exhausted else self.policy.restart
@@ -292,7 +297,7 @@ class Supervisor:
                 await kernel.remove(old)
             finally:
                 one._removing = False
-            if cell(old).removals > 1:  # not only for the restart: it is to be gone
+            if one.is_to_be_gone:
                 one._place = None
                 self.supervised.pop(one.name, None)
                 return
@@ -301,7 +306,6 @@ class Supervisor:
         await kernel.add(new)
         kernel.registry.on_link_lost[one.name] = place.on_link_lost
         one.component = new
-        cell(new).was_active = cell(old).was_active
         _limit(new, one.policy)
         kept = place.standing.kept
         self._connect([one for one in place.connectors if one[0].name in kept])

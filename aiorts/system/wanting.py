@@ -13,8 +13,8 @@ from aiorts.kernel.declarations import declarations
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.model.names import names_kernel
 from aiorts.model.options import connector_profile, link_options
-from aiorts.model.wanted.doubled import Joined
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
+from aiorts.model.wanted.pairs import ConnectedPairs
 from aiorts.planning import Canon, service_connection, table, whole
 from aiorts.services import ServicePort, pairs_of
 from aiorts.system.blueprint import Blueprint, prepare
@@ -90,7 +90,7 @@ class _Reader:
     def _connections(self) -> Iterator[ConnectionEntry]:
         """Those of data ports first, as a kernel has them."""
         services: list[ConnectionEntry] = []
-        joined = Joined()
+        joined = ConnectedPairs()
         number = 0
         for entry in self._system.connections:
             ports = [self._port(path) for path in entry.ports]

@@ -51,11 +51,11 @@ BROAD_EXCEPT = {
     # Round what a kernel asks of the process of a component: whatever it fails with is the answer.
     "aiorts/cli/runtime/component_process.py:_operate",
     # Round a plugin's transport while it is made.
+    "aiorts/links/connecting.py:ask",
     "aiorts/links/reaching.py:find_transport",
     # Round the questions and channels of a transport, which a plugin may offer: a link that is not tried again is lost.
     "aiorts/links/ends.py:_asked",
     "aiorts/links/ends.py:_opened",
-    "aiorts/links/calls.py:bind",
     # Round a sample of another kernel: its class may check values in its own way, and the next ones still come.
     "aiorts/links/call_values.py:restored",
     "aiorts/links/reader_link.py:_deliver",

@@ -31,7 +31,7 @@ LOOKS = {"ends.py": 2, "calls.py": 1}
 """Files that call back later by themselves, and how often: a connector at which nobody may listen is looked at until it
 was read empty; a kernel that was started anew may connect again by itself before it is offered to; a kernel that did
 not bind an interface is asked again."""
-PAUSES = ["arrivals.py", "calls.py", "reaching.py"]
+PAUSES = ["calls.py", "kernels.py", "reaching.py"]
 """Files with pauses between tries: of what a kernel did not take that is there, and to open a transport."""
 
 

@@ -191,7 +191,7 @@ class _Process:
         """End the members: they read what is unread before, and what they write last has arrived."""
         runner, budget = self._kernel.contexts[context].runner, StopBudget(self._kernel.loop)
         await runner.retire(tuple(runner.members), budget)
-        await self._links.ends.sent(self._kernel.connectors.values(), budget)
+        await self._links.ends.sent(self._kernel.connectors.values(), budget.rest)
 
     def _changed(self, event: StateChanged) -> None:
         component = self._kernel.components.get(event.component)

@@ -24,7 +24,7 @@ from aiorts.kernel.execution.member import overdue_hooks
 from aiorts.kernel.loop.origins import place
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.service import reports
-from aiorts.model.lifecycle import state_texts
+from aiorts.model.lifecycle import state_text
 from aiorts.model.plain import plain
 from aiorts.model.timing import Spans
 
@@ -77,7 +77,7 @@ def _listed(told: Mapping[str, Any]) -> str:
 
 def _component(component: Component) -> str:
     said = {context: f"{state} in {context}" for context, state in component.states.items()}
-    states = ", ".join(state_texts(said, plain(overdue_hooks(component))).values()) or "in no context"
+    states = state_text(said, plain(overdue_hooks(component)))
     error = component.last_error
     last = "" if error is None else f"; last error {type(error).__name__}: {error}"
     return f"component {component.name} ({type(component).__name__}): {states}{last}"

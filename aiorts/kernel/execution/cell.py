@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 from aiorts.errors import StateError
 from aiorts.kernel.execution.entry_lock import EntryLock
 from aiorts.kernel.loop.log import LogFields
-from aiorts.kernel.loop.tasks import owner_of
+from aiorts.kernel.loop.tasks import current_task, owner_of
 from aiorts.kernel.ports import Port, Turns
 from aiorts.kernel.ports.host import KernelSide as PortKernelSide
 from aiorts.kernel.ports.host import PortHost
@@ -246,8 +246,7 @@ def is_inside(component: ComponentSide) -> bool:
     here = cell(component)
     if here.thread_id == get_ident():
         return here.running is not None
-    task = asyncio.current_task() if asyncio._get_running_loop() is not None else None
-    return owner_of(task) is component
+    return owner_of(current_task()) is component
 
 
 def has_cell(component: object) -> bool:

@@ -14,7 +14,7 @@ from aiorts.errors import StateError
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.hooks import HookKind
 from aiorts.kernel.ports import InPort
-from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.lifecycle import LifecycleState, joint
 
 if TYPE_CHECKING:
     from aiorts.kernel.execution.cell import ComponentSide
@@ -276,8 +276,8 @@ class Visit:
     @property
     def state(self) -> LifecycleState | None:
         """The component's state: active where it is active in any context."""
-        states = tuple(self.component.states.values())
-        return LifecycleState.ACTIVE if LifecycleState.ACTIVE in states else states[0] if states else None
+        states = self.component.states.values()
+        return LifecycleState.ACTIVE if LifecycleState.ACTIVE in states else joint(states)
 
     def finish(self) -> None:
         """The component said, in a method that others call, that it has nothing more."""

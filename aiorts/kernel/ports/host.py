@@ -90,8 +90,8 @@ class PortHost:
 
     def dropped_first(self, connector: Any) -> None:
         """A connector to its component has dropped a sample for the first time, since that was not active."""
-        if self.kernel is not None and not self.kernel.closed and not self.was_active:
-            self.kernel.connections.losses.early(connector)
+        if self.kernel is not None:
+            self.kernel.connections.early.dropped_first(connector)
 
     @property
     def debug(self) -> bool:

@@ -34,9 +34,10 @@ _MOST_NAMED: Final = 8
 _SUMMARISED: Final = "further losses are summarised here, all are counted in connector.statistics"
 
 _EARLY: Final = (
-    "W-INACTIVE: %s -> %s: the first sample was dropped, %s was not active yet: connect with keep_last = true, or have "
-    'the writer start later (start.after = "%s active"); further ones are counted in connector.statistics'
+    "W-INACTIVE: %s -> %s: the first sample was dropped, %s was not active yet: connect with keep_last = true%s; "
+    "further ones are counted in connector.statistics"
 )
+_LATER: Final = ', or have the writer start later (start.after = "%s active")'
 
 
 class Losses:
@@ -45,7 +46,7 @@ class Losses:
     reason: ClassVar[str] = "overwritten"
     lost: ClassVar[str] = "lost"
 
-    __slots__ = ("_early", "_kernel", "_named", "_reported", "_timer", "_unnamed", "_wait")
+    __slots__ = ("_kernel", "_named", "_reported", "_timer", "_unnamed", "_wait")
 
     def __init__(self, kernel: KernelSide) -> None:
         self._kernel = kernel
@@ -54,8 +55,6 @@ class Losses:
         self._timer: Cancellable | None = None
         self._wait = _FIRST_LOOK
         self._named = self._unnamed = 0
-        self._early = False
-        """Whether a sample that came too early was reported."""
 
     def listen(self, connector: Connector) -> None:
         """Hear of the next sample that it loses."""
@@ -71,24 +70,6 @@ class Losses:
             connector,
             f"the reader is slower than the writer; {_SUMMARISED}; {SLOW_READER}",
         )
-
-    def early(self, connector: Connector) -> None:
-        """It has dropped its first sample, in this thread, since its reader was never active: report the first of all.
-
-        What nobody waits for is not reported: samples for a reader that joins a stream, for a tap, or of a link.
-        """
-        in_, out = connector.in_, connector.out
-        waited = out._saved is NOTHING and not (connector.profile.keep_last or out.is_tap or in_.is_tap or in_.is_far)
-        if waited and not self._early:
-            self._kernel.loop.call_soon_threadsafe(self._report_early, connector)
-
-    def _report_early(self, connector: Connector) -> None:
-        if self._early or any(one._transport.delivered() > 0 for one in connector.out._connectors):
-            return  # who is added to readers of a stream has missed nothing that others wait for
-        self._early = True
-        out, in_ = connector.out.path, connector.in_.path
-        reader = in_.partition(".")[0]
-        _LOG.warning(_EARLY, out, in_, reader, reader)
 
     def stop(self, connector: Connector) -> None:
         """Its user has chosen what is lost: report what was not reported yet, and nothing from now on."""
@@ -194,6 +175,36 @@ class Unconverted(Losses):
     def _first(self, connector: Connector, fault: str) -> None:
         self._kernel.bus.publish(ConversionFailed(connector.name, fault))
         self._begun(connector, f"convert = {connector.profile.convert}: {fault}; {_SUMMARISED}")
+
+
+class Early:
+    """The first sample of one kernel that came before its reader ever was active."""
+
+    __slots__ = ("_kernel", "_said")
+
+    def __init__(self, kernel: KernelSide) -> None:
+        self._kernel = kernel
+        self._said = False
+
+    def dropped_first(self, connector: Connector) -> None:
+        """It has dropped its first sample, in this thread, since its reader is not active.
+
+        Samples that no component waits for are not reported: those for a reader that was active before or joins a
+        stream, for a tap, and at the writer's end of a link, since its reader's kernel reports them.
+        """
+        in_, out, host = connector.in_, connector.out, connector.in_._host
+        if self._said or self._kernel.closed or host is None or host.was_active or out._saved is not NOTHING:
+            return
+        if not (connector.profile.keep_last or out.is_tap or in_.is_tap or in_.is_far):
+            self._kernel.loop.call_soon_threadsafe(self._report, connector)
+
+    def _report(self, connector: Connector) -> None:
+        if self._said or any(one._transport.delivered() > 0 for one in connector.out._connectors):
+            return  # who is added to readers of a stream has missed nothing that others wait for
+        self._said = True
+        reader = connector.in_.path.partition(".")[0]
+        later = "" if connector.out.is_far else _LATER % reader
+        _LOG.warning(_EARLY, connector.out.path, connector.in_.path, reader, later)
 
 
 def _samples(count: int) -> str:

@@ -18,6 +18,7 @@ from aiorts.model.options import CHANGEABLE
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
 from aiorts.model.wanted.steps import (
     Activate,
+    AddRules,
     Change,
     Configure,
     Connect,
@@ -30,7 +31,6 @@ from aiorts.model.wanted.steps import (
     Renew,
     RenewContext,
     Retime,
-    Rule,
     StartContext,
     Step,
     StopContext,
@@ -210,12 +210,12 @@ class _Planner:
     def _adds_rules(self) -> bool:
         """Whether all rules that there are stay, and others come behind them."""
         before, after = rules_of(self._now), rules_of(self._wanted)
-        return len(after) >= len(before) and after[: len(before)] == before
+        return after[: len(before)] == before
 
     def _rules(self) -> Iterator[Step]:
         before, after = rules_of(self._now), rules_of(self._wanted)
         if before != after:
-            yield Rule(before, after)
+            yield AddRules(before, after)
 
     # -- components ------------------------------------------------------------------------------------------------
 

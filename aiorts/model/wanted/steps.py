@@ -186,14 +186,11 @@ class Supervise(_Change):
 
 
 @dataclass(frozen=True, slots=True)
-class Rule(Step):
-    """Adds rules of `[[rules]]` behind those that there are; its reverse takes them back."""
+class AddRules(_Change):
+    """Add rules of `[[rules]]` behind those that there are."""
 
     before: tuple[Mapping[str, Any], ...]
     after: tuple[Mapping[str, Any], ...]
-
-    def reverse(self) -> Rule:
-        return Rule(self.after, self.before)
 
     @property
     def text(self) -> str:

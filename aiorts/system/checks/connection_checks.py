@@ -12,8 +12,8 @@ from aiorts.kernel.ports.wiring import converter_between, pair_faults
 from aiorts.kernel.quality import FEATURES
 from aiorts.model.names import names_kernel
 from aiorts.model.options import doubts, idle, link_options, transport_notice, without_effect
-from aiorts.model.wanted.doubled import Joined
 from aiorts.model.wanted.entries import ConnectionEntry
+from aiorts.model.wanted.pairs import ConnectedPairs
 from aiorts.services import ServicePort, fault_of
 from aiorts.system.checks.adapt import adaptation
 from aiorts.system.checks.draft import Draft
@@ -26,7 +26,7 @@ from aiorts.wire import LINK, excess
 
 def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
     """Ports that do not exist, ends that do not go together, and what is connected twice."""
-    joined = Joined()
+    joined = ConnectedPairs()
     counts: dict[str, int] = {}
     names: dict[str, int] = {}
     unsure: set[str] = set()
@@ -210,7 +210,7 @@ def _limits(
     found: Survey,
     connection: ConnectionEntry,
     ports: list[Port[Any]],
-    joined: Joined,
+    joined: ConnectedPairs,
     counts: dict[str, int],
 ) -> Iterator[Said]:
     """Connected already, and more connectors than a port takes."""

@@ -25,8 +25,8 @@ from aiorts.model.configuration.sets import DEFAULT
 from aiorts.model.names import Path as PortPath
 from aiorts.model.names import check_name, names_kernel
 from aiorts.model.options import OWN_KEYS, SERVICE_KEYS, connector_profile
-from aiorts.model.wanted.doubled import Joined
 from aiorts.model.wanted.entries import ClockEntry, ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry
+from aiorts.model.wanted.pairs import ConnectedPairs
 from aiorts.processes import Limits
 from aiorts.supervision import StartRule, Supervision, in_order
 from aiorts.system.expansion.choices import AS_WRITTEN, Choices
@@ -149,7 +149,7 @@ class _Reader(Reading):
     def __init__(self, found: Expanded) -> None:
         super().__init__()
         self._found = found
-        self._joined = Joined()
+        self._joined = ConnectedPairs()
         self._path = found.origins.main.path
 
     def system(self, top: dict[str, Any], overrides: Iterable[str]) -> SystemFile:

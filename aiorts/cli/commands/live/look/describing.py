@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from aiorts.cli.commands.live.ledger import EXACT, ledger_text
 from aiorts.cli.console.output import table
-from aiorts.model.lifecycle import state_texts
+from aiorts.model.lifecycle import state_text
 
 _WIDEST: Final = 60
 _WAYS: Final = {"in": "in", "out": "out", "service": "srv"}
@@ -118,8 +118,7 @@ def _component(name: str, full: str, report: Mapping[str, Any], *, long: bool) -
     if one["doc"]:
         yield f"  {one['doc']}"
     said = {context: f"{state} in {context}" for context, state in one["states"].items()}
-    states = state_texts(said, one.get("overdue", {}))
-    rows = [("state", ", ".join(states.values()) or "in no context"), ("error", one["last_error"] or "")]
+    rows = [("state", state_text(said, one.get("overdue", {}))), ("error", one["last_error"] or "")]
     if (process := _part(report, "processes", "isolation").get(name)) is not None:
         busy = f", busy for {process['busy']:.1f} s" if process["busy"] else ""
         rows.append(("process", f"{process['pid']}{busy if process['runs'] else ', has ended'}"))

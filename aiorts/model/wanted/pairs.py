@@ -1,6 +1,6 @@
 """The rule that two ports are connected once, unless the later connection says otherwise. Pure.
 
-A file is read by it, checked by it, and made the system that is wanted by it.
+It is used where a system file is read (`system/file/parse.py`) and where `Wanted` is made of it (`system/wanting.py`).
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from aiorts.errors import WiringError
 
 
-class Joined:
+class ConnectedPairs:
     """The pairs of ports that connections have joined, and the number of the connection of each."""
 
     def __init__(self) -> None:
