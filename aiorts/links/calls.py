@@ -212,7 +212,7 @@ class FarProvider:
         self._binding = self._again = False
         """Whether a question to bind it is under way, and whether another one has to follow it."""
         self._unheard: tuple[Peer, list[Any]] | None = None
-        """The kernel that was asked to bind it and has not answered, and the names by which that kernel finds the binding."""
+        """The kernel that was asked to bind it and has not answered, and the names by which it finds the binding."""
         self._timer: Cancellable | None = None
         self._changed: list[asyncio.Future[None]] = []
         self._goals: dict[int, tuple[Goal[Any, Any], GoalTypes]] = {}
