@@ -1,6 +1,6 @@
-"""Looks into a kernel: its profile, changes of it, chosen values, heart-beats, listeners of connectors.
+"""Looks into a kernel: its profile, changes of it, chosen values, samples of out-ports, heart-beats, listeners.
 
-It is a service of the kernel, made when somebody first looks. Nothing in it changes the system or takes a sample.
+It is a service of the kernel, made at the first look. Nothing in it changes the system: samples are copied by a tap.
 """
 
 from __future__ import annotations

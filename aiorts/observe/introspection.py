@@ -1,6 +1,6 @@
-"""Looks into a kernel while it runs: streams of changes and of chosen values, heart-beats, listeners of connectors.
+"""Looks into a kernel while it runs: streams of changes, chosen values and samples, heart-beats, listeners.
 
-Nothing here changes the system or takes a sample.
+Nothing here changes the system: samples are copied by a tap.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Introspection(KernelService):
         super().__init__(kernel)
         self._changes: WeakSet[Changes] = WeakSet()
         self._heartbeats: WeakSet[Heartbeat] = WeakSet()
-        self._feeds: set[Feed] = set()
+        self._feeds: WeakSet[Feed[Any]] = WeakSet()
         self._listening: Listening | None = None
 
     def changes(self, length: int) -> Changes:
@@ -51,7 +51,7 @@ class Introspection(KernelService):
 
         check_length("samples", length)
         feed, made = samples_of(self, port, length, keep_last=keep_last)
-        self._feeds = {one for one in self._feeds if not one.ended} | {feed}
+        self._feeds.add(feed)
         return made
 
     def monitor(self, paths: Sequence[str], rate: float) -> Monitor:
@@ -90,7 +90,7 @@ class Introspection(KernelService):
     def stopped(self) -> None:
         for heartbeat in tuple(self._heartbeats):
             heartbeat.stop()
-        for feed in self._feeds:
+        for feed in tuple(self._feeds):
             feed.end()
         if self._listening is not None:
             self._listening.report()

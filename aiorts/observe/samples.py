@@ -36,7 +36,7 @@ class Samples(AsyncIterator[T], Generic[T]):
     still given, but not after `close`.
     """
 
-    def __init__(self, feed: Feed) -> None:
+    def __init__(self, feed: Feed[T]) -> None:
         self._feed = feed
         self._forgotten = weakref.finalize(self, feed.forget)
         self._forgotten.atexit = False
@@ -54,8 +54,8 @@ class Samples(AsyncIterator[T], Generic[T]):
     def close(self) -> None:
         """End it; what waits is not given any more. Idempotent."""
         self._forgotten.detach()
-        self._feed.waiting.clear()
         self._feed.end()
+        self._feed.clear()
 
     async def aclose(self) -> None:
         """As `close`, as asynchronous generators have it."""
@@ -65,7 +65,7 @@ class Samples(AsyncIterator[T], Generic[T]):
         return self
 
     async def __anext__(self) -> T:
-        return await self._feed.next()  # type: ignore[no-any-return]
+        return await self._feed.next()
 
     async def __aenter__(self) -> Self:
         return self
@@ -78,29 +78,32 @@ class Samples(AsyncIterator[T], Generic[T]):
     def __repr__(self) -> str:
         feed = self._feed
         state = "closed" if feed.ended else "open"
-        return f"<Samples {feed.path} {state} {len(feed.waiting)} waiting {feed.dropped} dropped>"
+        return f"<Samples {feed.path} {state} {feed.waiting} waiting {feed.dropped} dropped>"
 
 
-class Feed:
-    """The buffer of one `Samples`, filled by a tap; it does not refer to the iterator, which may go unclosed."""
+class Feed(Generic[T]):
+    """The tap of one `Samples`; it does not refer to the iterator, which may go unclosed."""
 
-    def __init__(self, service: KernelService, out: OutPort[Any], length: int, *, keep_last: bool) -> None:
+    def __init__(self, service: KernelService, out: OutPort[T], length: int, *, keep_last: bool) -> None:
         self.path = out.path
-        self.waiting: deque[Any] = deque()
-        self._length = length
-        self._overrun = 0
+        self._rest: deque[T] = deque()
+        """What waited when the tap was closed."""
         self._waiter: asyncio.Future[None] | None = None
         self._kernel: Microkernel = service.kernel
         self._connector: Connector = service.kernel.connections.tap(
-            service, out, self._take, length=length, keep_last=keep_last
+            service, out, lambda _: self._wake(), length=length, keep_last=keep_last
         )
         self._unsubscribe = when_removed(service.kernel.bus, out.path, lambda _: self.end())
-        self._take(self._connector.in_)  # what was kept
 
     @property
     def dropped(self) -> int:
-        """Samples that found no room here, or before in the tap."""
-        return self._overrun + sum(self._connector.statistics.dropped.values())
+        """Samples that found no room in the tap."""
+        return sum(self._connector.statistics.dropped.values())
+
+    @property
+    def waiting(self) -> int:
+        """Samples that can be given at once."""
+        return len(self._rest) if self.ended else self._kernel.connections.unread(self._connector)
 
     @property
     def ended(self) -> bool:
@@ -109,17 +112,21 @@ class Feed:
 
     def end(self) -> None:
         """Take nothing more; what waits is still given. Idempotent."""
-        if not self._connector.closed:
-            self._take(self._connector.in_)  # what a thread has written at last
+        if not self.ended:
+            self._rest.extend(self._connector.in_.drain())
             self._connector.close()
         self._unsubscribe()
         self._wake()
 
+    def clear(self) -> None:
+        """Give nothing of what waits, once it has ended."""
+        self._rest.clear()
+
     def forget(self) -> None:
-        """As `end`, from any thread: who held it is gone."""
+        """As `end`, from any thread: the iterator is gone."""
         self._kernel.call_on_loop(self.end)
 
-    async def next(self) -> Any:
+    async def next(self) -> T:
         """The oldest sample that waits; StopAsyncIteration when none comes any more."""
         if self._waiter is not None:
             raise BusyError(f"{self.path}: another task iterates these samples; one at a time")
@@ -131,14 +138,8 @@ class Feed:
                 await self._waiter
             finally:
                 self._waiter = None
-        return self.waiting.popleft()
-
-    def _take(self, tap: InPort[Any]) -> None:
-        self.waiting.extend(tap.drain())
-        while len(self.waiting) > self._length:
-            self.waiting.popleft()
-            self._overrun += 1
-        self._wake()
+        sample: T = self._rest.popleft() if self.ended else self._connector.in_.read_nowait()
+        return sample
 
     def _wake(self) -> None:
         waiter = self._waiter
@@ -184,7 +185,7 @@ def when_removed(bus: Bus, path: str, call: Callable[[str], object]) -> Callable
 
 def samples_of(
     service: KernelService, port: OutPort[Any] | str, length: int, *, keep_last: bool
-) -> tuple[Feed, Samples[Any]]:
+) -> tuple[Feed[Any], Samples[Any]]:
     """The feed of an out-port of this kernel and the iterator over it. See `Kernel.samples`."""
     kernel = service.kernel
     if isinstance(port, str) and kernel.registry.is_elsewhere(port):
@@ -199,5 +200,5 @@ def samples_of(
         raise WiringError(f"samples({out!r:.100}): expected an out-port of a component of this kernel, or its path")
     if type(keep_last) is not bool:
         raise ConfigurationError(f"samples: keep_last = {keep_last!r:.60}: expected True or False")
-    feed = Feed(service, out, length, keep_last=keep_last)
+    feed: Feed[Any] = Feed(service, out, length, keep_last=keep_last)
     return feed, Samples(feed)

@@ -81,11 +81,13 @@ def field(*, default_factory: Callable[[], T], unit: str = "", doc: str = "") ->
 def field(*, unit: str = "", doc: str = "") -> Any: ...
 
 
-def field(*, default: Any = MISSING, default_factory: Any = MISSING, unit: str = "", doc: str = "") -> Any:
+def field(
+    *, default: Any = dataclasses.MISSING, default_factory: Any = dataclasses.MISSING, unit: str = "", doc: str = ""
+) -> Any:
     """Declare a field of a record, or of a dataclass, with what `aiorts types`, schemas and plots say of it.
 
-    `angle: float = field(default=0.0, unit="rad")`. Two ports whose fields of one name have different units are not
-    connected, as those with different `unit=` are not.
+    `angle: float = field(default=0.0, unit="rad")`. Two ports are not connected when a field has
+    different units at the two ends, as with `unit=` of ports.
 
     Args:
         default, default_factory: as `dataclasses.field` has them.
@@ -95,9 +97,7 @@ def field(*, default: Any = MISSING, default_factory: Any = MISSING, unit: str =
     for name, text in (("unit", unit), ("doc", doc)):
         if not isinstance(text, str):
             raise DeclarationError(f"field: {name} = {text!r:.60}: expected text")
-    given = {"default": default, "default_factory": default_factory}
-    known = {name: value for name, value in given.items() if value is not MISSING}
-    made: Any = dataclasses.field(**known, metadata={"unit": unit, "doc": doc})
+    made: Any = dataclasses.field(default=default, default_factory=default_factory, metadata={"unit": unit, "doc": doc})
     return made
 
 

@@ -125,8 +125,10 @@ def units_of(cls: type) -> dict[str, str]:
     def walk(kind: type, prefix: str, outer: str) -> None:
         for field in describe(kind).fields:
             path, unit = f"{prefix}{field.name}", field.unit or outer
-            if field.record is not None and dataclasses.is_dataclass(field.record):
-                walk(field.record, f"{path}.", unit)
+            kind_of_value = getattr(field.kind, "inner", field.kind)  # of a field that may be absent
+            nested = getattr(getattr(kind_of_value, "item", kind_of_value), "cls", None)
+            if isinstance(nested, type) and dataclasses.is_dataclass(nested):
+                walk(nested, f"{path}.", unit)
             elif unit:
                 found[path] = unit
 

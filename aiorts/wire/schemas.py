@@ -70,8 +70,7 @@ def _type_schema(cls: type, as_json: bool) -> dict[str, Any]:
 def without_units(schema: Any) -> Any:
     """The document without the units of its fields: records that differ in units alone have one type."""
     if isinstance(schema, dict):
-        is_field = "type" in schema or "anyOf" in schema
-        return {key: without_units(one) for key, one in schema.items() if key != _UNIT or not is_field}
+        return {key: without_units(one) for key, one in schema.items() if key != _UNIT}
     return [without_units(one) for one in schema] if isinstance(schema, list) else schema
 
 

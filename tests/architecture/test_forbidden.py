@@ -51,14 +51,17 @@ BROAD_EXCEPT = {
     # Round what a kernel asks of the process of a component: whatever it fails with is the answer.
     "aiorts/cli/runtime/component_process.py:_operate",
     # Round a plugin's transport while it is made.
-    "aiorts/links/connecting.py:ask",
     "aiorts/links/reaching.py:find_transport",
-    # Round the questions and channels of a transport, which a plugin may offer: a link that is not tried again is lost.
+    # Round a question that a transport carries, and round the channels of one, which a plugin may offer: a link that
+    # is not tried again is lost.
+    "aiorts/links/connecting.py:ask",
     "aiorts/links/ends.py:_asked",
     "aiorts/links/ends.py:_opened",
     # Round a sample of another kernel: its class may check values in its own way, and the next ones still come.
     "aiorts/links/call_values.py:restored",
     "aiorts/links/reader_link.py:_deliver",
+    # Round a recorded sample, as above: the others are replayed, and the run ends.
+    "plugins/aiorts_log/playing/read_ahead.py:_read",
     # Round the answer to another kernel, which must not wait for its time-out because of a fault here.
     "aiorts/links/transport.py:answer_of",
     # Round what cuts off a name that was revoked: the other links of it, and the other names, are cut off all the same.

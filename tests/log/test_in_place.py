@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from aiorts.model.lifecycle import HOOKS
 from aiorts.testing import check_service
 from aiorts.types import TimedDouble, TimedLong
 from aiorts_log import RecordingWriter
+from aiorts_log.playing import in_place
 from aiorts_log.playing.in_place import InPlace
 from log_parts import BEGIN, MS, read
 from run_parts import here
@@ -156,6 +158,54 @@ def test_a_state_machine_and_modes_are_replayed_and_do_nothing_of_themselves(fol
     done = here(folder, "run", "system.toml", "--replay", "run.mcap", *words)
     assert done.returncode == 0, done.stderr
     assert answers(folder) == {"camera.out": [*range(COUNT)]}
+
+
+CHECKED = """\
+from aiorts import Component, OutPort
+from aiorts.types import record
+
+@record
+class Level:
+    tm: int = 0
+    data: float = 0.0
+    def __post_init__(self):
+        assert self.data >= CHECKS
+
+class Source(Component):
+    out = OutPort(Level)
+    count = 0
+    def on_execute(self):
+        self.count += 1
+        self.out.write_nowait(Level(self.clock.time_ns(), -1.0 if self.count in (3, 5) else float(self.count)))
+        if self.count == 8:
+            self.finish()
+"""
+
+
+def test_samples_that_their_own_class_refuses_are_left_out_and_the_run_ends(folder: Path) -> None:
+    """It never ended, without a word: the error of the class had ended the replay alone."""
+    (folder / "levels.py").write_text(CHECKED.replace("CHECKS", "-9.0"))
+    system = 'schema = 1\ncomponents.source.type = "levels.py:Source"\n'
+    system += 'contexts.all = { kind = "periodic", rate = 100.0, members = ["source"] }\n'
+    (folder / "levels.toml").write_text(system)
+    assert here(folder, "run", "levels.toml", "--simulate", "--record", "levels.mcap").returncode == 0
+    (folder / "levels.py").write_text(CHECKED.replace("CHECKS", "0.0"))
+    done = here(folder, "run", "levels.toml", "--replay", "levels.mcap", "--simulate", "--print", "*")
+    assert done.returncode == 1, done.stderr
+    assert "2 samples are none of their type" in done.stderr
+    assert [json.loads(line)["data"] for line in done.stdout.splitlines()] == [1.0, 2.0, 4.0, 6.0, 7.0, 8.0]
+
+
+def test_replay_prints_what_the_run_with_the_same_recording_prints(folder: Path) -> None:
+    given = ("--simulate", "--print", "double.out")
+    done = here(folder, "replay", "run.mcap", "system.toml", "--absolute", *given)
+    same = here(folder, "run", "system.toml", "--replay", "run.mcap", "--replay-absolute", *given)
+    assert (done.returncode, done.stdout) == (same.returncode, same.stdout)
+    assert done.stdout.count("double.out") == COUNT
+
+
+def test_no_hook_of_a_component_that_is_replayed_is_left_out() -> None:
+    assert {*in_place._HOOKS} == {*HOOKS}
 
 
 def test_alone_it_prints_the_samples(folder: Path) -> None:

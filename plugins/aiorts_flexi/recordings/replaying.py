@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from aiorts import OutPort, WouldBlock
+from aiorts import OutPort
 from aiorts.errors import ConfigurationError, StateError
 from aiorts.exits import FAILED
 from aiorts_flexi.common.options import Option
@@ -206,7 +206,6 @@ class Replaying:
             ),
             clock=logger.clock,
             sleep=logger.sleep,
-            send=_send,
             notify=self._warn,
         )
         if plan.paused:
@@ -318,10 +317,3 @@ class Replaying:
         else:
             player.pause()
         return True
-
-
-async def _send(port: Any, record: Any) -> None:
-    try:
-        port.write_nowait(record)
-    except WouldBlock:
-        await port.write(record)

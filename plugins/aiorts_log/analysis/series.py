@@ -8,6 +8,7 @@ from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from itertools import islice
 from operator import attrgetter
 from typing import Any, Final
 
@@ -233,16 +234,11 @@ def read_series(
 
 def numeric_fields(reader: Recording, start: int | None, end: int | None) -> list[str]:
     """PORT.FIELD of all that the first samples of each port have numbers in, but for stamps and long sequences."""
-    looked = dict.fromkeys(reader.ports, 0)
-    found: dict[str, dict[str, None]] = {name: {} for name in reader.ports}
-    names = {id(port): name for name, port in reader.ports.items()}
-    for sample in reader.samples(start=start, end=end):
-        name = names[id(sample.port)]
-        found[name] |= dict.fromkeys(_numeric(values_of(sample), name))
-        looked[name] += 1
-        if looked[name] >= _LOOKED and all(n >= min(_LOOKED, reader.ports[one].count) for one, n in looked.items()):
-            break
-    return [path for paths in found.values() for path in paths]
+    found: list[str] = []
+    for name in reader.ports:
+        few = islice(reader.samples(start=start, end=end, ports=[name]), _LOOKED)
+        found += dict.fromkeys(path for sample in few for path in _numeric(values_of(sample), name))
+    return found
 
 
 def _numeric(value: Any, path: str, *, top: bool = True) -> Iterator[str]:

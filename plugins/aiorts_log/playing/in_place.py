@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts import Component, InPort, KernelService, OutPort, StateMachineComponent, WouldBlock, setting
+from aiorts import Component, InPort, KernelService, OutPort, StateMachineComponent, setting
 from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.exits import FAILED
 from aiorts.statechart import Chart, State
@@ -34,16 +34,16 @@ from aiorts_log.text.opening import open_recording
 if TYPE_CHECKING:
     from aiorts_log.mcap.reader import RecordedPort
 
-__all__ = ("InPlace", "ReplaySettings", "send")
+__all__ = ("InPlace", "ReplaySettings")
 
 _LOG = logging.getLogger(__name__)
 _NS: Final = 1_000_000_000
 _SHOWN: Final = 10
 _HOOKS: Final = (
     *("on_initialize", "on_finalize", "on_startup", "on_shutdown", "on_activated", "on_deactivated", "on_execute"),
-    *("on_state_update", "on_rate_changed", "on_reset"),
+    *("on_state_update", "on_rate_changed", "on_reset", "on_error", "on_aborting"),
 )
-_HOOKS_OF_ERRORS: Final = ("on_error", "on_aborting")
+"""All hooks of components; a test compares them with the kernel's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,15 +95,14 @@ class InPlace(KernelService):
         if settings.file is None:
             return
         self._settings, self._path = settings, settings.file
-        self._recorded: dict[str, list[RecordedPort]] = {}
-        self._keys: dict[str, list[str]] = {}
+        self._recorded: dict[str, dict[str, RecordedPort]] = {}
+        """By the path of an out-port: the recorded ports of that path by their keys in the recording."""
         self._in_place: dict[str, frozenset[str]] = {}
         """The components in whose place others stand, each with the paths of its ports that are replayed."""
         try:
             with open_recording(settings.file) as reader:
                 for key, port in reader.ports.items():
-                    self._recorded.setdefault(port.name, []).append(port)
-                    self._keys.setdefault(port.name, []).append(key)
+                    self._recorded.setdefault(port.name, {})[key] = port
                 self._first = reader.start
         except RecordingError as error:
             raise ConfigurationError(str(error)) from error
@@ -144,7 +143,7 @@ class InPlace(KernelService):
         return _without_hooks(cls)
 
     def _check(self, path: str, wanted: Any) -> None:
-        for port in self._recorded[path]:
+        for port in self._recorded[path].values():
             if port.unknown and port.count:
                 raise ConfigurationError(f"{self._path}: port {path!r}: {port.unknown}")
             there = port.type
@@ -190,7 +189,7 @@ class InPlace(KernelService):
             key: (kernel.components[name].ports[path.partition(".")[2]], port.type)
             for name, paths in self._in_place.items()
             for path in sorted(paths)
-            for key, port in zip(self._keys[path], self._recorded[path], strict=True)
+            for key, port in self._recorded[path].items()
             if port.count
         }
         self._player = Player(
@@ -203,13 +202,14 @@ class InPlace(KernelService):
             ),
             clock=kernel.clock,
             sleep=kernel.sleep,
-            send=send,
             notify=self._warn,
         )
         _LOG.info("replays %s in the place of %s", self._path, _list(self._in_place))
         self._task = asyncio.get_running_loop().create_task(self._play(self._player), name="replay")
 
     async def _play(self, player: Player) -> None:
+        """Play to the end; whatever ends it, the components have finished then, and the run goes on to its own end."""
+        lost = True
         try:
             await player.play()
             if player.fault:
@@ -217,15 +217,18 @@ class InPlace(KernelService):
             if not player.sent:
                 self._warn("nothing was replayed: it has no sample of these ports in this time")
             lost = player.loses
+        except asyncio.CancelledError:
+            lost = False
+            raise
         except AiortsError as error:
             _LOG.error("%s: %s", self._path, str(error).removeprefix(f"{self._path}: "))
-            lost = True
-        if lost:
-            self.kernel.exit_status = self.kernel.exit_status or FAILED
+        finally:
+            if lost:
+                self.kernel.exit_status = self.kernel.exit_status or FAILED
+            for name in self._in_place:
+                if (component := self.kernel.components.get(name)) is not None:
+                    component.finish()
         _LOG.info("replayed %d samples of %s", player.sent, self._path)
-        for name in self._in_place:
-            if (component := self.kernel.components.get(name)) is not None:
-                component.finish()
 
     def _warn(self, text: str) -> None:
         _LOG.warning("%s: %s", self._path, text)
@@ -235,23 +238,14 @@ class InPlace(KernelService):
         if task is not None:
             task.cancel()
             await asyncio.wait({task}, timeout=1.0)
-
-
-async def send(port: OutPort[Any], sample: Any) -> None:
-    """Write a sample, and wait where there is no room."""
-    try:
-        port.write_nowait(sample)
-    except WouldBlock:
-        await port.write(sample)
+            if task.done() and not task.cancelled() and (error := task.exception()) is not None:
+                _LOG.error("%s: its replay failed", self._path, exc_info=error)
 
 
 def _without_hooks(cls: type[Component]) -> type[Component]:
     """The class with its ports and parameters, none of whose hooks does anything."""
 
-    def nothing(self: Component) -> None:
-        """It is replayed, and does nothing of itself."""
-
-    def nothing_of(self: Component, error: BaseException) -> None:
+    def nothing(self: Component, *_: object) -> None:
         """It is replayed, and does nothing of itself."""
 
     # By the original's name it is listed, and saved.
@@ -262,8 +256,6 @@ def _without_hooks(cls: type[Component]) -> type[Component]:
     # Set afterwards: a class of state machines that defines the hooks in which its machine runs is refused.
     for hook in _HOOKS:
         setattr(made, hook, nothing)
-    for hook in _HOOKS_OF_ERRORS:
-        setattr(made, hook, nothing_of)
     return made
 
 

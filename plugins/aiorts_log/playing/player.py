@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
-from aiorts import Clock, SimulatedClock
+from aiorts import Clock, OutPort, SimulatedClock, WouldBlock
 from aiorts.types import with_tm
 from aiorts_log.playing.read_ahead import ReadAhead, Reading
 from aiorts_log.playing.schedule import Pace, Schedule
@@ -25,6 +25,14 @@ _LONGEST_SLEEP: Final = 100_000 * 1_000_000_000
 _PAUSE: Final = 0.001
 """Seconds after a pass that took no time: endless passes would otherwise stop simulated time."""
 _STAMP_LIMIT: Final = 2**32 * 1_000_000_000
+
+
+async def to_port(port: OutPort[Any], sample: Any) -> None:
+    """Write a sample, and wait where there is no room."""
+    try:
+        port.write_nowait(sample)
+    except WouldBlock:
+        await port.write(sample)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +62,7 @@ class Player:
         reading: what is played.
         playing: how.
         clock: whose time it keeps; sleep: waits for seconds of it.
-        send: sends a sample, and may wait.
+        send: sends a sample, and may wait; by default it writes to the target, an out-port.
         notify: called with a sentence about a problem found.
 
     Attributes:
@@ -70,7 +78,7 @@ class Player:
         *,
         clock: Clock,
         sleep: Callable[[float], Awaitable[None]],
-        send: Send,
+        send: Send = to_port,
         notify: Callable[[str], None],
     ) -> None:
         self.sent = self.gaps = self.left_out = 0

@@ -14,7 +14,6 @@ from functools import partial
 from itertools import pairwise
 from typing import Any, Final, Literal, NamedTuple, TypeVar
 
-from aiorts.errors import RecordError, WireError
 from aiorts.types import has_tm
 from aiorts_log.errors import RecordingError
 from aiorts_log.mcap.reader import RecordedSample, Recording
@@ -168,7 +167,7 @@ class ReadAhead:
                 target, decode, stamped = routes[port.id]
                 try:
                     found.append((target, log_time, decode(data), stamped))
-                except (WireError, RecordError) as error:
+                except Exception as error:  # noqa: BLE001 - the class's own check of its values may raise anything
                     self._note(port.name, error)
                     continue
                 size += len(data)
