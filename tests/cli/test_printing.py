@@ -22,6 +22,31 @@ def test_each_sample_of_the_named_ports_is_a_line(tmp_path: Path, how: tuple[str
     assert lines == [{"port": "counter.out", "type": "TimedLong", "tm": 0, "data": n} for n in range(40)]
 
 
+@pytest.mark.slow(kept_by="test_each_sample_of_the_named_ports_is_a_line")
+def test_a_port_of_a_component_in_a_process_of_its_own_is_printed(tmp_path: Path) -> None:
+    """The way to it had no name: "path '.1': component name '': is empty"."""
+    system = folder_of(tmp_path) / "system.toml"
+    text = system.read_text().replace('type = "parts.py:Counter"', 'type = "parts.py:Counter"\nisolation = "process"')
+    system.write_text(text.replace("params.count = 1000000", ""))
+    done = here(tmp_path, "run", "system.toml", "--print", "counter.out", "--set", "counter.count=5")
+    assert done.returncode == 0, done.stderr
+    assert [json.loads(line)["data"] for line in done.stdout.splitlines() if line.startswith("{")] == [*range(5)]
+
+
+def test_json_says_why_a_system_could_not_be_made(tmp_path: Path) -> None:
+    folder_of(tmp_path)
+    (tmp_path / "parts.py").write_text(
+        (tmp_path / "parts.py").read_text()
+        + "\nclass Broken(Sink):\n    def on_initialize(self):\n        raise RuntimeError('no camera')\n"
+    )
+    system = tmp_path / "system.toml"
+    system.write_text(system.read_text().replace('"parts.py:Sink"', '"parts.py:Broken"'))
+    done = here(tmp_path, "run", "system.toml", "--json", "--simulate")
+    document = json.loads(done.stdout)
+    assert (done.returncode, document["status"]) == (1, 1)
+    assert "no camera" in document["error"]["text"]
+
+
 def test_a_port_that_is_not_there_is_refused_with_the_nearest(tmp_path: Path) -> None:
     folder_of(tmp_path)
     done = here(tmp_path, "run", "system.toml", "--print", "counter.ouf")
