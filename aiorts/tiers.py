@@ -1,6 +1,6 @@
-"""How much of aiorts stays the same: three tiers, and which commands and pages of the guide belong to the latter two.
+"""How much of aiorts stays the same: three tiers, and which commands and pages are provisional or experimental.
 
-What neither names is stable. The page `stability` of the guide says what a tier promises, and lists the stable names.
+What neither tier names is stable. The page `stability` of the guide says what a tier promises, and lists the stable names.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ class Tier(NamedTuple):
     promise: str
     """The promise about its names, in half a sentence."""
     things: tuple[str, ...]
+    """What belongs to it, as README and the page `stability` name it."""
     commands: frozenset[str]
     pages: frozenset[str]
 
@@ -54,14 +55,14 @@ EXPERIMENTAL: Final = Tier(
     frozenset(("at", "certs", "router", "import", "export", "reload", "foxglove")),
     frozenset(("connect-hosts", "secure-network", "run-fleet", "openrtm-files", "replace-code", "foxglove-live")),
 )
-LATTER: Final = (PROVISIONAL, EXPERIMENTAL)
+NOT_STABLE: Final = (PROVISIONAL, EXPERIMENTAL)
 
 
 def tier_of_command(name: str) -> Tier | None:
     """The tier of a command that is not stable."""
-    return next((one for one in LATTER if name in one.commands), None)
+    return next((one for one in NOT_STABLE if name in one.commands), None)
 
 
 def tier_of_page(name: str) -> Tier | None:
     """The tier of a page about something that is not stable."""
-    return next((one for one in LATTER if name in one.pages), None)
+    return next((one for one in NOT_STABLE if name in one.pages), None)

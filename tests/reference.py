@@ -19,7 +19,7 @@ from typing import Any, Final
 import click
 
 from aiorts.guide import pages
-from aiorts.tiers import LATTER, tier_of_page
+from aiorts.tiers import NOT_STABLE, tier_of_page
 from reference_api import api, events, statistics
 from reference_source import WIDTH, block, doc_of, item, listed, one_line
 
@@ -512,7 +512,7 @@ def links_page(text: str) -> str:
     return _PART.sub("".join(parts) + "\n", text)
 
 
-_NOTE: Final = re.compile(rf"^\*(?:{'|'.join(tier.name for tier in LATTER)}): .*\*\n\n", re.MULTILINE)
+_NOTE: Final = re.compile(rf"^\*(?:{'|'.join(tier.name for tier in NOT_STABLE)}): .*\*\n\n", re.MULTILINE)
 
 
 def noted(name: str, text: str) -> str:

@@ -79,7 +79,7 @@ _COMMANDS: Final = {
 _HIDDEN: Final = {"kernel": ("aiorts.cli.runtime.process_kernel:kernel", "")}
 """Commands that aiorts itself calls; no help names them."""
 _NO_TYPES: Final = tuple(f"aiorts.cli.{one}" for one in ("commands.live.", "commands.helping", "console.", "demo."))
-"""Where commands are that load no types: they look at what runs, or at nothing."""
+"""Modules of the commands that load no types: those that look at what runs, or at nothing."""
 _FULL: Final = (errno.ENOSPC, errno.EIO, errno.EFBIG)
 _SHOWN: Final = 60
 """Names of components that a message has, and `aiorts help commands`."""
@@ -183,7 +183,7 @@ class _LazyGroup(HelpfulGroup):
             )
 
     def format_all(self, formatter: click.HelpFormatter) -> None:
-        """What `aiorts help commands` shows: each command and its sentence; nothing is imported for them."""
+        """Write the list of `aiorts help commands`: each command with its sentence; nothing is imported for it."""
         lines = _lines()
         placed = write_sections(formatter, lines, daily=False)
         if others := [(name, line) for name, line in lines.items() if name not in placed]:
@@ -207,7 +207,7 @@ def _names(names: Sequence[str], most: int) -> str:
 
 
 def _of_a_tier(command: click.Command, name: str) -> click.Command:
-    """The command, whose help says so if it is not stable."""
+    """Add the line of its tier to the help of a command that is not stable."""
     tier, said = tier_of_command(name), cleandoc(command.help or "")
     if tier is not None and tier.line not in said:
         command.help = f"{said}\n\n{tier.line}"

@@ -13,53 +13,34 @@ import click
 from click.shell_completion import CompletionItem
 
 _SECTIONS: Final = (
-    ("Begin", ("demo", "new", "doctor", "help")),
-    ("Systems", ("run", "check", "graph", "plan", "apply", "schema")),
-    (
-        "Look at what runs",
-        (*("ls", "cat", "top", "print", "vlog", "find", "hz", "bw", "delay"), *("watch", "fsm")),
-    ),
+    ("Begin", "demo new doctor help", ""),
+    ("Systems", "run check graph", "plan apply schema"),
+    ("Look at what runs", "ls cat top print vlog", "find hz bw delay watch fsm"),
     (
         "Change what runs",
-        (
-            *(
-                "conf",
-                "connect",
-                "activate",
-                "stop",
-                "disconnect",
-                "deactivate",
-                "reset",
-                "comp",
-                "ctx",
-                "call",
-                "goal",
-            ),
-            *("inject", "reload", "save", "batch", "exit"),
-        ),
+        "conf connect activate stop",
+        "disconnect deactivate reset comp ctx call goal inject reload save batch exit",
     ),
-    ("Recordings and figures", ("record", "replay", "log", "bench")),
-    ("What there is", ("inspect", "doc", "types", "plugins", "filter", "completion")),
-    ("Other machines and programs", ("at", "router", "certs", "foxglove", "import", "export")),
-    ("Short for others", ("act", "con", "deact", "dis")),
+    ("Recordings and figures", "record replay log bench", ""),
+    ("What there is", "", "inspect doc types plugins filter completion"),
+    ("Other machines and programs", "", "at router certs foxglove import export"),
+    ("Short for others", "", "act con deact dis"),
 )
-"""Commands of aiorts, and of the plugins that come with it, in the order in which the help has them."""
-_DAILY: Final = frozenset(
-    (
-        *("demo", "new", "doctor", "help", "run", "check", "graph", "ls", "cat", "top", "print", "vlog", "conf"),
-        *("connect", "activate", "stop", "record", "replay", "log", "bench"),
-    )
-)
-"""What the first screen names, whatever plugin offers it."""
+"""Sections of the help: title, the commands of the first screen, and the others, in their order. The commands are those
+of aiorts and of the plugins that come with it."""
 
 
 def write_sections(formatter: click.HelpFormatter, lines: Mapping[str, str], *, daily: bool) -> set[str]:
-    """The commands among `lines` (name -> its sentence) that have a section, or the daily ones of them; their names."""
-    placed = {name for _, names in _SECTIONS for name in names if name in lines}
+    """Write the sections of the commands among `lines` (name -> its sentence), or only the daily ones.
+
+    Returns:
+        the names that have a section.
+    """
+    placed = {name for _, *names in _SECTIONS for name in " ".join(names).split() if name in lines}
     width = max(map(len, placed), default=0)
-    for title, names in _SECTIONS:
-        rows = [(name.ljust(width), lines[name]) for name in names if name in placed and (name in _DAILY or not daily)]
-        if rows:
+    for title, often, others in _SECTIONS:
+        names = (often if daily else f"{often} {others}").split()
+        if rows := [(name.ljust(width), lines[name]) for name in names if name in placed]:
             with formatter.section(title):
                 formatter.write_dl(rows)
     return placed

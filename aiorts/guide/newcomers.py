@@ -1,4 +1,4 @@
-"""The words that a newcomer types, and the page that answers each: what the pages themselves call otherwise, or not.
+"""The words that a newcomer types, and the page that answers each: including words that the page does not use.
 
 A word for what aiorts does not have leads to the page that says so.
 """

@@ -10,7 +10,7 @@ from test_layers import ROOT
 
 import aiorts.types
 from aiorts.guide import headings, page
-from aiorts.tiers import LATTER
+from aiorts.tiers import NOT_STABLE
 
 FEWEST = {"aiorts": 28, "aiorts.testing": 5, "aiorts.types": 184, "aiorts_log": 12}
 """How many names of a module were stable once: the list of the page cannot be made shorter unnoticed."""
@@ -49,6 +49,6 @@ def test_readme_and_the_page_name_what_belongs_to_each_tier() -> None:
     assert found is not None
     texts = [" ".join(text.split()) for text in (found.text, (ROOT / "README.md").read_text(encoding="utf-8"))]
     for text in texts:
-        for tier in LATTER:
+        for tier in NOT_STABLE:
             for thing in tier.things:
                 assert thing.lower() in text.lower(), (tier.name, thing)

@@ -21,7 +21,7 @@ from aiorts.cli.app import run_command
 from aiorts.cli.console.codes import CODES
 from aiorts.errors import AiortsError, MissingExtra
 from aiorts.guide import pages
-from aiorts.tiers import EXPERIMENTAL, LATTER, PROVISIONAL, tier_of_command
+from aiorts.tiers import EXPERIMENTAL, NOT_STABLE, PROVISIONAL, tier_of_command
 from run_parts import here
 
 PRINTED = re.compile(r'"(?:aiorts: )?([EWN]-[A-Z][A-Z-]*)[":]')
@@ -164,7 +164,7 @@ def test_a_command_says_that_it_is_not_stable_in_one_line_of_its_help(capsys: py
 def test_what_the_tiers_name_exists_and_whatever_reaches_a_running_kernel_is_provisional_at_most() -> None:
     root = aiorts.cli.app.aiorts
     names = set(root.list_commands(click.Context(root)))
-    for tier in LATTER:
+    for tier in NOT_STABLE:
         assert sorted(tier.commands - names) == []
         assert sorted(tier.pages - {page.name for page in pages()}) == []
     live = {name for name, (target, _) in root.own.items() if target.startswith("aiorts.cli.commands.live.")}

@@ -19,7 +19,7 @@ from test_layers import PUBLIC, ROOT
 from aiorts import events
 from aiorts.cli.app import run_command
 from aiorts.guide import pages
-from aiorts.tiers import LATTER
+from aiorts.tiers import NOT_STABLE
 from reference import FOLDER, HEADS, LINKS, links_page, noted, page
 from reference_api import report_class
 
@@ -64,7 +64,7 @@ def test_a_page_about_something_that_is_not_stable_says_so_below_its_title_and_n
     said = {
         one.name: one.text.splitlines()[2].partition(":")[0] for one in pages() if one.text.splitlines()[2][0] == "*"
     }
-    assert said == {name: f"*{tier.name}" for tier in LATTER for name in tier.pages}
+    assert said == {name: f"*{tier.name}" for tier in NOT_STABLE for name in tier.pages}
 
 
 def test_every_public_name_has_an_entry() -> None:

@@ -406,7 +406,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "W-FILE": Code(
         "A parameter is a path, and its class does not say what the component does with the file.",
-        "It counts as a file that is written: clients without the right code may name only files below --files.",
+        "It counts as a file that is written: clients that lack the right 'code' may name only files below --files.",
         'Declare it with Param(..., file="read"), or file="write".',
     ),
     "W-LATE": Code(
