@@ -15,7 +15,7 @@ class Tier(NamedTuple):
     promise: str
     """The promise about its names, in half a sentence."""
     things: tuple[str, ...]
-    """What belongs to it, as README and the page `stability` name it."""
+    """The parts of aiorts that belong to it, as README and the page `stability` name them."""
     commands: frozenset[str]
     pages: frozenset[str]
 

@@ -130,7 +130,7 @@ class Reach:
     async def _open(self) -> None:
         kernel = self._links.kernel
         if self._transport is None and isinstance(kernel.clock, SimulatedClock):
-            # With a peer in real time, simulated time stood still for ever: it waits for all that is under way.
+            # Simulated time waits for what is under way: with a peer in real time it stood still.
             _LOG.warning("W-LINK: on a simulated clock no kernel of another process is reached: its time is another")
             return
         self._transport = self._transport or find_transport(self._name, kernel.plugins)

@@ -236,7 +236,7 @@ class SystemProfile:
         return json.dumps(self.to_plain(), ensure_ascii=False, allow_nan=False, indent=indent)
 
     def structure(self) -> SystemProfile:
-        """The same without what changes without an event: time, ledgers, statistics, log lines, pauses, hooks
+        """The profile without what changes without an event: time, ledgers, statistics, log lines, pauses, hooks
         that are late, what a state machine remembers, timers, modes that are pending."""
         return replace(
             self,

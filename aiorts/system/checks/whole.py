@@ -256,7 +256,7 @@ def _unstarted(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
     for connection in found.system.connections:
         profile = found.profiles.get(connection.number)
         if profile is not None and profile[0].dataflow is not Dataflow.PUSH:
-            continue  # a pull wakes nobody
+            continue  # a pull wakes no reader
         out, *ins = connection.ports
         for in_ in ins:
             writer, reader = out.partition(".")[0], in_.partition(".")[0]
