@@ -1,6 +1,6 @@
 """How much of aiorts stays the same: three tiers, and which commands and pages are provisional or experimental.
 
-What neither tier names is stable. The page `stability` of the guide says what a tier promises, and lists the stable names.
+What neither tier names is stable. The page `stability` of the guide has the promises, and the stable names.
 """
 
 from __future__ import annotations

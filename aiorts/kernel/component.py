@@ -186,8 +186,9 @@ class Component(Configurable):
         Of several it is in error where one is, else active where one is; `states` has each. In a call that it serves it
         is active where it is active in any.
         """
-        running = cell(self).running
-        return joint(self.states.values()) if running is None else running.state
+        here = cell(self)
+        running = here.running
+        return joint(member.state for member in here.members) if running is None else running.state
 
     @property
     def has_finished(self) -> bool:

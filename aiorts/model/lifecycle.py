@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
-from typing import Any
+from typing import Any, Final
 
 from aiorts.late import dataclass
 
@@ -27,9 +27,7 @@ class LifecycleState(StrEnum):
 
 def joint(states: Iterable[LifecycleState]) -> LifecycleState | None:
     """The one state of a component that has these states in its contexts; None without any."""
-    there = set(states)
-    order = (LifecycleState.ERROR, LifecycleState.ACTIVE, LifecycleState.INACTIVE)
-    return next((state for state in order if state in there), None)
+    return max(states, key=_WEIGHT.__getitem__, default=None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +58,9 @@ def state_text(states: Mapping[str, str], overdue: Mapping[str, Mapping[str, Any
 
 def _overdue_text(hook: str, running_ns: int, deadline_ns: int, **_later: Any) -> str:
     return f"{hook or 'a hook'} for {running_ns / 1e9:.1f} s (deadline {deadline_ns / 1e9:g} s)"
+
+
+_WEIGHT: Final = {LifecycleState.INACTIVE: 0, LifecycleState.ACTIVE: 1, LifecycleState.ERROR: 2}
 
 
 class Event(StrEnum):

@@ -40,7 +40,9 @@ class ControlSettings:
     name: str = setting("", "The name by which other terminals reach the run; PROGRAM-PID by default.", option="--name")
     program: str = setting("", "What its name begins with where it has none.")
     files: Path | None = setting(
-        None, "The folder below which clients that lack the right 'code' may name files; none by default.", option="--files"
+        None,
+        "The folder below which clients that lack the right 'code' may name files; none by default.",
+        option="--files",
     )
 
     def __post_init__(self) -> None:
