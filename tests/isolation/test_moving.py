@@ -242,6 +242,23 @@ async def test_one_that_runs_on_data_goes_on_and_is_supervised_there() -> None:
 
 
 @pytest.mark.slow
+async def test_one_that_was_active_is_nowhere_one_that_was_not_active_yet(caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel() as kernel:
+        feed, echo = await kernel.add(Feed("feed")), await kernel.add(Echo("echo"))
+        await kernel.connect(feed.out, echo.inp, name="wire")
+        context = await kernel.start(EventContext(name="loop"), echo, activate=True)
+        await context.deactivate(echo)
+        with fail_after(30):
+            back = await kernel.move(await kernel.move(echo, "process"), context)
+        assert back.state is LifecycleState.INACTIVE
+        feed.out.write_nowait(TimedLong(0, 1))
+        await sleep(0)
+        await sleep(0)  # it is said in the turn after the write
+        assert kernel.connectors["wire"].statistics.dropped == {"inactive": 1}
+    assert [one.getMessage() for one in caplog.records] == []
+
+
+@pytest.mark.slow
 async def test_services_are_answered_and_called_wherever_it_is() -> None:
     async with Kernel() as kernel:
         one: Any = await kernel.add(Counter("one"))

@@ -18,7 +18,7 @@ from aiorts import (
     Required,
     ThreadContext,
 )
-from aiorts.errors import ConfigurationError
+from aiorts.errors import ComponentError, ConfigurationError, DeclarationError
 from aiorts.testing import simulated
 
 
@@ -117,6 +117,19 @@ async def test_from_outside_it_is_refused_with_the_remedy_and_nothing_has_change
         assert (own.low, own.configuration.values["low"]) == (0.4, 0.4)
 
 
+def test_before_it_is_a_component_it_is_refused_with_what_to_call_first() -> None:
+    class Hasty(Component):
+        low = Param(0.5)
+
+        def __init__(self, name: str = "") -> None:
+            self.low = 0.1
+            super().__init__(name)
+
+    said = "Hasty.low: is assigned before super().__init__() has run; call that first"
+    with pytest.raises(DeclarationError, match=f"^{re.escape(said)}$"):
+        Hasty()
+
+
 @simulated
 async def test_the_state_of_a_component_in_two_contexts_is_that_of_both() -> None:
     """It was that of the first: inactive, while the component executed in the second."""
@@ -131,3 +144,41 @@ async def test_the_state_of_a_component_in_two_contexts_is_that_of_both() -> Non
         await first.activate(component)
         await second.deactivate(component)
         assert component.state is LifecycleState.ACTIVE
+
+
+class Watched(Protocol):
+    async def state_inside(self) -> LifecycleState | None: ...
+
+
+class Partly(Component):
+    """Cannot be active in one of its contexts."""
+
+    watched = Provided[Watched](always=True)
+
+    def on_activated(self) -> None:
+        if self.context.name == "refusing":
+            raise ValueError("not here")
+
+    async def state_inside(self) -> LifecycleState | None:
+        return self.state
+
+
+class Watching(Component):
+    watched = Required[Watched]()
+
+
+@simulated
+async def test_in_a_call_that_it_serves_it_is_in_error_as_outside_and_active_where_it_is_active_in_any() -> None:
+    """The call read inactive, the state of the first context, of a component that was in error outside."""
+    async with Kernel() as kernel:
+        partly, watching = await kernel.create(Partly), await kernel.create(Watching)
+        await kernel.connect(watching.watched, partly.watched)
+        willing = await kernel.start(PeriodicContext(rate=10.0, name="willing"), partly)
+        refusing = await kernel.start(PeriodicContext(rate=10.0, name="refusing"), partly)
+        with pytest.raises(ComponentError, match="not here"):
+            await refusing.activate(partly)
+        assert partly.states == {"willing": LifecycleState.INACTIVE, "refusing": LifecycleState.ERROR}
+        assert await watching.watched.proxy.state_inside() is partly.state is LifecycleState.ERROR
+        await willing.activate(partly)
+        assert await watching.watched.proxy.state_inside() is LifecycleState.ACTIVE
+        assert partly.state is LifecycleState.ERROR

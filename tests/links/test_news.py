@@ -166,20 +166,36 @@ async def test_a_provider_is_bound_whose_coming_overtakes_the_answer_that_it_is_
         await connecting
 
 
+@pytest.mark.parametrize("what", ["bind", "left", "goal", "call"])
 @simulated
-async def test_a_transport_that_fails_in_another_way_is_asked_again() -> None:
+async def test_a_transport_that_fails_in_another_way_is_asked_again(what: str) -> None:
     async with a_pair() as pair:
-        failed = [False]
+        failed = asyncio.Event()
 
         async def fail_once(carry: Carry) -> bytes:
-            if not failed[0]:
-                failed[0] = True
+            if not failed.is_set():
+                failed.set()
                 raise OSError("no buffers")
             return await carry()
 
-        pair.from_plant.meddle["bind"] = fail_once
-        await pair.connected()
-        await until(lambda: pair.is_up, 3.0)
+        asking = pair.from_station if what == "goal" else pair.from_plant
+        asking.meddle[what] = fail_once
+        match what:
+            case "bind":
+                await pair.connected()
+                await until(lambda: pair.is_up, 3.0)
+            case "left":
+                await disconnected_while_it_is_offered_again(pair)
+                await until(lambda: not pair.station.connectors, 5.0)
+            case "goal":
+                await pair.connected()
+                goal = await pair.client.arm.proxy.reach()
+                pair.robot.goals[0].succeed("there")
+                assert await goal.result(5.0) == "there"
+            case "call":
+                await pair.connected()
+                assert await pair.client.arm.proxy.read() == 2.0
+        assert failed.is_set()
 
 
 @simulated

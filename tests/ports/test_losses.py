@@ -13,6 +13,7 @@ from aiorts import (
     EventPort,
     InPort,
     Kernel,
+    KernelService,
     OutPort,
     PeriodicContext,
     StateMachineComponent,
@@ -20,10 +21,11 @@ from aiorts import (
     ThreadContext,
 )
 from aiorts.errors import SLOW_READER
-from aiorts.events import ComponentAdded
+from aiorts.events import Connected
 from aiorts.statechart import Chart, On, State
-from aiorts.testing import simulated
+from aiorts.testing import MemoryNetwork, simulated
 from aiorts.types import TimedLong
+from links.memory_kernels import kernel_of, until
 
 
 class Source(Component):
@@ -241,55 +243,110 @@ async def test_the_first_sample_that_came_too_early_is_said_with_the_cure(
 ) -> None:
     async with Kernel() as kernel:
         source, sink, connector = await connected(kernel)
+        others = [await kernel.create(Source) for _ in range(2)]
+        await kernel.connect(others[0].out, others[1].out, sink.inp)
         if before == "the context":
             write(source, 1)
         context = await kernel.start(PeriodicContext(rate=10.0), sink)
         if before == "the activation":
             write(source, 2)
+        write(others[0], 1)  # in the same turn
         await kernel.sleep(0.1)
         assert lines(caplog) == [EARLY]
-        await kernel.connect((await kernel.create(Source)).out, sink.inp)
         write(source, 3)
+        write(others[1], 1)
         await kernel.sleep(0.1)
         assert lines(caplog) == []  # once is enough
         await context.activate(sink)
         assert connector.statistics.dropped == {"inactive": 4 if before == "the context" else 5}
+        assert [one.statistics.dropped["inactive"] for one in kernel.connectors.values()][1:] == [1, 1]
 
 
+class Tool(KernelService):
+    """Writes to an in-port, beside the system."""
+
+    name = "tool"
+
+
+@pytest.mark.parametrize("why", ["was active", "keeps the last", "joins readers", "joins a stream", "hears a tool"])
 @simulated
-async def test_what_a_reader_misses_that_was_active_or_keeps_the_last_is_not_said(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_what_no_component_waits_for_is_not_said(why: str, caplog: pytest.LogCaptureFixture) -> None:
     async with Kernel() as kernel:
-        source, sink, _ = await connected(kernel)
-        context = await kernel.start(PeriodicContext(rate=10.0), sink, activate=True)
-        await context.deactivate(sink)
-        write(source, 2)
-        later = await kernel.create(Sink)
-        await kernel.connect(source.out, later.inp, keep_last=True)
-        await kernel.start(PeriodicContext(rate=10.0), later)
-        write(source, 2)
-        unused = await kernel.create(Sink)
-        await kernel.connect(source.out, unused.inp)
-        write(source, 2)
+        source, sink = await kernel.create(Source), await kernel.create(Sink)
+        if why == "joins readers":
+            other = await kernel.create(Sink)
+            await kernel.connect(source.out, other.inp)
+            await kernel.start(PeriodicContext(rate=10.0), other, activate=True)
+            write(source, 1)
+            assert other.inp.read_nowait().data == 0
+        elif why == "joins a stream":
+            write(source, 1)
+        context = await kernel.start(PeriodicContext(rate=10.0), sink, activate=why == "was active")
+        connector = await kernel.connect(source.out, sink.inp, keep_last=why == "keeps the last")
+        if why == "was active":
+            await context.deactivate(sink)
+        if why == "hears a tool":
+            connector = kernel.connections.inject(kernel.service(Tool), sink.inp, {"length": 8})
+            assert connector.out.write_nowait(TimedLong(0, 0))
+            assert connector.out.write_nowait(TimedLong(0, 1))
+        else:
+            write(source, 2)
         await kernel.sleep(0.1)
+        assert connector.statistics.dropped["inactive"] == 2
     assert lines(caplog) == []
 
 
 @simulated
+async def test_what_comes_while_the_kernel_closes_comes_too_late_and_not_too_early(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    class Parting(Source):
+        def on_deactivated(self) -> None:
+            write(self, 1)
+
+    async with Kernel() as kernel:
+        source, sink = await kernel.create(Parting), await kernel.create(Sink)
+        connector = await kernel.connect(source.out, sink.inp)
+        await kernel.start(PeriodicContext(rate=10.0), sink)
+        await kernel.start(PeriodicContext(rate=10.0), source, activate=True)
+    assert (connector.statistics.dropped, lines(caplog)) == ({"inactive": 1}, [])
+
+
+@simulated
+async def test_of_a_link_the_readers_kernel_says_it_with_the_cure_that_it_has(caplog: pytest.LogCaptureFixture) -> None:
+    """No rule for the start of a component names one of another kernel."""
+    network = MemoryNetwork()
+    async with kernel_of(network, "one") as one, kernel_of(network, "two") as two:
+        source, sink = await one.create(Source), await two.create(Sink)
+        connector = await two.connect(sink.inp, "one/source0.out")
+        await two.start(PeriodicContext(rate=10.0), sink)
+        write(source, 2)
+        await until(lambda: connector.statistics.dropped.get("inactive") == 2)
+        await two.sleep(0.1)
+    assert lines(caplog) == [
+        "W-INACTIVE: one/source0.out -> sink0.inp: the first sample was dropped, sink0 was not active yet: connect "
+        "with keep_last = true; further ones are counted in connector.statistics"
+    ]
+
+
+@simulated
 async def test_a_restarted_reader_is_none_that_was_not_active_yet(caplog: pytest.LogCaptureFixture) -> None:
-    class Failing(Sink):
+    class Once(Sink):
+        failed = False
+
         def on_execute(self) -> None:
-            for _ in self.inp.drain():
+            if not Once.failed:
+                Once.failed = True
                 raise ValueError("once")
 
     async with Kernel() as kernel:
-        source, sink = await kernel.create(Source), await kernel.create(Failing)
-        await kernel.connect(source.out, sink.inp)
+        source, sink = await kernel.create(Source), await kernel.create(Once)
+        await kernel.connect(source.out, sink.inp, name="wire")
         kernel.supervise(sink, Supervision(restart="restart", backoff=0.1))
-        kernel.bus.subscribe(ComponentAdded, lambda event: write(source, 1) if event.component == sink.name else None)
         await kernel.start(PeriodicContext(rate=100.0), sink, activate=True)
-        write(source, 1)
+        kernel.bus.subscribe(Connected, lambda _event: write(source, 1))  # before the new one is active
         await kernel.sleep(1.0)
         assert kernel.components[sink.name] is not sink
+        new: Any = kernel.connectors["wire"]
+        assert new.statistics.dropped == {"inactive": 1}
     assert [line for line in lines(caplog) if "W-INACTIVE" in line] == []

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 
 import pytest
 
 from aiorts import Component, Kernel, PeriodicContext, Supervision
+from aiorts.supervision import Supervising
 from aiorts.system import build, load, prepare, wanted
 from aiorts.testing import simulated
 
@@ -64,6 +66,25 @@ async def test_a_removal_in_the_midst_of_a_restart_is_one(before: float) -> None
         await kernel.remove(kernel.components["failing"])
         await kernel.sleep(1.0)
         assert (dict(kernel.components), context.members) == ({}, ())
+
+
+@pytest.mark.parametrize("before", [0.005, 0.007, 0.009])
+@simulated
+async def test_nobody_waits_on_for_a_restart_that_a_removal_has_ended(before: float) -> None:
+    """Nothing would come in its place: the wait took its 10 s."""
+    async with Kernel() as kernel:
+        failing = await kernel.create(Failing, "failing")
+        supervised = kernel.supervise(failing, Supervision("restart", backoff=0.004, budget=1000))
+        await kernel.start(PeriodicContext(rate=200.0), failing, activate=True)
+        await kernel.sleep(before)
+        assert supervised.is_between
+        settling = asyncio.ensure_future(kernel.service(Supervising).settle())
+        await asyncio.sleep(0)
+        assert not settling.done()
+        await kernel.remove(kernel.components["failing"])
+        removed = kernel.clock.monotonic_ns()
+        await settling
+        assert kernel.clock.monotonic_ns() - removed < 10_000_000
 
 
 @pytest.mark.parametrize("steps", range(12))
