@@ -190,12 +190,12 @@ class Early:
         """It has dropped its first sample, in this thread, since its reader is not active.
 
         Samples that no component waits for are not reported: those for a reader that was active before or joins a
-        stream, for a tap, and at the writer's end of a link, since its reader's kernel reports them.
+        stream, and those of a tool. Of a link the reader's kernel reports them, since the writer's end drops none.
         """
-        in_, out, host = connector.in_, connector.out, connector.in_._host
+        out, host = connector.out, connector.in_._host
         if self._said or self._kernel.closed or host is None or host.was_active or out._saved is not NOTHING:
             return
-        if not (connector.profile.keep_last or out.is_tap or in_.is_tap or in_.is_far):
+        if not (connector.profile.keep_last or out.is_tap):
             self._kernel.loop.call_soon_threadsafe(self._report, connector)
 
     def _report(self, connector: Connector) -> None:
