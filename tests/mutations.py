@@ -1,4 +1,4 @@
-"""Break the sources in sixty places, one after the other, and run the quick tests that concern each: they are to fail.
+"""Break the sources in some sixty places, each in turn, and run the quick tests that concern it: they are to fail.
 
     python tests/mutations.py [NUMBER ...]     all of them, or those of the table by their numbers from 1 on
 
@@ -95,6 +95,17 @@ MUTATIONS = [
     ),
     Mutation('if not _overrides(component, "check_configuration"):', "if True:", "configuration"),
     Mutation("if (project := _project(name)) in seen:", "if False:", "extensions"),
+    Mutation("if len(names) > 1:  # a circle of calls has no first", "if False:  # a circle", "kernel/test_ending.py"),
+    Mutation(
+        "for resume in paused:\n            resume()",
+        "for resume in paused:\n            pass",
+        "kernel/test_ending.py",
+    ),
+    Mutation(
+        "context.runner.retire(tuple(those), budget)",
+        "context.runner.retire(tuple(those)[:1], budget)",
+        "kernel/test_ending.py",
+    ),
     # contexts
     Mutation("if not MIN_RATE <= rate <= highest:", "if not MIN_RATE <= rate:", "contexts"),
     Mutation('if self.overrun == "catch_up":', 'if self.overrun != "catch_up":', "contexts"),

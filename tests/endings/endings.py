@@ -28,6 +28,8 @@ from run_parts import limited
 
 LONGEST: Final = 60.0
 """Seconds that a run, or its end, may take on a machine that others use, too."""
+LONG: Final = 0.1
+"""Seconds in which a system has read something."""
 
 
 def books_of(folder: Path) -> dict[str, Any]:
@@ -75,7 +77,10 @@ def left_by_with(system: System, folder: Path, *, simulated: bool) -> list[str]:
         said = simulate(_session(system, folder, MemoryNetwork(seed=system.seed)), seed=system.seed)
     else:
         said = asyncio.run(_session(system, folder, None))
-    return said + faults(system, books_of(folder))
+    books = books_of(folder)
+    if system.moment > LONG and not any(book["counts"].get("read") for book in books.values()):
+        said.append("nothing was read")
+    return said + faults(system, books)
 
 
 # -- in processes of their own -----------------------------------------------------------------------------------------
@@ -95,14 +100,11 @@ def _run(folder: Path, file: str, environment: dict[str, str], *options: str) ->
             stderr=stream,
             text=True,
         )
-        with limited(process, seconds=LONGEST):
-            try:
+        try:
+            with limited(process, seconds=LONGEST):
                 yield process
-            except BaseException:
-                process.kill()
-                raise
-            finally:
-                process.communicate(timeout=LONGEST)
+        finally:
+            process.communicate(timeout=LONGEST)
 
 
 def _is_ready(process: subprocess.Popen[str]) -> bool:

@@ -12,36 +12,62 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, TypeAlias
 
 PARTS: Final = Path(__file__).with_name("ending_parts.py")
 CELLS: Final = ("services", "goals", "synchronisers", "composites", "links", "isolated")
 LEAST_KINDS: Final = 4
 _LIKELY: Final = {"services": 0.7, "goals": 0.6, "synchronisers": 0.6, "composites": 0.6, "links": 0.4, "isolated": 0.4}
-_OPTIONS: Final[list[str]] = [
-    "length = 3",
-    'length = 2\nfull = "reject"',
-    'subscription = "new"\nlength = 1000',
-    'subscription = "periodic"\npush_rate = 50.0\nlength = 1000\nout_length = 1000',
-    'subscription = "new"\npush = "new"',
-    "lifespan = 0.02\nlength = 1000",
+Options: TypeAlias = dict[str, Any]
+"""The entries of a table of the system file."""
+_OPTIONS: Final[list[Options]] = [
+    {"length": 3},
+    {"length": 2, "full": "reject"},
+    {"subscription": "new", "length": 1000},
+    {"subscription": "periodic", "push_rate": 50.0, "length": 1000, "out_length": 1000},
+    {"subscription": "new", "push": "new"},
+    {"lifespan": 0.02, "length": 1000},
 ]
-ALL: Final = "length = 1000"
+ALL: Final[Options] = {"length": 1000}
 """Of a connection that delivers every sample to a reader in an event context."""
+CALLS: Final[Options] = {}
+"""Of a connection of services."""
+
+
+class Part(NamedTuple):
+    """A component."""
+
+    kind: str
+    """Its class."""
+    options: Options
+
+
+class Composite(NamedTuple):
+    """A composite: its members, the ports of members by the names that it gives them."""
+
+    members: list[str]
+    exported: dict[str, str]
+    options: Options
+
+
+class Place(NamedTuple):
+    """A context."""
+
+    kind: str
+    options: Options
+    members: list[str]
 
 
 @dataclass
 class System:
-    """A system: components by name with their tables, who is connected with whom, who runs in which context."""
+    """A system: components by name, who is connected with whom, who runs in which context."""
 
     seed: int
     kinds: set[str] = field(default_factory=set)
-    components: dict[str, str] = field(default_factory=dict)
-    """By name: the class, and further lines of the table."""
-    composites: dict[str, str] = field(default_factory=dict)
-    connections: list[tuple[str, str, str]] = field(default_factory=list)
-    contexts: list[tuple[str, list[str]]] = field(default_factory=list)
-    """Lines of the table, and the members."""
+    components: dict[str, Part] = field(default_factory=dict)
+    composites: dict[str, Composite] = field(default_factory=dict)
+    connections: list[tuple[str, str, Options]] = field(default_factory=list)
+    contexts: list[Place] = field(default_factory=list)
     peer: set[str] = field(default_factory=set)
     """The components that are in the other kernel."""
     moment: float = 0.0
@@ -54,30 +80,32 @@ class System:
 
     def text(self, book: Path, *, of_peer: bool = False, links: bool = True) -> str:
         """The system file of this kernel, or of the peer."""
-        here = {name for name in self.components if (name in self.peer) is of_peer}
+        here = {name: part for name, part in self.components.items() if (name in self.peer) is of_peer}
         lines = ["schema = 1"]
+
+        def table(head: str, options: Options) -> None:
+            lines.append(head)
+            lines.extend(f"{name} = {json.dumps(value)}" for name, value in options.items())
+
         if of_peer and links:
-            lines += ["[links]", f'name = "{self.name_of_peer()}"']
-        for name, more in {one: self.components[one] for one in self.components if one in here}.items():
-            kind, _, rest = more.partition("\n")
-            lines += [f"[components.{name}]", f'type = "{PARTS.name}:{kind}"', f'params.book = "{book}"', rest]
-        lines += ["[components.keeper]", f'type = "{PARTS.name}:Keeper"', f'params.book = "{book}"']
+            table("[links]", {"name": self.name_of_peer()})
+        for name, part in (here | {"keeper": Part("Keeper", {})}).items():
+            of_class = {"type": f"{PARTS.name}:{part.kind}", "params.book": str(book)}
+            table(f"[components.{name}]", of_class | part.options)
         if not of_peer:
-            for name, more in self.composites.items():
-                lines += [f"[composites.{name}]", more]
+            for name, group in self.composites.items():
+                exported = {f'exported."{port}"': shown for shown, port in group.exported.items()}
+                table(f"[composites.{name}]", {"members": group.members} | exported | group.options)
             for out, into, options in self.connections:
-                ends = [
-                    f"{self.name_of_peer()}/{end}" if end.partition(".")[0] in self.peer else end for end in (out, into)
-                ]
-                lines += ["[[connections]]", f'from = "{ends[0]}"', f'to = "{ends[1]}"', options]
-        number = 0
-        for table, members in self.contexts:
-            those = [one for one in members if one in here or (one in self.composites and not of_peer)]
+                ends = [f"{self.name_of_peer()}/{end}" if owner(end) in self.peer else end for end in (out, into)]
+                table("[[connections]]", {"from": ends[0], "to": ends[1]} | options)
+        for number, place in enumerate([*self.contexts, Place("event", {}, ["keeper"])]):
+            those = [
+                one for one in place.members if one in {*here, "keeper"} or (one in self.composites and not of_peer)
+            ]
             if those:
-                number += 1
-                lines += [f"[contexts.c{number}]", table, f"members = {json.dumps(those)}"]
-        lines += ["[contexts.last]", 'kind = "event"', 'members = ["keeper"]']
-        return "\n".join(line for line in lines if line) + "\n"
+                table(f"[contexts.c{number}]", {"kind": place.kind, "members": those} | place.options)
+        return "\n".join(lines) + "\n"
 
 
 class _Maker:
@@ -95,9 +123,17 @@ class _Maker:
         self.threads: set[str] = set()
         """Those that may run in a thread."""
 
-    def add(self, kind: str, more: str = "", *, alone: bool = False, thread: bool = False, peer: bool = False) -> str:
+    def add(
+        self,
+        kind: str,
+        options: Options | None = None,
+        *,
+        alone: bool = False,
+        thread: bool = False,
+        peer: bool = False,
+    ) -> str:
         name = f"{kind.lower()}{len(self.system.components)}"
-        self.system.components[name] = f"{kind}\n{more}"
+        self.system.components[name] = Part(kind, options or {})
         (self.alone if alone else self.loose).append(name)
         if thread:
             self.threads.add(name)
@@ -105,15 +141,16 @@ class _Maker:
             self.system.peer.add(name)
         return name
 
-    def connect(self, out: str, into: str, options: str | None = None) -> None:
+    def connect(self, out: str, into: str, options: Options | None = None) -> None:
         if options is None:
-            far = out.partition(".")[0] in self.system.peer  # whose kernel alone may say when samples are sent
+            far = owner(out) in self.system.peer  # whose kernel alone may say when samples are sent
             options = ALL if far or self.random.random() < 0.6 else self.random.choice(_OPTIONS)
         self.system.connections.append((out, into, options))
 
     def numbers(self, *, peer: bool = False) -> str:
         """The out-port of a source."""
-        name = self.add("Numbers", f"params.burst = {self.random.choice((1, 1, 3, 20))}", thread=not peer, peer=peer)
+        burst = self.random.choice((1, 1, 3, 20))
+        name = self.add("Numbers", {"params.burst": burst}, thread=not peer, peer=peer)
         return f"{name}.out"
 
     def taker(self, **more: Any) -> str:
@@ -130,35 +167,35 @@ class _Maker:
     # -- cells -----------------------------------------------------------------------------------------------------
 
     def services(self) -> None:
-        provider = f"{self.add(*self.random.choice(self._answers()))}.s"
+        provider = self.add(self.random.choice(("Answer", "AnswerAtOnce")))
         if self.random.random() < 0.4:
             between = self.add("Between")
-            self.connect(f"{between}.r", provider, "")
-            provider = f"{between}.s"
-            if self.random.random() < 0.4:
-                circle = self.add("Between")
-                self.connect(f"{circle}.r", provider, "")
-                other = self.add("Between")
-                self.connect(f"{other}.r", f"{circle}.s", "")
-                provider = f"{other}.s"
+            self.calls(between, provider)
+            provider = between
         for _ in range(self.random.randint(1, 2)):
             self.asks(provider)
+        if self.random.random() < 0.4:  # a circle
+            one, other = self.add("Between"), self.add("Between")
+            self.calls(one, other)
+            self.calls(other, one)
+            self.asks(other)
 
-    @staticmethod
-    def _answers() -> list[tuple[str]]:
-        return [("Answer",), ("AnswerAtOnce",)]
+    def calls(self, client: str, provider: str) -> None:
+        self.connect(f"{client}.r", f"{provider}.s", CALLS)
 
-    def asks(self, provider: str) -> None:
+    def asks(self, provider: str) -> str:
+        """One that asks this one."""
         name = self.add("Ask")
-        self.connect(f"{name}.r", provider, "")
+        self.calls(name, provider)
         self.outs.append(f"{name}.out")
+        return name
 
     def goals(self) -> None:
         works = self.add("Work")
         for _ in range(self.random.randint(1, 2)):
             kind = self.random.choice(("Order", "Watch"))
             client = self.add(kind, alone=kind == "Order")
-            self.connect(f"{client}.r", f"{works}.s", "")
+            self.calls(client, works)
 
     def synchronisers(self) -> None:
         fuse = self.add("Fuse")
@@ -170,17 +207,14 @@ class _Maker:
         first, last = self.add("Pass"), self.add("Pass")
         taken = self.some_out()
         self.connect(f"{first}.out", f"{last}.inp")
-        members, more = [first, last], ""
+        members = [first, last]
         if self.random.random() < 0.4:
             members.append(self.add("Numbers"))
             self.outs.append(f"{members[-1]}.out")
         self.random.shuffle(members)
-        if self.random.random() < 0.4:
-            more = '\norder = "dataflow"'
+        options = {"order": "dataflow"} if self.random.random() < 0.4 else {}
         name = f"group{len(self.system.composites)}"
-        exported = {f"{first}.inp": "inp", f"{last}.out": "out"}
-        table = ", ".join(f'"{port}" = "{shown}"' for port, shown in exported.items())
-        self.system.composites[name] = f"members = {json.dumps(members)}\nexported = {{{table}}}{more}"
+        self.system.composites[name] = Composite(members, {"inp": f"{first}.inp", "out": f"{last}.out"}, options)
         self.loose = [one for one in self.loose if one not in members] + [name]
         self.connect(taken, f"{name}.inp")
         self.outs.append(f"{name}.out")
@@ -192,13 +226,12 @@ class _Maker:
         if "in" in ways:
             self.outs.append(self.numbers(peer=True))
         if "call" in ways:
-            self.asks(f"{self.add('Answer', peer=True)}.s")
+            self.asks(self.add("Answer", peer=True))
 
     def isolated(self) -> None:
         kind = self.random.choice(("Pass", "Ask", "Answer", "Take"))
         if kind == "Ask":
-            self.asks(f"{self.add('Answer')}.s")
-            name = self.system.connections[-1][0].partition(".")[0]
+            name = self.asks(self.add("Answer"))
         else:
             taken = self.some_out() if kind != "Answer" else ""
             name = self.add(kind)
@@ -207,20 +240,22 @@ class _Maker:
             if kind == "Pass":
                 self.outs.append(f"{name}.out")
             if kind == "Answer":
-                self.asks(f"{name}.s")
-        self.system.components[name] += '\nisolation = "process"'
+                self.asks(name)
+        self.system.components[name].options["isolation"] = "process"
         self.loose.remove(name)
-        self.system.contexts.append((self.a_table(), [name]))
+        self.place([name])
 
     # -- the rest --------------------------------------------------------------------------------------------------
 
-    def a_table(self, *, thread: bool = False) -> str:
-        """The table of a context."""
+    def place(self, members: list[str], *, thread: bool = False) -> None:
+        """Put them into a context."""
         if thread and self.random.random() < 0.4:
-            return 'kind = "thread"\nrate = 100.0'
-        if self.random.random() < 0.5:
-            return f'kind = "event"\nevery = {self.random.choice((0.005, 0.02))}'
-        return f'kind = "periodic"\nrate = {self.random.choice((50.0, 100.0, 200.0))}'
+            made = Place("thread", {"rate": 100.0}, members)
+        elif self.random.random() < 0.5:
+            made = Place("event", {"every": self.random.choice((0.005, 0.02))}, members)
+        else:
+            made = Place("periodic", {"rate": self.random.choice((50.0, 100.0, 200.0))}, members)
+        self.system.contexts.append(made)
 
     def rest(self) -> None:
         """Sinks for what nobody takes yet, perhaps a circle and a source that waits, and contexts for all."""
@@ -232,8 +267,8 @@ class _Maker:
             self.connect(f"{one}.out", f"{other}.inp")
             self.connect(f"{other}.out", f"{one}.inp")
         if self.random.random() < 0.3:
-            patient, taker = self.add("Patient", "params.burst = 5", alone=True), self.add("Take", alone=True)
-            self.connect(f"{patient}.out", f"{taker}.inp", 'length = 2\nfull = "block"\ntimeout = 20.0')
+            patient, taker = self.add("Patient", {"params.burst": 5}, alone=True), self.add("Take", alone=True)
+            self.connect(f"{patient}.out", f"{taker}.inp", {"length": 2, "full": "block", "timeout": 20.0})
         self.random.shuffle(self.loose)
         for side in (False, True):
             those = [one for one in self.loose if (one in self.system.peer) is side]
@@ -241,11 +276,12 @@ class _Maker:
             for one in those:
                 parts[self.random.randrange(2 if side else 3)].append(one)
             for members in parts.values():
-                able = not side and all(one in self.threads for one in members)
-                self.system.contexts.append((self.a_table(thread=able), members))
-        for one in self.alone:  # in a circle somebody has to have a rate
-            rate = one.startswith("plant")
-            self.system.contexts.append(('kind = "periodic"\nrate = 100.0' if rate else self.a_table(), [one]))
+                self.place(members, thread=not side and self.threads.issuperset(members))
+        for one in self.alone:
+            if self.system.components[one].kind == "Plant":  # in a circle somebody has to have a rate
+                self.system.contexts.append(Place("periodic", {"rate": 100.0}, [one]))
+            else:
+                self.place([one])
         self.random.shuffle(self.system.contexts)
 
 
@@ -272,7 +308,8 @@ def system_of(seed: int) -> System:
 
 def faults(system: System, books: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """What is wrong with the books of a system that has ended, by component; those of keepers are there, too."""
-    found = [f"{name}: it has no book" for name in [*system.components, "keeper"] if name not in books]
+    keepers = ["keeper", "peer/keeper"] if system.peer else ["keeper"]
+    found = [f"{name}: it has no book" for name in [*system.components, *keepers] if name not in books]
     for name, book in books.items():
         counts = book["counts"]
         if book.get("faults"):
@@ -348,12 +385,12 @@ def _joint(system: System, books: Mapping[str, Mapping[str, Any]]) -> Iterable[s
 
 def _inner(system: System, path: str) -> str:
     """The component whose port it is: of a composite the member."""
-    name = path.partition(".")[0]
-    if name not in system.composites:
-        return name
-    table = system.composites[name]
-    shown = f' = "{_port(path)}"'
-    return table.partition(shown)[0].rpartition('"')[0].rpartition('"')[2].partition(".")[0]
+    name = owner(path)
+    return owner(system.composites[name].exported[_port(path)]) if name in system.composites else name
+
+
+def owner(path: str) -> str:
+    return path.partition(".")[0]
 
 
 def _port(path: str) -> str:
@@ -367,9 +404,7 @@ def _ledgers(book: Mapping[str, Any], side: str, own: str, other: str) -> list[d
 
 def _reads_all(system: System, writer: str, reader: str) -> bool:
     """Whether it reads all that comes in an event context, where it ends after its writers and reads what is left."""
-    kind = system.components[reader].partition("\n")[0]
-    if system.components[writer].startswith("Plant") or writer in system.peer:
+    if system.components[writer].kind == "Plant" or writer in system.peer:
         return False  # a circle has no order, and the peer ends after this kernel
-    place = next((name for name, table in system.composites.items() if f'"{reader}"' in table), reader)
-    table = next(table for table, members in system.contexts if place in members)
-    return kind in ("Take", "TakeOne", "Await", "Pass", "Fuse") and 'kind = "event"' in table and place == reader
+    alone = any(place.kind == "event" and reader in place.members for place in system.contexts)
+    return alone and system.components[reader].kind in ("Take", "TakeOne", "Await", "Pass", "Fuse")

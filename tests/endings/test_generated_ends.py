@@ -10,7 +10,7 @@ import pytest
 
 from campaign import CAMPAIGN, time_limit
 from endings.endings import WAYS
-from endings.generated import CELLS, LEAST_KINDS, system_of
+from endings.generated import CALLS, CELLS, LEAST_KINDS, System, owner, system_of
 
 SYSTEMS = 200
 HERE = range(SYSTEMS) if CAMPAIGN else range(10)
@@ -34,6 +34,15 @@ def test_each_system_has_four_kinds_and_each_kind_is_in_sixty_systems() -> None:
     assert kinds.keys() == {*CELLS, "contexts"}
     assert min(kinds.values()) >= 60
     assert min(len(system.contexts) for system in systems) > 1
+
+
+def test_a_circle_of_calls_is_in_thirty_systems() -> None:
+    def calls(system: System) -> set[tuple[str, str]]:
+        """Who calls whom."""
+        return {(owner(out), owner(into)) for out, into, options in system.connections if options == CALLS}
+
+    circles = [edges for edges in map(calls, map(system_of, range(SYSTEMS))) if edges & {edge[::-1] for edge in edges}]
+    assert len(circles) >= 30
 
 
 @pytest.mark.parametrize("seed", HERE)

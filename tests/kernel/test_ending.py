@@ -100,6 +100,28 @@ class Waiter(Component):
         self.read += 1
 
 
+class Both(Component):
+    """Answers, and asks another one in its last hook."""
+
+    s = Provided[Brake](concurrent=True)
+    r = Required[Brake]()
+
+    async def brake(self) -> int:
+        await asyncio.sleep(0)
+        return 1
+
+    async def on_deactivated(self) -> None:
+        await self.r.proxy.brake()
+
+
+async def circle(kernel: Kernel, one: Any, other: Any) -> None:
+    """Add two components that ask one another."""
+    await kernel.add(one)
+    await kernel.add(other)
+    await kernel.connect(one.r, other.s)
+    await kernel.connect(other.r, one.s)
+
+
 def in_error(*components: Component) -> list[Any]:
     return [one.last_error for one in components if one.last_error is not None]
 
@@ -206,27 +228,19 @@ def test_a_hook_that_waits_for_a_sample_is_no_error_at_the_end(
 def test_a_circle_of_calls_ends_in_the_reverse_order_of_the_start_and_may_still_call(turns: int) -> None:
     ended: list[str] = []
 
-    class Both(Component):
-        s = Provided[Brake](concurrent=True)
-        r = Required[Brake]()
-
-        async def brake(self) -> int:
-            await asyncio.sleep(0)
-            return 1
-
+    class Busy(Both):
         async def on_execute(self) -> None:
             for _ in range(5):
                 await self.r.proxy.brake()
 
         async def on_deactivated(self) -> None:
-            await self.r.proxy.brake()
+            await super().on_deactivated()
             ended.append(self.name)
 
     async def main(_clock: Any) -> None:
         async with Kernel() as kernel:
-            one, other = await kernel.add(Both("one")), await kernel.add(Both("other"))
-            await kernel.connect(one.r, other.s)
-            await kernel.connect(other.r, one.s)
+            one, other = Busy("one"), Busy("other")
+            await circle(kernel, one, other)
             await kernel.start(PeriodicContext(100.0), one, activate=True)
             await kernel.start(PeriodicContext(70.0), other, activate=True)
             await kernel.sleep(0.1)
@@ -236,6 +250,80 @@ def test_a_circle_of_calls_ends_in_the_reverse_order_of_the_start_and_may_still_
 
     simulate(main)
     assert ended == ["other", "one"]
+
+
+def test_a_cycle_in_a_circle_of_calls_is_over_before_another_one_calls_for_the_last_time() -> None:
+    class Slow(Component):
+        """Does not answer while it waits for an answer itself."""
+
+        s = Provided[Brake]()
+        r = Required[Brake]()
+
+        async def brake(self) -> int:
+            await self.sleep(0.001)
+            return 1
+
+    class Cycles(Slow):
+        async def on_execute(self) -> None:
+            for _ in range(5):
+                await self.r.proxy.brake()
+
+    class Ends(Slow):
+        async def on_deactivated(self) -> None:
+            await self.r.proxy.brake()
+
+    async def main(_clock: Any) -> None:
+        async with Kernel() as kernel:
+            cycles, ends = Cycles("cycles"), Ends("ends")
+            await circle(kernel, cycles, ends)
+            for component in (cycles, ends):
+                await kernel.start(PeriodicContext(100.0), component, activate=True)
+            await kernel.sleep(0.1)
+        assert in_error(cycles, ends) == []
+
+    simulate(main)
+
+
+def test_each_member_of_one_context_in_a_circle_of_calls_may_still_call() -> None:
+    async def main(_clock: Any) -> None:
+        async with Kernel() as kernel:
+            one, other = Both("one"), Both("other")
+            await circle(kernel, one, other)
+            await kernel.start(PeriodicContext(100.0), one, other, activate=True)
+            await kernel.sleep(0.1)
+        assert in_error(one, other) == []
+
+    simulate(main)
+
+
+def test_others_in_the_contexts_of_a_circle_of_calls_run_on_until_their_own_end() -> None:
+    class Ticks(Component):
+        def on_initialize(self) -> None:
+            self.next = asyncio.Event()
+
+        def on_execute(self) -> None:
+            self.next.set()
+
+    class Waits(Component):
+        """Waits in its last hook for a cycle of another one."""
+
+        ticks: Ticks
+
+        async def on_deactivated(self) -> None:
+            self.ticks.next.clear()
+            await self.ticks.next.wait()
+
+    async def main(_clock: Any) -> None:
+        async with Kernel() as kernel:
+            ticks, waits = await kernel.add(Ticks("ticks")), await kernel.add(Waits("waits"))
+            waits.ticks, one, other = ticks, Both("one"), Both("other")
+            await circle(kernel, one, other)
+            for members in ((ticks, one), (waits,), (other,)):
+                await kernel.start(PeriodicContext(100.0), *members, activate=True)
+            await kernel.sleep(0.1)
+        assert in_error(ticks, waits, one, other) == []
+
+    simulate(main)
 
 
 def test_a_hook_over_its_deadline_does_not_hold_up_the_order() -> None:

@@ -152,6 +152,7 @@ def test_an_engine_that_did_not_take_the_tokens_is_given_them_again() -> None:
                     await asyncio.sleep(0.05)
             assert made.standing is Standing.OWNS
             assert [token.endswith("/own") for token in engine.announced] == [False, True]
+        assert [str(one) for one in failed] == ["no thread can be started"] * 2
 
     asyncio.run(main())
 

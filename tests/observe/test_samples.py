@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from pathlib import Path
 
 import pytest
 from anyio import fail_after
@@ -244,10 +245,7 @@ async def test_one_that_another_thread_lets_go_ends_on_the_loop() -> None:
 
 
 @pytest.mark.anyio
-async def test_it_goes_on_when_code_is_replaced(tmp_path: object) -> None:
-    from pathlib import Path
-
-    assert isinstance(tmp_path, Path)
+async def test_it_goes_on_when_code_is_replaced(tmp_path: Path) -> None:
     file = SourceFile(
         tmp_path,
         """
@@ -276,7 +274,7 @@ async def test_it_goes_on_when_code_is_replaced(tmp_path: object) -> None:
 
 
 @pytest.mark.anyio
-async def test_a_component_that_reads_only_by_a_tap_needs_no_reader() -> None:
+async def test_a_port_that_only_a_tap_reads_writes_as_any_other() -> None:
     with fail_after(10.0):
         async with Kernel() as kernel:
             made = await kernel.create(Counter)
