@@ -94,7 +94,7 @@ def reports(session: nox.Session) -> None:
 
 @nox.session
 def mutations(session: nox.Session) -> None:
-    """Break the sources in sixty places, one after the other: the quick tests find each."""
+    """Break the sources in some sixty places, one after the other: the quick tests find each."""
     session.install("-q", "-e", ".[test]")
     session.run("python", "tests/mutations.py", *session.posargs)
 

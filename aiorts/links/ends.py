@@ -53,7 +53,7 @@ _BY_ALL: Final = 20_000
 _GIVEN_UP: Final = 1_000
 """Reader's ends that were disconnected before the first answer, of which is known that their offers are late."""
 _RECONNECTS: Final = 10.0
-"""Seconds in which a kernel that was restarted connects anew what it had connected before."""
+"""Seconds in which a kernel that was restarted connects again what it had connected before."""
 _READERS: Final = 256
 """Connectors that others may have made with one out-port: each takes part in every write (2 ms with 1,000 of them)."""
 _LAST_SECONDS: Final = 1.0

@@ -254,7 +254,7 @@ class Reach:
         return _name_in(None if peer is None else self.peers.get(peer)) or self._links.reached_as
 
     def absent(self, path: Path) -> str:
-        """The reason why the kernel of a path is not there: nobody has its name, or no kernel can be reached."""
+        """The reason why the kernel of a path is not there: no kernel has its name, or none can be reached."""
         far, opening = path.kernel, self._opening
         if far not in self.carried and opening is not None and opening.done() and (error := opening.exception()):
             return str(error)

@@ -87,7 +87,7 @@ class Feed(Generic[T]):
     def __init__(self, service: KernelService, out: OutPort[T], length: int, *, keep_last: bool) -> None:
         self.path = out.path
         self._rest: deque[T] = deque()
-        """What waited when the tap was closed."""
+        """The samples that waited when the tap was closed."""
         self._waiter: asyncio.Future[None] | None = None
         self._kernel: Microkernel = service.kernel
         self._connector: Connector = service.kernel.connections.tap(

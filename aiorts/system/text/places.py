@@ -76,7 +76,7 @@ class Places:
         return start, start + place.width
 
     def end(self, key: Key) -> int:
-        """Where the value of a key ends, which may be in a later line, in characters of the text from 0."""
+        """The end of a key's value, which may be in a later line, in characters of the text from 0."""
         return self._values[key][1]
 
     def line(self, number: int) -> str:
