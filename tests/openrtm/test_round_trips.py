@@ -100,6 +100,17 @@ def test_a_changed_parameter_alone_is_changed(tmp_path: Path) -> None:
     assert re.search(r'updateDate="([^"]*)"', new)[1] != "2026-01-02T03:04:05"  # type: ignore[index]
 
 
+def test_two_ports_that_are_connected_twice_stay_so_which_is_noted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A system file takes a second connection of two ports with `allow_duplicate` alone: the whole import failed."""
+    again = connector("Eye0.pose", "Arm0.target", prop("dataport.odd", "again"), subscriptionType="new")
+    twice = ARM.replace("    <rts:Activation>", f"{again}    <rts:Activation>", 1)
+    assert canonical(converted(tmp_path, twice)) == canonical(twice)
+    assert (tmp_path / "s.toml").read_text(encoding="utf-8").count("allow_duplicate = true") == 1
+    assert "are connected twice; allow_duplicate keeps both" in "".join(capsys.readouterr())
+
+
 def test_a_changed_rate_alone_is_changed(tmp_path: Path) -> None:
     new = edited(tmp_path, "rate = 500.0", "rate = 250.0")
     assert canonical(new) == canonical(ARM.replace('rts:rate="500.0"', 'rts:rate="250.0"'))

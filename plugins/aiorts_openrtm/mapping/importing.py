@@ -273,6 +273,7 @@ class _Importer:
     def _connections(self, known: Mapping[str, Any]) -> tuple[tuple[int, ConnectionEntry], ...]:
         found: list[tuple[int, ConnectionEntry]] = []
         names: set[str] = set()
+        pairs: set[frozenset[str]] = set()
         for place, one in enumerate(self._profile.connectors):
             ends = [self._end(component, port) for component, port in (one.source, one.target)]
             gone = [component for (component, _), end in zip((one.source, one.target), ends, strict=True) if not end]
@@ -283,6 +284,12 @@ class _Importer:
             if options.get("name") in names:
                 del options["name"]
             names.add(options.get("name", ""))
+            if (pair := frozenset(ends)) in pairs:
+                options["allow_duplicate"] = True
+                self._notes.append(
+                    Note(one.where, f"{' and '.join(ends)} are connected twice; allow_duplicate keeps both")
+                )
+            pairs.add(pair)
             found.append((place, ConnectionEntry(tuple(ends), MappingProxyType(options), len(found) + 1)))
         return tuple(found)
 
