@@ -288,7 +288,7 @@ class ListenedTransport(Transport):
                 self._note(ConnectorEventKind.BUFFER_OVERWRITE, self.queue[0])
         return super().store_bounded(sample)
 
-    def push_in(self, sample: Any, *, displaced: bool = False) -> None:
+    def push_in(self, sample: Any, *, displaced: int = 0) -> None:
         self._note(ConnectorEventKind.SEND, sample)
         super().push_in(sample, displaced=displaced)
         self._note(ConnectorEventKind.BUFFER_WRITE, sample)

@@ -62,7 +62,7 @@ MORE: dict[str, Any] = {
 REASONS: dict[str, Callable[[dict[str, Any]], bool]] = {
     "overwritten": lambda one: one.get("full", "overwrite") == "overwrite" or one.get("subscription") == "periodic",
     "rejected": lambda one: one.get("full") == "reject",
-    "timeout": lambda one: one.get("timeout") is not None,
+    "timeout": lambda one: one.get("timeout", 1.0) is not None,
     "skipped": lambda one: one.get("push") == "skip",
     "superseded": lambda one: one.get("push") == "new" or "dataflow" in one,
     "expired": lambda one: "lifespan" in one,
@@ -321,3 +321,12 @@ def test_no_sample_is_lost_but_by_policy(locked: bool, wires: Wires, steps: Step
 def test_writers_that_wait_go_on(length: int, options: dict[str, Any]) -> None:
     steps: Steps = [*[("wait", 0, 1, 0.0)] * 4, ("renew", 0, options, 0.0), ("read", 0, 1, 0.0), ("wait", 0, 1, 0.0)]
     run([(0, 0, {"length": length, "full": "block"})], steps, locked=False)
+
+
+def test_more_than_one_sample_makes_room_after_other_options_were_in_force() -> None:
+    steps: Steps = [
+        ("write", 0, 2, 0.0),
+        ("renew", 0, {"subscription": "new", "push": "new", "stamp": "received"}, 0.0),
+        ("write", 0, 2, 0.0),
+    ]
+    run([(0, 0, {}), (1, 0, {})], steps, locked=False)

@@ -222,9 +222,9 @@ class PeriodicTransport(Transport):
             self.sent = True
             self.queue.extend(backlog)
             backlog.clear()
-            self.receiver.arrived(self, False)
+            self.receiver.arrived(self, 0)
 
-    def push_in(self, sample: Any, *, displaced: bool = False) -> None:
+    def push_in(self, sample: Any, *, displaced: int = 0) -> None:
         self.sent = True
         self.queue.append(sample)
         self.receiver.arrived(self, displaced)

@@ -384,8 +384,8 @@ class Receiver:
     def gave_up(self) -> None:
         """A reader waited for nothing."""
 
-    def arrived(self, transport: Transport, displaced: bool) -> None:
-        """A sample of `transport` is in its queue, the oldest one out of it if that is `displaced`.
+    def arrived(self, transport: Transport, displaced: int) -> None:
+        """A sample of `transport` is in its queue, so many of the oldest ones out of it.
 
         The writer holds the lock.
         """
@@ -394,7 +394,7 @@ class Receiver:
             transport.arrived_at = self.arrivals
             self.tokens.append(transport)
             if displaced:
-                transport.dead += 1
+                transport.dead += displaced
                 if transport.dead > transport.length:
                     self.bury(transport)
         if self.lock is not None:

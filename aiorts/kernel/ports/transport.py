@@ -203,7 +203,7 @@ class Transport:
             self.times = old.times
         for sample in old.leave_off():
             self.queue.append(sample)
-            self.receiver.arrived(self, False)
+            self.receiver.arrived(self, 0)
 
     def leave_off(self) -> Iterable[Any]:
         """Stop what would be done later on, and return what has not reached the reader's queue; the caller locks."""
@@ -510,7 +510,7 @@ class Transport:
                 entry, _ = waiting.popitem(False)
                 self.written += 1
                 queue.append(entry.sample)
-                receiver.arrived(self, False)
+                receiver.arrived(self, 0)
                 entry.done = True
                 if entry.future is not None and not entry.future.done():
                     entry.future.set_result(None)
@@ -621,9 +621,10 @@ class Transport:
     def store(self, sample: Any) -> bool:
         """Take a sample that the push policy sends, as the policies say; False when it was rejected."""
         if self.push is _NEW and self.queue:
+            displaced = len(self.queue)  # more than one where other options were in force before
             self.drop_these("superseded", self.queue)
             self.queue.clear()
-            self.push_in(self.stamp_in(sample), displaced=True)
+            self.push_in(self.stamp_in(sample), displaced=displaced)
             return True
         return self.store_bounded(sample)
 
@@ -645,7 +646,7 @@ class Transport:
             self.drop("overwritten")
             if self.losses:
                 self.losses.begin(self.connector)
-        self.push_in(self.stamp_in(sample), displaced=replaces)
+        self.push_in(self.stamp_in(sample), displaced=int(replaces))
         return True
 
     def drop_these(self, reason: str, samples: Collection[Any]) -> None:
@@ -663,8 +664,8 @@ class Transport:
         """The sample as the reader gets it."""
         return sample if self.connector.profile.stamp is not _READ else stamped(sample, self.clock.time_ns())
 
-    def push_in(self, sample: Any, *, displaced: bool = False) -> None:
-        """Append; `displaced` when the oldest sample of this connector made room for it."""
+    def push_in(self, sample: Any, *, displaced: int = 0) -> None:
+        """Append; so many of the oldest samples of this connector made room for it."""
         if self.times is None:
             self.queue.append(sample)
             self.receiver.arrived(self, displaced)

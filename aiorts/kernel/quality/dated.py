@@ -62,7 +62,7 @@ class Dated(FeaturedTransport):
             self.extra[_KEY] = moments
             moments.queue.extend(repeat(moments.now_ns(), len(self.queue) - len(moments.queue)))
 
-    def push_in(self, sample: Any, *, displaced: bool = False) -> None:
+    def push_in(self, sample: Any, *, displaced: int = 0) -> None:
         times_of(self.moments.queue, self.queue).append(self.written_ns())
         super().push_in(sample, displaced=displaced)
 
