@@ -148,7 +148,7 @@ class Pulled(Linked):
 
     __slots__ = ()
 
-    def push_in(self, sample: Any, *, displaced: bool = False) -> None:
+    def push_in(self, sample: Any, *, displaced: int = 0) -> None:
         super().push_in(sample, displaced=displaced)
         self.receiver.on_loop(self._pump)
 

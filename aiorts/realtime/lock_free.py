@@ -140,7 +140,7 @@ class LockFreeReceiver(Receiver):
         self.source = newest[2].connector
         return newest[2].stamp_out(newest[1])
 
-    def arrived(self, transport: Transport, displaced: bool) -> None:
+    def arrived(self, transport: Transport, displaced: int) -> None:
         if self.extra.threads:
             self.room_made()
         if self.notify_enabled and (self.waiter is not None or not transport.pulls):

@@ -52,14 +52,15 @@ def two_hosts(number: int = 0) -> Iterator[tuple[list[str], list[str]]]:
 
 
 def wire_of(host: Sequence[str]) -> Callable[[str], float]:
-    """What takes the network device of a host up or down, and says when."""
+    """What takes the network device of a host up or down, and says when it began: links may see it before this ends."""
     name = host[3]
     listed = subprocess.run(["ip", "-n", name, "-o", "link"], capture_output=True, text=True, check=True, timeout=10)
     (device,) = [line.split()[1].partition("@")[0] for line in listed.stdout.splitlines() if "@" in line]
 
     def set_to(state: str) -> float:
+        begins = time.monotonic()
         subprocess.run(["ip", "-n", name, "link", "set", device, state], check=True, timeout=10)
-        return time.monotonic()
+        return begins
 
     return set_to
 

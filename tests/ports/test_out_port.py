@@ -643,7 +643,7 @@ async def test_a_reader_that_raises_or_sleeps_takes_nothing_from_another(anyio_b
         source, good = await kernel.add(Source()), await kernel.add(Good())
         for reader in (await kernel.add(Raising()), await kernel.add(Slow()), good):
             await kernel.connect(source.out, reader.ports["inp"])
-            await kernel.start(EventContext(deadline=0.2), reader, activate=True)
+            await kernel.start(EventContext(deadline=5.0), reader, activate=True)
         for number in range(50):
             assert await source.out.write(long(number)) is True
             await asyncio.sleep(0.001)
