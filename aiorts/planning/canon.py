@@ -19,8 +19,8 @@ from aiorts.kernel.service import KernelService
 from aiorts.model.configuration.sets import DEFAULT, same
 from aiorts.model.converter import Converter
 from aiorts.model.names import names_kernel
-from aiorts.model.options import chosen_options
-from aiorts.model.policy import OnLinkLost, Push, Subscription
+from aiorts.model.options import chosen_options, said_options
+from aiorts.model.policy import OnLinkLost
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry
 from aiorts.model.wanted.restart_policy import Supervision
 
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
 _SHOWN: Final = 20
 _MISSING: Final = object()
-_USUAL_APART: Final = {"subscription": Subscription.NEW, "push": Push.ALL}
-"""Options of a connector to a component in a process of its own, where nobody says them."""
 
 
 class Canon:
@@ -184,8 +182,7 @@ class Canon:
         self._joined.add(ports)
         options = chosen_options(profile, usual_length)
         if options.get("on_link_lost") == OnLinkLost.WAIT and not any(map(names_kernel, ports)):
-            usual = _USUAL_APART if all(options.get(key) == value for key, value in _USUAL_APART.items()) else {}
-            options = {key: value for key, value in options.items() if key not in (*usual, "on_link_lost")}
+            options = said_options(profile, usual_length)
         if profile.name not in ("", usual_name) and not (again and profile.name.startswith(usual_name)):
             options = {"name": profile.name, **options}
         if again:
@@ -239,6 +236,15 @@ def without_provenance(wanted: Wanted, catalogue: Catalogue) -> Wanted:
 
     kept = {name: one for name, one in wanted.services.items() if is_difference(name)}
     return wanted if len(kept) == len(wanted.services) else dataclasses.replace(wanted, services=MappingProxyType(kept))
+
+
+def without_isolation(wanted: Wanted) -> Wanted:
+    """The system with all components in the process of their kernel."""
+    here = {
+        name: dataclasses.replace(one, isolation="", limits=MappingProxyType({})) if one.isolation else one
+        for name, one in wanted.components.items()
+    }
+    return dataclasses.replace(wanted, components=MappingProxyType(here))
 
 
 def whole(path: Path) -> Path:
