@@ -331,7 +331,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "N-CIRCLE": Code(
         "Components that run on events wait for one another in a circle, and none begins: a note of aiorts check.",
-        "No sample comes into the circle from outside, and no member has on_activated, every or a rate.",
+        "No sample comes from outside, none has every or a rate, and on_activated writes nothing, or writes too early.",
         "Write the first sample in on_activated, with keep_last = true at its connection; or give one of them a rate.",
     ),
     "N-COPY": Code(
