@@ -380,7 +380,7 @@ CODES: Final[dict[str, Code]] = {
         "Correct the pattern, or remove it.",
     ),
     "W-INACTIVE": Code(
-        "A sample was dropped because its reader was not active yet; reported once in a run.",
+        "A sample was dropped because its reader was not active yet, and none came through soon; said once in a run.",
         "It was written while the system started: in on_activated, or before the reader's context ran.",
         'Connect with keep_last = true, or start the writer later: start.after = "READER active".',
     ),
