@@ -15,7 +15,8 @@ from aiorts.errors import ConfigurationError, PluginError, SystemFileError
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.extensions.arguments import needs_rate, path_settings
 from aiorts.kernel.extensions.type_texts import type_text
-from aiorts.kernel.service import KernelService
+from aiorts.kernel.ports import InPort
+from aiorts.kernel.service import KernelService, stand_in_of
 from aiorts.model.configuration.sets import DEFAULT, same
 from aiorts.model.converter import Converter
 from aiorts.model.names import names_kernel
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.execution.context import Context
     from aiorts.kernel.extensions.catalogue import Catalogue
+    from aiorts.kernel.microkernel import Microkernel
     from aiorts.model.configuration.sets import ConfigurationState
     from aiorts.model.profile import ConnectorProfile
     from aiorts.model.wanted.entries import Wanted
@@ -245,6 +247,28 @@ def without_isolation(wanted: Wanted) -> Wanted:
         for name, one in wanted.components.items()
     }
     return dataclasses.replace(wanted, components=MappingProxyType(here))
+
+
+def as_it_stands(now: Wanted, wanted: Wanted, kernel: Microkernel) -> Wanted:
+    """The system with what services say of components that are not those of their classes (`stands_for`)."""
+    there = [name for name in now.components if name in kernel.components]
+    names = {name for name in there if stand_in_of(kernel.services, name)}
+    if not names:
+        return wanted
+    ports = [port for name in names for port in kernel.components[name].ports.values()]
+    unread = {port.path for port in ports if isinstance(port, InPort)}
+    words = "isolation", "limits", "supervision"
+    components = {
+        name: dataclasses.replace(one, **{word: getattr(now.components[name], word) for word in words})
+        if name in names
+        else one
+        for name, one in wanted.components.items()
+    }
+    return dataclasses.replace(
+        wanted,
+        components=MappingProxyType(components),
+        connections=tuple(one for one in wanted.connections if unread.isdisjoint(one.ports[1:])),
+    )
 
 
 def whole(path: Path) -> Path:

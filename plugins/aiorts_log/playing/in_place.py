@@ -42,6 +42,7 @@ __all__ = ("InPlace", "ReplaySettings")
 _LOG = logging.getLogger(__name__)
 _NS: Final = 1_000_000_000
 _SHOWN: Final = 10
+_REPLAYED: Final = "it is replayed, and none of its code runs"
 _HOOKS: Final = (
     *("on_initialize", "on_finalize", "on_startup", "on_shutdown", "on_activated", "on_deactivated", "on_execute"),
     *("on_state_update", "on_rate_changed", "on_reset", "on_error", "on_aborting"),
@@ -144,6 +145,9 @@ class InPlace(KernelService):
             self._check(path, outs[path].type)
         self._in_place[name] = frozenset(recorded)
         return _without_hooks(cls)
+
+    def stands_for(self, name: str) -> str:
+        return "" if self._path is None or name not in self._in_place else _REPLAYED
 
     def _check(self, path: str, wanted: Any) -> None:
         for port in self._recorded[path].values():
@@ -256,7 +260,7 @@ def _without_hooks(cls: type[Component]) -> type[Component]:
     for attribute in dir(cls):
         if isinstance(end := inspect.getattr_static(cls, attribute), Provided):
             names[attribute] = alike = copy.copy(end)
-            alike.refuses = "it is replayed, and none of its code runs"
+            alike.refuses = _REPLAYED
     if issubclass(cls, StateMachineComponent):
         names["chart"] = Chart(State("replayed", initial=True))
     made: type[Component] = types.new_class(cls.__name__, (cls,), exec_body=lambda body: body.update(names))
