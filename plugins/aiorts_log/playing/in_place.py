@@ -189,8 +189,8 @@ class InPlace(KernelService):
     # -- playing -----------------------------------------------------------------------------------------------------
 
     def started(self) -> None:
-        if self._path is None:
-            return
+        if self._path is None or self._player is not None:
+            return  # a plan that is applied later on changes nothing of the replay
         kernel, settings = self.kernel, self._settings
         routes = {
             key: (kernel.components[name].ports[path.partition(".")[2]], port.type)
