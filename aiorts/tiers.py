@@ -33,7 +33,10 @@ class Tier(NamedTuple):
 PROVISIONAL: Final = Tier(
     "Provisional",
     "may change with a minor version",
-    ("control", "links", "isolation", "plan and apply", "services", "state machines"),
+    (
+        *("control", "links", "isolation", "plan and apply", "services", "state machines"),
+        *("composites", "supervision", "rules", "events"),
+    ),
     frozenset(
         (
             *("ls", "cat", "find", "top", "hz", "bw", "delay", "print", "inject", "vlog", "watch", "conf", "connect"),
@@ -45,6 +48,7 @@ PROVISIONAL: Final = Tier(
         (
             *("look-into", "control", "save-system", "change-system", "measure-live", "samples-live", "live-log"),
             *("connect-processes", "links", "isolate-components", "move", "services", "goals", "state-machines"),
+            *("composites", "supervise", "connect-by-rules", "observe", "events"),
         )
     ),
 )

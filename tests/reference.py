@@ -454,7 +454,8 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
 
 def page(name: str) -> str:
     """The text of a page as it ought to be now."""
-    return _folded(re.sub(r"\n{3,}", "\n\n", f"{HEADS[name]}\n\n{PAGES[name]()}").rstrip()) + f"\n\n{_STALE}"
+    text = _folded(re.sub(r"\n{3,}", "\n\n", f"{HEADS[name]}\n\n{PAGES[name]()}").rstrip())
+    return noted(name, f"{text}\n\n{_STALE}")
 
 
 def _literal(line: str) -> str:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from aiorts.isolation.handover import give_state, hold, packed, release, state_of, taken
     from aiorts.isolation.isolating import Isolation
     from aiorts.isolation.messages import MARK, OPERATE, REPORT, First, Report, asked, done, refused
-    from aiorts.isolation.moving import move
+    from aiorts.isolation.moving import beside, exchange, hold_at, move
     from aiorts.isolation.placing import given_of, placed
     from aiorts.isolation.ports import described, fail, follow
     from aiorts.isolation.stand_in import RemoteComponent
@@ -31,13 +31,16 @@ __all__ = (
     "RemoteComponent",
     "Report",
     "asked",
+    "beside",
     "described",
     "done",
+    "exchange",
     "fail",
     "follow",
     "give_state",
     "given_of",
     "hold",
+    "hold_at",
     "move",
     "packed",
     "placed",
@@ -53,7 +56,7 @@ _late(
         "aiorts.isolation.handover": "give_state hold packed release state_of taken",
         "aiorts.isolation.isolating": "Isolation",
         "aiorts.isolation.messages": "MARK OPERATE REPORT First Report asked done refused",
-        "aiorts.isolation.moving": "move",
+        "aiorts.isolation.moving": "beside exchange hold_at move",
         "aiorts.isolation.placing": "given_of placed",
         "aiorts.isolation.ports": "described fail follow",
         "aiorts.isolation.stand_in": "RemoteComponent",

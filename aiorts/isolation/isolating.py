@@ -22,6 +22,7 @@ from aiorts.kernel.extensions.type_texts import type_text
 from aiorts.kernel.loop.bus import Connected, Disconnected
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.kernel.ports.connector import unread_of
 from aiorts.kernel.service import KernelService
 from aiorts.links import Caller, Links, UnixTransport
 from aiorts.model.lifecycle import OverdueHook
@@ -31,11 +32,16 @@ from aiorts.model.service_profile import ServiceConnectorProfile
 from aiorts.processes import Launcher, Limits
 
 if TYPE_CHECKING:
+    from aiorts.kernel.loop.timers import Cancellable
     from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.connector import Connector
 
 _LOG: Final = KernelLog()
 _STARTS: Final = 2 * (os.cpu_count() or 1)
 """Processes that come up at the same time; the time of each begins when it is its turn."""
+
+_READ_SECONDS: Final = 0.05
+"""How often it is looked whether what a moved component wrote before was read."""
 
 
 class Isolation(KernelService):
@@ -56,6 +62,8 @@ class Isolation(KernelService):
         self._starts = asyncio.Semaphore(_STARTS)
         self._printing = Printing()
         self._said = False
+        self._leftover: dict[Connector, Cancellable] = {}
+        """Connectors that end once they are read, each with when it is looked at next."""
         kernel.bus.subscribe(Connected, self._rewired)
         kernel.bus.subscribe(Disconnected, self._rewired)
 
@@ -142,7 +150,21 @@ class Isolation(KernelService):
             launcher, self._launcher = self._launcher, None
             await launcher.close()
 
+    def end_when_read(self, connector: Connector) -> None:
+        """End a connector whose writer has moved, once what was written before is read."""
+        self._leftover.pop(connector, None)
+        if connector.closed or self.kernel.closed:
+            return
+        if unread_of(connector):
+            look = partial(self.end_when_read, connector)
+            self._leftover[connector] = self.kernel.call_later(_READ_SECONDS, look)
+        else:
+            self.kernel.connections.end(connector)
+
     def stopped(self) -> None:
+        for timer in self._leftover.values():
+            timer.cancel()
+        self._leftover.clear()
         if self._launcher is not None:
             kernel_task(self.kernel.loop, self._launcher.close(), "aiorts isolation close")
 

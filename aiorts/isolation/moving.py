@@ -32,7 +32,7 @@ from aiorts.kernel.ports.connector import Connector, unread_of
 from aiorts.kernel.ports.port import host_of
 from aiorts.links import Links
 from aiorts.model.lifecycle import LifecycleState
-from aiorts.model.options import chosen_options, link_options
+from aiorts.model.options import chosen_options, link_options, said_options
 from aiorts.services import ServicePort
 from aiorts.supervision import standing_of
 
@@ -45,8 +45,6 @@ _PATIENCE: Final = 5.0
 _SETTLES: Final = 0.5
 """Seconds for the other end of a link to say that it has all."""
 _LOOK: Final = 0.001
-_READ_SECONDS: Final = 0.05
-"""How often it is looked whether what the old one wrote was read."""
 
 
 async def move(kernel: Microkernel, component: Component, to: Context | str, limits: Mapping[str, Any]) -> Component:
@@ -77,13 +75,46 @@ async def _moved(kernel: Microkernel, component: Component, to: Context | str, l
         if isinstance(to, Context):
             if not isinstance(component, RemoteComponent):
                 return await _change_context(kernel, component, to)
-            return await _exchange(kernel, component, component.original, to)
+            return await _exchange(kernel, component, await _beside(kernel, component, component.original), to)
         if isinstance(component, RemoteComponent):
             raise StateError(f"{component.name}: runs in a process of its own already")
         cls = kernel.service(Isolation).stand_in(type(component), limits)
         if cls is type(component):
             return component  # on a simulated clock, which was said
-        return await _exchange(kernel, component, cls, _alike(kernel, component))
+        alike = _alike(kernel, component)
+        return await _exchange(kernel, component, await _beside(kernel, component, cls), alike)
+
+
+async def beside(kernel: Microkernel, component: Component, limits: Mapping[str, Any] | None) -> Component:
+    """Another instance for the place of a component that is in at most one context; it is parked.
+
+    Args:
+        limits: what its process may use; None for an instance in this process.
+
+    Raises:
+        StateError, WiringError, DeclarationError: names what keeps the component from its place. What making it raises.
+    """
+    _check(kernel, component, "process")
+    if limits is not None:
+        return await _beside(kernel, component, kernel.service(Isolation).stand_in(type(component), limits))
+    return await _beside(kernel, component, getattr(type(component), "original", type(component)))
+
+
+async def exchange(kernel: Microkernel, old: Component, new: Component) -> None:
+    """Put what `beside` has made in the place of a component that is in no context, with its state and connectors.
+
+    Its in-ports take samples until `hold_at` says that they do no longer.
+
+    Raises:
+        AiortsError: why the old one is in its place still; the new one has ended.
+    """
+    await _exchange(kernel, old, new, None, held=True)
+
+
+async def hold_at(component: Component, holds: bool) -> None:
+    """Have its in-ports take samples wherever it runs and whatever its state is, or no longer."""
+    with suppress(ProcessError):  # of the process, which has ended: that is its failure, as always
+        await _place_of(component).hold(holds)
 
 
 def _check(kernel: Microkernel, component: Component, to: Context | str) -> None:
@@ -228,11 +259,21 @@ def _place_of(component: Component) -> _Here | _There:
     return _There(component) if isinstance(component, RemoteComponent) else _Here(component)
 
 
-async def _exchange(kernel: Microkernel, old: Component, cls: type[Component], to: Context | None) -> Component:
+async def _beside(kernel: Microkernel, old: Component, cls: type[Component]) -> Component:
+    """Another instance, where the old one can go there: refused before anything is changed."""
+    await _Move(kernel, old).here.state()
+    return await _make(kernel, old, cls)
+
+
+async def _exchange(
+    kernel: Microkernel, old: Component, new: Component, to: Context | None, *, held: bool = False
+) -> Component:
     """Another instance in the place of the old one, in another process; what fails takes all of it back."""
-    move, active = _Move(kernel, old), LifecycleState.ACTIVE in old.states.values()
-    await move.here.state()  # refused before anything is changed
-    new = await _make(kernel, old, cls)
+    try:
+        move, active = _Move(kernel, old), LifecycleState.ACTIVE in old.states.values()
+    except BaseException:
+        await kernel.registry.end_parked(new)
+        raise
     there, switched = _place_of(new), False
     try:
         await there.prepare(to)
@@ -258,8 +299,8 @@ async def _exchange(kernel: Microkernel, old: Component, cls: type[Component], t
             await kernel.registry.end_parked(new)
         raise
     await move.finish()
-    with suppress(ProcessError):  # of the process, which has ended: that is its failure, as always
-        await there.hold(False)
+    if not held:
+        await hold_at(new, False)
     await kernel.registry.end_parked(old)
     _disown(old, new)
     return new
@@ -363,7 +404,7 @@ class _Move:
             )
         if isinstance(old, RemoteComponent):
             known = dict(old.before.get(profile.name, {}))
-            return known or {**chosen_options(profile), "on_link_lost": None, "length": profile.length}
+            return known or {**said_options(profile), "on_link_lost": None, "length": profile.length}
         if connector.in_.is_far or connector.out.is_far:
             raise StateError(
                 f"{old.name}: {where}: one end is in another process, and both cannot be; disconnect it first, "
@@ -412,7 +453,9 @@ class _Move:
             elif isinstance(old, RemoteComponent):
                 pass_on(connector, made)
             else:
-                _end_when_read(kernel, connector)  # the other is a link, which counts what comes over it alone
+                kernel.service(Isolation).end_when_read(
+                    connector
+                )  # the other is a link, which counts what comes over it alone
                 continue
             kernel.connections.end(connector)
         for profile in calls:
@@ -486,16 +529,6 @@ class _Move:
 
 async def _there_already(connector: Connector) -> Connector:
     return connector
-
-
-def _end_when_read(kernel: Microkernel, connector: Connector) -> None:
-    """What the old one wrote stays until it is read."""
-    if connector.closed or kernel.closed:
-        return
-    if unread_of(connector):
-        kernel.call_later(_READ_SECONDS, lambda: _end_when_read(kernel, connector))
-    else:
-        kernel.connections.end(connector)
 
 
 class _Moved:

@@ -403,6 +403,7 @@ class Connections:
 
     def end_all(self) -> None:
         """In reverse order."""
+        self.early.close()
         self.end_each(tuple(self.service_connectors.values())[::-1])
         self.end_each(tuple(self.connectors.values())[::-1])
         self.losses.close()

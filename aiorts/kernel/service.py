@@ -105,6 +105,11 @@ class KernelService:
         """
         return None
 
+    def stands_for(self, name: str) -> str:
+        """Why the component of this name is one that `in_place_of` gave, or "": a plan connects nothing to its
+        in-ports, leaves it unsupervised where it is, and its code is not replaced."""
+        return ""
+
     def started(self) -> None:
         """What a system file, or a plan, has made runs: its contexts are started, their members activated."""
 
@@ -158,6 +163,11 @@ class KernelService:
 
     def closed(self) -> None:
         """All was given up, the bus too."""
+
+
+def stand_in_of(services: Iterable[KernelService], name: str) -> str:
+    """Why one of these has given another component in the place of the one of this name; "" where none has."""
+    return next(filter(None, (one.stands_for(name) for one in services)), "")
 
 
 def owned_by(services: Iterable[KernelService]) -> Callable[[Connector], bool] | None:

@@ -210,6 +210,10 @@ _AT_THE_WRITER: Final[tuple[tuple[str, type[Any], Any], ...]] = (
 """What the writer's end does alone."""
 
 
+_USUAL_APART: Final[Mapping[str, Any]] = {"subscription": Subscription.NEW, "push": Push.ALL}
+"""Options of a connector to another process, where nobody says them."""
+
+
 def link_options(
     where: str, options: Mapping[str, Any], *, from_reader: bool = False, through: bool = False
 ) -> dict[str, Any]:
@@ -242,9 +246,7 @@ def link_options(
         raise WiringError(f"{where}: dataflow = pull: {why}")
     usual: dict[str, Any] = {}
     if "subscription" not in own and not pulls:
-        usual["subscription"] = Subscription.NEW
-        if "push" not in own:
-            usual["push"] = Push.ALL
+        usual = {key: value for key, value in _USUAL_APART.items() if key not in own}
     if own.get("on_link_lost") is None:
         usual["on_link_lost"] = OnLinkLost.WAIT
     return {**options, **usual}
@@ -268,6 +270,13 @@ def chosen_options(profile: ConnectorProfile, usual_length: int | None = None) -
     if profile.on_link_lost is not None and profile.dataflow is Dataflow.PUSH and "subscription" not in options:
         options["subscription"] = str(profile.subscription)  # a link that does not say it is new/all
     return options
+
+
+def said_options(profile: ConnectorProfile, usual_length: int | None = None) -> dict[str, Any]:
+    """The same, of a connector to another process, without what is usual there where nobody says it."""
+    options = chosen_options(profile, usual_length)
+    usual = _USUAL_APART if all(options.get(key) == value for key, value in _USUAL_APART.items()) else {}
+    return {key: value for key, value in options.items() if key not in (*usual, "on_link_lost")}
 
 
 @lru_cache(maxsize=256)

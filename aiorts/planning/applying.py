@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.composites import parts_of
 from aiorts.errors import StateError, WiringError, format_error
-from aiorts.isolation import Isolation, placed
+from aiorts.isolation import Isolation, RemoteComponent, beside, exchange, hold_at, placed
 from aiorts.kernel.component import Component
 from aiorts.kernel.configuring import put
 from aiorts.kernel.declarations import declarations
@@ -42,6 +42,7 @@ from aiorts.model.wanted.steps import (
     Connect,
     Create,
     Disconnect,
+    Isolate,
     Move,
     Reload,
     Remove,
@@ -102,11 +103,16 @@ class Application:
         self._trials: dict[str, Trial] = {}
         """Those that are instances of another type now, by name."""
         self._held: set[Component] = set()
+        self._beside: dict[str, Component] = {}
+        """Instances for the places of components that go into another process, by name."""
+        self._isolated = frozenset(one.after.name for one in plan.steps if isinstance(one, Isolate))
+        """The components that do."""
         self._table: Final[Mapping[type[Step], Callable[[Any], Awaitable[None]]]] = {
             Create: self._create,
             Remove: self._remove,
             Configure: self._configure,
             Reload: self._reload,
+            Isolate: self._isolate,
             Supervise: self._supervise,
             AddRules: self._rule,
             Connect: self._connect,
@@ -133,7 +139,7 @@ class Application:
         for component in kernel.components.values():
             entry = self._now.components.get(component.name)
             if entry is not None:
-                self._types.setdefault(entry.type, type(component))
+                self._types.setdefault(entry.type, getattr(type(component), "original", type(component)))
         for step in self.plan.steps:
             if isinstance(step, Create | Reload):
                 entry = step.component if isinstance(step, Create) else step.after
@@ -143,6 +149,13 @@ class Application:
                 _setting(entry).merged(declarations(self._types[entry.type]).configuration, entry.name)
             elif isinstance(step, StartContext | RenewContext):
                 self._context(step.context if isinstance(step, StartContext) else step.after)
+        try:
+            for step in self.plan.steps:
+                if isinstance(step, Isolate):
+                    self._beside[step.after.name] = await self._made_beside(step)
+        except BaseException:
+            await self._end_beside()
+            raise
 
     async def forth(self) -> None:
         """Carry out all steps.
@@ -161,6 +174,7 @@ class Application:
                 await self.carry_out(step)
         if rules:
             await self._kernel.service(Supervising).start_in_order(rules, patience)
+        await self._let_go()
         self.ended = self._before.ended()
 
     async def carry_out(self, step: Step) -> None:
@@ -194,8 +208,11 @@ class Application:
                 failed.append(f"{back.text}: {format_error(error)}")
                 if isinstance(back, Create):
                     self._lost.add(back.component.name)
+        exchanged = {one.after.name for one in self._begun if isinstance(one, Isolate)}
         self._begun = []
-        return failed + await self._before.restore(self._lost)
+        left = await self._before.restore(self._lost, exchanged)
+        await self._let_go()
+        return failed + left
 
     def release(self) -> None:
         """All are in their places: ports are open or closed as always."""
@@ -223,6 +240,7 @@ class Application:
         for component in reversed(tuple(parked.values())):
             await kernel.registry.end_parked(component)
         await self._composites.end()
+        await self._end_beside()
 
     # -- components ------------------------------------------------------------------------------------------------
 
@@ -230,15 +248,13 @@ class Application:
         kernel, entry = self._kernel, step.component
         if entry.name in kernel.components:
             return
-        setting, cls = _setting(entry), self._types[entry.type]
+        setting = _setting(entry)
         component = self._parked.pop(entry.name, None)
         if component is not None:
             kernel.registry.unpark(component)
             self._put_back()
         else:
-            if entry.isolation:
-                cls = kernel.service(Isolation).stand_in(cls, entry.limits)
-            component = await setting.create(kernel, cls, entry.name)
+            component = await setting.create(kernel, self._class_of(entry), entry.name)
         self._supervise_as(component, entry)
 
     async def _remove(self, step: Remove) -> None:
@@ -285,6 +301,32 @@ class Application:
             self._trials[entry.name] = trial
         self._supervise_as(kernel.components[entry.name], entry)
 
+    async def _isolate(self, step: Isolate) -> None:
+        name = step.after.name
+        old = self._component(name)
+        if isinstance(old, RemoteComponent) is bool(step.after.isolation):
+            return
+        new = self._beside.pop(name, None) or await self._made_beside(step)
+        await exchange(self._kernel, old, new)
+        self._held.discard(old)
+
+    async def _made_beside(self, step: Isolate) -> Component:
+        """The instance for the component's place, whose process runs: made while the component still runs."""
+        limits = step.after.limits if step.after.isolation else None
+        return await beside(self._kernel, self._component(step.after.name), limits)
+
+    async def _end_beside(self) -> None:
+        """Those that came to no place end."""
+        made, self._beside = self._beside, {}
+        for component in made.values():
+            await self._kernel.registry.end_parked(component)
+
+    async def _let_go(self) -> None:
+        """Who went into another process has in-ports that are open or closed as always."""
+        for name in self._isolated:
+            if name in self._kernel.components:
+                await hold_at(self._kernel.components[name], False)
+
     async def _rule(self, step: AddRules) -> None:
         self._kernel.service(ConnectingRules).change(step.after)
 
@@ -301,8 +343,12 @@ class Application:
             supervising.rules[entry.name] = entry.start
         policy, there = entry.supervision, supervising.supervised.get(entry.name)
         if policy is not None or there is not None:
-            make = partial(_setting(entry).make, self._types[entry.type])
+            make = partial(_setting(entry).make, self._class_of(entry))
             supervising.supervise(component, policy or Supervision(), make)
+
+    def _class_of(self, entry: ComponentEntry) -> type[Component]:
+        cls = self._types[entry.type]
+        return self._kernel.service(Isolation).stand_in(cls, entry.limits) if entry.isolation else cls
 
     def _component(self, name: str) -> Component:
         """The component of this name. StateError: it was removed, or could not be made again."""
@@ -496,6 +542,8 @@ class Application:
             for composite in places.composites.values():
                 names.update(dict.fromkeys(() if composite is None else (composite.name, *composite.members)))
         self._hold([kernel.components[name] for name in names if name in kernel.components])
+        for name in self._isolated & names.keys():
+            await hold_at(self._component(name), True)
         await switch(kernel, step.after, self._activates, self._composites)
 
     def _activates(self, context: str, component: Component) -> bool:
@@ -504,6 +552,8 @@ class Application:
         known = [name for name in leaves if name in self._now.components]
         if self.goes_back and known:
             return any(self._before.was_active(context, name) for name in known)
+        if component.name in self._isolated:
+            return self._before.was_active_somewhere(component.name)
         entry = (self._now if self.goes_back else self._wanted).contexts.get(context)
         starts = self._wanted.components.get(component.name)
         return entry is not None and entry.activate and (starts is None or starts.start is None)

@@ -15,12 +15,13 @@ from aiorts.errors import ConfigurationError, PluginError, SystemFileError
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.extensions.arguments import needs_rate, path_settings
 from aiorts.kernel.extensions.type_texts import type_text
-from aiorts.kernel.service import KernelService
+from aiorts.kernel.ports import InPort
+from aiorts.kernel.service import KernelService, stand_in_of
 from aiorts.model.configuration.sets import DEFAULT, same
 from aiorts.model.converter import Converter
 from aiorts.model.names import names_kernel
-from aiorts.model.options import chosen_options
-from aiorts.model.policy import OnLinkLost, Push, Subscription
+from aiorts.model.options import chosen_options, said_options
+from aiorts.model.policy import OnLinkLost
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry
 from aiorts.model.wanted.restart_policy import Supervision
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.execution.context import Context
     from aiorts.kernel.extensions.catalogue import Catalogue
+    from aiorts.kernel.microkernel import Microkernel
     from aiorts.model.configuration.sets import ConfigurationState
     from aiorts.model.profile import ConnectorProfile
     from aiorts.model.wanted.entries import Wanted
@@ -36,8 +38,6 @@ if TYPE_CHECKING:
 
 _SHOWN: Final = 20
 _MISSING: Final = object()
-_USUAL_APART: Final = {"subscription": Subscription.NEW, "push": Push.ALL}
-"""Options of a connector to a component in a process of its own, where nobody says them."""
 
 
 class Canon:
@@ -184,8 +184,7 @@ class Canon:
         self._joined.add(ports)
         options = chosen_options(profile, usual_length)
         if options.get("on_link_lost") == OnLinkLost.WAIT and not any(map(names_kernel, ports)):
-            usual = _USUAL_APART if all(options.get(key) == value for key, value in _USUAL_APART.items()) else {}
-            options = {key: value for key, value in options.items() if key not in (*usual, "on_link_lost")}
+            options = said_options(profile, usual_length)
         if profile.name not in ("", usual_name) and not (again and profile.name.startswith(usual_name)):
             options = {"name": profile.name, **options}
         if again:
@@ -239,6 +238,37 @@ def without_provenance(wanted: Wanted, catalogue: Catalogue) -> Wanted:
 
     kept = {name: one for name, one in wanted.services.items() if is_difference(name)}
     return wanted if len(kept) == len(wanted.services) else dataclasses.replace(wanted, services=MappingProxyType(kept))
+
+
+def without_isolation(wanted: Wanted) -> Wanted:
+    """The system with all components in the process of their kernel."""
+    here = {
+        name: dataclasses.replace(one, isolation="", limits=MappingProxyType({})) if one.isolation else one
+        for name, one in wanted.components.items()
+    }
+    return dataclasses.replace(wanted, components=MappingProxyType(here))
+
+
+def as_it_stands(now: Wanted, wanted: Wanted, kernel: Microkernel) -> Wanted:
+    """The system with what services say of components that are not those of their classes (`stands_for`)."""
+    there = [name for name in now.components if name in kernel.components]
+    names = {name for name in there if stand_in_of(kernel.services, name)}
+    if not names:
+        return wanted
+    ports = [port for name in names for port in kernel.components[name].ports.values()]
+    unread = {port.path for port in ports if isinstance(port, InPort)}
+    words = "isolation", "limits", "supervision"
+    components = {
+        name: dataclasses.replace(one, **{word: getattr(now.components[name], word) for word in words})
+        if name in names
+        else one
+        for name, one in wanted.components.items()
+    }
+    return dataclasses.replace(
+        wanted,
+        components=MappingProxyType(components),
+        connections=tuple(one for one in wanted.connections if unread.isdisjoint(one.ports[1:])),
+    )
 
 
 def whole(path: Path) -> Path:

@@ -21,7 +21,7 @@ from aiorts.model.wanted.applied import Applied
 from aiorts.model.wanted.plan import Plan, planning
 from aiorts.model.wanted.stepwise import finished
 from aiorts.model.wanted.system_text import Saved, system_text
-from aiorts.planning.canon import without_provenance
+from aiorts.planning.canon import as_it_stands, without_isolation, without_provenance
 from aiorts.planning.turns import in_turns
 from aiorts.supervision import Supervising
 
@@ -145,6 +145,9 @@ class Planning(KernelService):
 
     def _planning(self, now: Wanted, wanted: Wanted) -> Generator[None, None, Plan]:
         now, wanted = (without_provenance(one, self.kernel.plugins) for one in (now, wanted))
+        if isinstance(self.kernel.clock, SimulatedClock):  # there all components run in this process
+            wanted = without_isolation(wanted)
+        wanted = as_it_stands(now, wanted, self.kernel)
         components = self.kernel.components.values()
         limited = {port.path for one in components for port in one.ports.values() if _is_limited(port)}
         yield

@@ -61,6 +61,10 @@ class Snapshot:
         """Whether a component was active in a context."""
         return self._states.get((context, component), _NOWHERE)[1] is _ACTIVE
 
+    def was_active_somewhere(self, component: str) -> bool:
+        """Whether a component was active in a context."""
+        return any(self.was_active(context, name) for context, name in self._states if name == component)
+
     def ended(self) -> frozenset[str]:
         """The components that contexts ran then, and none runs now."""
         running = {member.component.name for one in self._kernel.contexts.values() for member in one.runner.members}
@@ -70,11 +74,12 @@ class Snapshot:
         """The configuration of a component; None where there was none of this name."""
         return self._configurations.get(name)
 
-    async def restore(self, said: Collection[str]) -> list[str]:
+    async def restore(self, said: Collection[str], exchanged: Collection[str] = ()) -> list[str]:
         """Put back what no step is about.
 
         Args:
             said: components of which it is known that they could not be made again.
+            exchanged: components that were in another process meanwhile.
 
         Returns:
             What is not as it was, and why, one sentence each.
@@ -91,7 +96,7 @@ class Snapshot:
         kernel.registry.arrange(self.components)
         kernel.connections.arrange((*self._connectors, *self._services), self._at_ports)
         arrange_contexts(kernel, self.contexts)
-        notes = list(self._other_objects(said))
+        notes = list(self._other_objects(said, exchanged))
         for (context, name), before in self._states.items():
             there = kernel.contexts.get(context), kernel.components.get(name)
             if there[0] is not None and there[1] is not None:
@@ -101,7 +106,7 @@ class Snapshot:
                 await _arrange(kernel.contexts[name], line)
         return notes
 
-    def _other_objects(self, said: Collection[str]) -> Iterator[str]:
+    def _other_objects(self, said: Collection[str], exchanged: Collection[str]) -> Iterator[str]:
         kernel = self._kernel
         anew = set(said)
         for name, component in self.components.items():
@@ -109,7 +114,12 @@ class Snapshot:
             if now is not component:
                 anew.add(name)
             if now is not component and name not in said:
-                yield f"{name}: " + ("is gone" if now is None else "was made anew: what it held in attributes is lost")
+                held = (
+                    "has its attributes; take the new handle"
+                    if name in exchanged
+                    else "what it held in attributes is lost"
+                )
+                yield f"{name}: " + ("is gone" if now is None else f"was made anew: {held}")
         for name, context in self.contexts.items():
             now_there = kernel.contexts.get(name)
             if now_there is not None and now_there is not context:

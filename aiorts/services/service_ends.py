@@ -59,7 +59,7 @@ class Provided(ServiceEnd[I], Generic[I]):
         DeclarationError: the interface is not one, or the provider does not have what it asks for.
     """
 
-    __slots__ = ("_answers", "always", "cancel_timeout", "concurrent", "failure", "provider")
+    __slots__ = ("_answers", "always", "cancel_timeout", "concurrent", "failure", "provider", "refuses")
 
     polarity: ClassVar[str] = "provided"
 
@@ -84,6 +84,8 @@ class Provided(ServiceEnd[I], Generic[I]):
         self.always = always
         self.failure = failure
         self.cancel_timeout = checked_seconds(f"Provided[{self.spec.name}]", cancel_timeout, "cancel_timeout")
+        self.refuses = ""
+        """Why no call is served, where a class stands for another one; its provider is not looked for."""
         self._answers: dict[str, Callable[..., Any]] | None = None
         if provider is not None and not isinstance(provider, str):
             self._check(provider, f"Provided[{self.spec.name}]({provider!r:.60})")
@@ -125,6 +127,8 @@ class Provided(ServiceEnd[I], Generic[I]):
             return "a hook or method of it was abandoned and it never runs again"
         if self._vacant:
             return "it is being removed"
+        if self.refuses:
+            return self.refuses
         if self.always:
             return ""
         members = here.members
@@ -157,12 +161,18 @@ class Provided(ServiceEnd[I], Generic[I]):
 
     def _functions(self) -> dict[str, Callable[..., Any]]:
         """The bound methods that answer; DeclarationError where there are none."""
+        if self._answers is None and self.refuses:
+            self._answers = dict.fromkeys(self.spec.methods, _nobody)
         if self._answers is None:
             provider = self.port._component if self.provider is None else self.provider
             if isinstance(self.provider, str):
                 provider = getattr(self.port._component, self.provider, None)
             self._answers = self._check(provider, self.path)
         return self._answers
+
+
+def _nobody(*_: object, **__: object) -> None:
+    """It is never called: its interface refuses."""
 
 
 class Required(ServiceEnd[I], Generic[I]):

@@ -32,7 +32,7 @@ from aiorts.supervision import Patience, Supervising, in_order
 from aiorts.system.checks.adapting import adapted
 from aiorts.system.checks.check import of_draft
 from aiorts.system.checks.connection_checks import end_key
-from aiorts.system.file.families import inner_first, readers_first, root, unstartable
+from aiorts.system.file.families import activation_order, inner_first, unstartable
 from aiorts.system.file.parse import spelled
 from aiorts.system.file.survey import Fault, Survey, survey
 from aiorts.system.file.values import SystemFile
@@ -162,7 +162,7 @@ async def _start(kernel: Kernel, plan: Blueprint) -> None:
         started[context.name] = await kernel.start(plan.contexts[context.name], *members)
     rules = [entry.start for entry in system.components.values() if entry.start is not None]
     patience = Patience(kernel, rules)
-    for name in _in_order(system):
+    for name in activation_order(system):
         entry = system.components.get(name)
         for context in system.contexts.values():
             if context.activate and name in context.members and (entry is None or entry.start is None):
@@ -225,17 +225,6 @@ async def _activate(context: Context, component: Component) -> None:
             await component.activate()  # all of it or nothing, as its errors = "..." says
         else:
             await context.activate(component)
-
-
-def _in_order(system: SystemFile) -> list[str]:
-    """Who runs for itself, each after those it sends to: the first sample of a source finds its reader active."""
-    composites = system.composites
-    units = dict.fromkeys(root(composites, name) for name in (*system.components, *composites))
-    edges = []
-    for connection in system.connections:
-        writer, *readers = (root(composites, path.partition(".")[0]) for path in connection.ports)
-        edges += [(writer, reader) for reader in readers if not names_kernel(writer) and not names_kernel(reader)]
-    return readers_first(list(units), edges)
 
 
 def _port(system: SystemFile, kernel: Kernel, connection: ConnectionEntry, number: int) -> Port[Any] | str:

@@ -10,7 +10,8 @@ from test_layers import ROOT
 
 import aiorts.types
 from aiorts.guide import headings, page
-from aiorts.tiers import NOT_STABLE
+from aiorts.system import schema
+from aiorts.tiers import NOT_STABLE, tier_of_command, tier_of_page
 
 FEWEST = {
     "aiorts": 28,
@@ -47,6 +48,26 @@ def test_the_list_is_not_made_shorter() -> None:
     assert listed.keys() == FEWEST.keys()
     assert {module: len(names) for module, names in listed.items() if len(names) < FEWEST[module]} == {}
     assert set(listed["aiorts.types"]) == set(aiorts.types.__all__)
+
+
+STABLE_TABLES = {"schema", "include", "variables", "plugins", "clock", "components", "connections", "contexts"} | {
+    *("record", "replay")
+}
+"""Of a system file, those of the stable tier."""
+
+
+def test_each_table_of_a_system_file_is_of_one_tier() -> None:
+    found = page("stability")
+    assert found is not None
+    said = re.search(r"The tables\s+(.*?) are provisional,\s+(.*?) experimental", found.text, re.DOTALL)
+    assert said is not None
+    others = set(re.findall(r"`(\w+)`", "".join(said.groups())))
+    assert (set(schema()["properties"]), others & STABLE_TABLES) == (STABLE_TABLES | others, set())
+
+
+def test_recordings_are_stable_whoever_writes_them() -> None:
+    assert [tier_of_command(name) for name in ("record", "log", "replay")] == [None] * 3
+    assert tier_of_page("recording") is None
 
 
 def test_the_flexi_components_are_there() -> None:

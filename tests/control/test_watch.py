@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -16,6 +17,8 @@ from aiorts import Kernel
 from aiorts.cli.app import run_command
 from aiorts.sessions import entries
 from aiorts.system import build, load
+from aiorts.types import TimedDouble
+from aiorts_log import RecordingWriter
 from control_parts import WAIT, until
 
 PARTS = """
@@ -91,10 +94,10 @@ class Watched:
 
 
 @contextmanager
-def watched(folder: Path, window: str) -> Iterator[Watched]:
-    (folder / "parts.py").write_text(PARTS)
-    (folder / "system.toml").write_text(SYSTEM)
-    words = ("run", "system.toml", "--watch", "--window", window, "--name", "watched")
+def watched(folder: Path, window: str, *more: str, parts: str = PARTS, system: str = SYSTEM) -> Iterator[Watched]:
+    (folder / "parts.py").write_text(parts)
+    (folder / "system.toml").write_text(system)
+    words = ("run", "system.toml", "--watch", "--window", window, "--name", "watched", *more)
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen([sys.executable, "-m", "aiorts", *words], cwd=folder, stdout=log, stderr=log)
     try:
@@ -225,3 +228,53 @@ async def test_a_type_whose_file_was_read_anew_for_another_one_is_named_as_befor
         await kernel.reload(type(kernel.components["ramp"]))
         await kernel.save(tmp_path / "after.toml")
     assert (tmp_path / "after.toml").read_text() == (tmp_path / "before.toml").read_text()
+
+
+ECHO = """
+
+class Echo(Component):
+    back = InPort(TimedDouble)
+    out = OutPort(TimedDouble)
+
+    def on_initialize(self) -> None:
+        self.log.warning("the echo runs")
+"""
+REPLAYED = """
+[[connections]]
+from = "ramp.out"
+to = "echo.back"
+full = "block"
+timeout = inf
+[[connections]]
+from = "echo.out"
+to = "meter.inp"
+[contexts.echoes]
+kind = "event"
+members = ["echo"]
+[components.echo]
+type = "parts.py:Echo"
+"""
+
+
+@pytest.mark.slow
+def test_who_is_replayed_stays_so_whatever_is_changed(tmp_path: Path) -> None:
+    """Its in-ports were connected anew, where nobody reads, its code ran once its file was changed, and each change
+    began the replay again beside the one that ran."""
+    with RecordingWriter(tmp_path / "run.mcap") as writer:
+        port = writer.add_port("echo.out", TimedDouble)
+        for number in range(6000):
+            assert writer.write(port, TimedDouble(data=float(number)), number * 10**7)
+    words = ("--replay", "run.mcap", "--print", "echo.out")
+    with watched(tmp_path, "0", *words, parts=PARTS + ECHO, system=SYSTEM + REPLAYED) as system:
+        system.write("[components.meter]", "params.step = 2.0\n[components.meter]")
+        system.says("~ configure ramp: params.step default -> 2.0", "info: done")
+        system.write(':Echo"', ':Echo"\nisolation = "process"\nsupervision.restart = "restart"')
+        system.write("params.step = 2.0", "params.step = 3.0")
+        system.says("~ configure ramp: params.step 2.0 -> 3.0", "info: done")
+        assert [line for line in system.said.splitlines() if line[:1] != "{" and "echo" in line] == []
+        system.write("Param(1.0)", "Param(4.0)", "parts.py")
+        system.says("~ reload parts.py:Ramp: ramp")
+        system.says("echo: cannot be reloaded: it is replayed, and none of its code runs")
+        assert "the echo runs" not in system.said
+        printed = [json.loads(line)["data"] for line in system.said.splitlines()[:-1] if line[:1] == "{"]
+        assert printed == [float(number) for number in range(len(printed))]  # once, in order

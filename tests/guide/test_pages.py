@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -58,6 +59,13 @@ def test_a_page_begins_with_its_title_and_its_links_lead_somewhere(page: Page) -
         elif fragment and fragment not in anchors(path.read_text(encoding="utf-8")):
             wrong.append(f"{link}: the page has no such heading")
     assert wrong == []
+
+
+def test_the_page_of_the_web_application_installs_all_that_it_uses() -> None:
+    text = next(page.text for page in pages() if page.name == "fastapi")
+    (installed,) = re.findall(r"^pip install (.*)$", text, re.MULTILINE)
+    used = set(re.findall(r"^(?:from |import |\$ |(?:\$ )?python -m )(\w+)", text, re.MULTILINE)) - {"python", "app"}
+    assert used - sys.stdlib_module_names - {"aiorts"} == set(installed.split())
 
 
 @pytest.fixture

@@ -122,6 +122,8 @@ def test_each_word_of_a_newcomer_leads_first_to_the_page_that_answers() -> None:
     ("word", "page", "said"),
     [("gui", "limits", "graphical interface"), ("dashboard", "limits", "dashboard"), ("metrics", "limits", "metrics"),
      ("kubernetes", "limits", "Kubernetes"), ("rviz", "foxglove-live", "Foxglove"), ("3d", "foxglove-live", "Foxglove"),
+     ("deadlock", "quality-of-service", "deadlock"),
+     ("feedback loop", "quality-of-service", "no component begins"), ("losses", "slow-reader", ""),
      ("websocket", "fastapi", ""), ("health", "fastapi", ""), ("replay", "recording", "")],
 )  # fmt: skip
 def test_what_newcomers_typed_is_answered_first_by_the_page_that_says_what_there_is(

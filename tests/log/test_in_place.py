@@ -160,6 +160,72 @@ def test_a_state_machine_and_modes_are_replayed_and_do_nothing_of_themselves(fol
     assert answers(folder) == {"camera.out": [*range(COUNT)]}
 
 
+SERVED = """\
+from typing import Protocol
+
+from aiorts import Component, OutPort, Provided, Required
+from aiorts.errors import ServiceUnavailable
+from aiorts.types import TimedLong
+
+class Zoom(Protocol):
+    async def zoom(self, to: float) -> float: ...
+    def now(self) -> float: ...
+
+class Camera(Component):
+    out = OutPort(TimedLong)
+    lens = Provided[Zoom]("optics")
+    own = Provided[Zoom](always=True, failure="error")
+    def on_initialize(self):
+        self.optics = self
+    async def zoom(self, to: float) -> float:
+        raise RuntimeError("the camera's code ran")
+    def now(self) -> float:
+        raise RuntimeError("the camera's code ran")
+
+class Asks(Component):
+    lens = Required[Zoom]()
+    own = Required[Zoom]()
+    async def on_execute(self):
+        for end in (self.lens, self.own):
+            try:
+                await end.proxy.zoom(2.0)
+            except ServiceUnavailable as error:
+                print(error)
+            try:
+                end.proxy.now()
+            except ServiceUnavailable as error:
+                print(error)
+        self.finish()
+"""
+SERVING = """\
+schema = 1
+[components.camera]
+type = "served.py:Camera"
+[components.asks]
+type = "served.py:Asks"
+[[connections]]
+from = "asks.lens"
+to = "camera.lens"
+[[connections]]
+from = "asks.own"
+to = "camera.own"
+[contexts.all]
+kind = "periodic"
+rate = 100.0
+members = ["camera", "asks"]
+"""
+
+
+def test_a_call_of_one_that_is_replayed_is_refused_and_says_why(folder: Path) -> None:
+    (folder / "served.py").write_text(SERVED)
+    (folder / "served.toml").write_text(SERVING)
+    done = here(folder, "run", "served.toml", "--replay", "run.mcap", "--simulate")
+    assert done.returncode == 0, done.stderr
+    calls = [f"{end}.{method}" for end in ("lens", "own") for method in ("zoom", "now")]
+    refused = "it is replayed, and none of its code runs"
+    assert done.stdout.splitlines() == [f"asks.{name.partition('.')[0]} -> camera.{name}: {refused}" for name in calls]
+
+
 CHECKED = """\
 from aiorts import Component, OutPort
 from aiorts.types import record

@@ -251,11 +251,11 @@ async def test_the_first_sample_that_came_too_early_is_said_with_the_cure(
         if before == "the activation":
             write(source, 2)
         write(others[0], 1)  # in the same turn
-        await kernel.sleep(0.1)
+        await kernel.sleep(1.0)
         assert lines(caplog) == [EARLY]
         write(source, 3)
         write(others[1], 1)
-        await kernel.sleep(0.1)
+        await kernel.sleep(1.0)
         assert lines(caplog) == []  # once is enough
         await context.activate(sink)
         assert connector.statistics.dropped == {"inactive": 4 if before == "the context" else 5}
@@ -268,7 +268,9 @@ class Tool(KernelService):
     name = "tool"
 
 
-@pytest.mark.parametrize("why", ["was active", "keeps the last", "joins readers", "joins a stream", "hears a tool"])
+@pytest.mark.parametrize(
+    "why", ["was active", "keeps the last", "joins readers", "joins a stream", "hears a tool", "others follow"]
+)
 @simulated
 async def test_what_no_component_waits_for_is_not_said(why: str, caplog: pytest.LogCaptureFixture) -> None:
     async with Kernel() as kernel:
@@ -291,7 +293,11 @@ async def test_what_no_component_waits_for_is_not_said(why: str, caplog: pytest.
             assert connector.out.write_nowait(TimedLong(0, 1))
         else:
             write(source, 2)
-        await kernel.sleep(0.1)
+        if why == "others follow":
+            await context.activate(sink)
+            write(source, 1)
+            assert sink.inp.read_nowait().data == 0
+        await kernel.sleep(1.0)
         assert connector.statistics.dropped["inactive"] == 2
     assert lines(caplog) == []
 

@@ -385,86 +385,6 @@ def test_who_is_in_no_context_and_which_ports_are_open_is_said(write: Write) -> 
     assert "2 ports have no connection: input (in TimedLong), output (out TimedLong)" in findings[1].cause
 
 
-CYCLE = """\
-schema = 1
-[components.one]
-type = "parts.py:Middle"
-[components.two]
-type = "parts.py:Middle"
-[[connections]]
-from = "one.output"
-to = "two.input"
-[[connections]]
-from = "two.output"
-to = "one.input"
-[contexts.a]
-kind = "event"
-members = ["one"]
-[contexts.b]
-kind = "event"
-members = ["two"]
-"""
-
-
-@pytest.mark.fault("B11")
-def test_a_cycle_on_events_alone_is_a_warning_with_its_path(write: Write) -> None:
-    one = only(write(CYCLE), "warning", "error")
-    assert (one.severity, one.code, one.line) == ("warning", "W-LOOP", 9)
-    assert one.cause.startswith("one.output → two.input → two.output → one.input → one.output: ")
-    himself = changed('to = "two.input"', 'to = "one.input"', CYCLE)
-    assert found(write(himself), "warning")[0].cause.startswith("one.output → one.input → one.output: ")
-
-
-@pytest.mark.fault("B11")
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('kind = "event"\nmembers = ["two"]', 'kind = "periodic"\nrate = 10.0\nmembers = ["two"]'),
-        ('members = ["two"]', 'members = ["two"]\n[contexts.c]\nkind = "periodic"\nrate = 1.0\nmembers = ["one"]'),
-        ('to = "one.input"', 'to = "one.input"\ndataflow = "pull"'),
-        ('to = "one.input"', 'to = "one.input"\nsubscription = "periodic"\npush_rate = 10.0'),
-    ],
-)
-def test_a_cycle_that_something_paces_is_none(write: Write, old: str, new: str) -> None:
-    codes = [one.code for one in found(write(changed(old, new, CYCLE)), "warning", "error")]
-    assert codes == (["W-UNFED"] if "pull" in new else [])
-
-
-STARTS = """
-class Starts(Middle):
-    def on_activated(self):
-        self.output.write_nowait(TimedLong(0, 1))
-"""
-
-
-def test_a_circle_that_waits_for_itself_is_noted(write: Write) -> None:
-    one = only(write(CYCLE), "note")
-    assert (one.code, one.where, one.line) == ("N-CIRCLE", "connections[2]", 9)
-    ring = "one.output → two.input → two.output → one.input → one.output"
-    assert one.cause == f"{ring}: each waits for a sample of the one before, and none begins"
-    assert one.remedy.startswith("write the first one in on_activated, to a connection with keep_last = true")
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('kind = "event"', 'kind = "event"\nevery = 1.0'),
-        ('kind = "event"', 'kind = "periodic"\nrate = 1.0'),
-        ("parts.py:Middle", "parts.py:Starts"),
-        (
-            "[[connections]]",
-            '[components.source]\ntype = "parts.py:Source"\n[contexts.c]\nkind = "periodic"\nrate = 1.0\n'
-            'members = ["source"]\n[[connections]]\nfrom = "source.out"\nto = "one.input"\n[[connections]]',
-        ),
-    ],
-    ids=["every", "rate", "on_activated", "a source"],
-)
-def test_a_circle_that_something_starts_is_not_noted(write: Write, tmp_path: Path, old: str, new: str) -> None:
-    path = write(changed(old, new, CYCLE))
-    (tmp_path / "parts.py").write_text((tmp_path / "parts.py").read_text() + STARTS)
-    assert [one for one in found(path) if one.code in ("N-CIRCLE", "E-COMPONENT", "E-PLUGIN")] == []
-
-
 BESIDE = """\
 schema = 1
 [components.source]
@@ -533,6 +453,25 @@ def test_what_pulls_and_is_woken_by_something_else_is_none_of_those(write: Write
     assert found(write(PULLED.replace('members = ["two"]\n', more)), "warning", "error") == []
 
 
+CYCLE = """\
+schema = 1
+[components.one]
+type = "parts.py:Middle"
+[components.two]
+type = "parts.py:Middle"
+[[connections]]
+from = "one.output"
+to = "two.input"
+[[connections]]
+from = "two.output"
+to = "one.input"
+[contexts.a]
+kind = "event"
+members = ["one"]
+[contexts.b]
+kind = "event"
+members = ["two"]
+"""
 MUTUAL = CYCLE.replace('to = "two.input"', 'to = "two.input"\nlength = 0\ntimeout = inf').replace(
     'to = "one.input"', 'to = "one.input"\nlength = 0\ntimeout = inf'
 )

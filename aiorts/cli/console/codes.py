@@ -331,7 +331,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "N-CIRCLE": Code(
         "Components that run on events wait for one another in a circle, and none begins: a note of aiorts check.",
-        "No sample comes into the circle from outside, and no member has on_activated, every or a rate.",
+        "No sample comes from outside, none has every or a rate, and on_activated writes nothing, or writes too early.",
         "Write the first sample in on_activated, with keep_last = true at its connection; or give one of them a rate.",
     ),
     "N-COPY": Code(
@@ -380,7 +380,7 @@ CODES: Final[dict[str, Code]] = {
         "Correct the pattern, or remove it.",
     ),
     "W-INACTIVE": Code(
-        "A sample was dropped because its reader was not active yet; reported once in a run.",
+        "A sample was dropped because its reader was not active yet, and none came through soon; said once in a run.",
         "It was written while the system started: in on_activated, or before the reader's context ran.",
         'Connect with keep_last = true, or start the writer later: start.after = "READER active".',
     ),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import aiorts
-from aiorts.errors import AiortsError, BusyError, ClosedError, SystemFileError
+from aiorts.errors import AiortsError, BusyError, ClosedError, StateError, SystemFileError
 
 if TYPE_CHECKING:
     from aiorts import Component, Kernel
@@ -133,7 +133,11 @@ class Watch:
 
         kinds = [one for one in dict.fromkeys(map(type, kernel.components.values())) if file_of(one) == path]
         for kind in kinds:
-            done = await kernel.reload(kind, window=self._window)
+            try:
+                done = await kernel.reload(kind, window=self._window)
+            except StateError as error:  # the other types have their newer code all the same
+                log.tell("", str(error), level="warning")
+                continue
             log.tell("", f"~ reload {done.kind}: {', '.join(one.component for one in done.components)}", level="info")
             log.tell("", "kept" if self._window else "done", level="info")
         if not kinds and path in self._sources:

@@ -160,12 +160,12 @@ async def _decide(session: Session, given: Decision) -> _Answer:
 
 def _changed(kernel: Microkernel, plan: Plan) -> Iterator[str]:
     """The components of which who wanted the plan is the operator, now that it is carried out."""
-    from aiorts.model.wanted.steps import Activate, Configure, Create, Move, Reload, RenewContext, Supervise
+    from aiorts.model.wanted.steps import Activate, Configure, Create, Isolate, Move, Reload, RenewContext, Supervise
 
     for step in plan.steps:
         if isinstance(step, Create):
             yield step.component.name
-        elif isinstance(step, Configure | Reload | Supervise):
+        elif isinstance(step, Configure | Isolate | Reload | Supervise):
             yield step.after.name
         elif isinstance(step, Activate | RenewContext):
             context = step.context if isinstance(step, Activate) else step.after.name

@@ -7,7 +7,7 @@ ends; after a time without a loss it begins anew. One look names 8 connectors at
 every count.
 
 A sample that came before its reader was active for the first time is lost in silence, and a system may wait for it
-forever: the first one of a kernel is logged, with what helps.
+forever: the first one of a kernel is logged, with what helps, unless the next ones come through soon.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ _LOG = KernelLog()
 _FIRST_LOOK: Final = 10.0
 _LAST_LOOK: Final = 3600.0
 """Seconds of the kernel's clock between two looks at connectors that lose samples."""
+_NEXT: Final = 1.0
+"""Seconds of the kernel's clock in which a writer that goes on writing makes good for a sample that came too early."""
 _MOST_NAMED: Final = 8
 _SUMMARISED: Final = "further losses are summarised here, all are counted in connector.statistics"
 
@@ -178,13 +180,16 @@ class Unconverted(Losses):
 
 
 class Early:
-    """The first sample of one kernel that came before its reader ever was active."""
+    """The first sample of one kernel that came before its reader ever was active, and that no other followed."""
 
-    __slots__ = ("_kernel", "_said")
+    __slots__ = ("_kernel", "_missed", "_said", "_timer")
 
     def __init__(self, kernel: KernelSide) -> None:
         self._kernel = kernel
         self._said = False
+        self._missed: list[Connector] = []
+        """Those that have dropped their first sample so, and are not looked at yet."""
+        self._timer: Cancellable | None = None
 
     def dropped_first(self, connector: Connector) -> None:
         """It has dropped its first sample, in this thread, since its reader is not active.
@@ -196,11 +201,30 @@ class Early:
         if self._said or self._kernel.closed or host is None or host.was_active or out._saved is not NOTHING:
             return
         if not (connector.profile.keep_last or out.is_tap):
-            self._kernel.loop.call_soon_threadsafe(self._report, connector)
+            self._kernel.loop.call_soon_threadsafe(self._begun, connector)
+
+    def close(self) -> None:
+        """All connectors are about to end: nothing follows."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._look()
+
+    def _begun(self, connector: Connector) -> None:
+        if self._said or self._kernel.closed:
+            return
+        self._missed.append(connector)
+        if self._timer is None:
+            self._timer = self._kernel.call_later(_NEXT, self._look)
+
+    def _look(self) -> None:
+        missed, self._missed, self._timer = self._missed, [], None
+        for connector in missed:
+            # A periodic writer has sent more, and who is added to readers of a stream has missed nothing.
+            if not any(one._transport.delivered() > 0 for one in (connector, *connector.out._connectors)):
+                self._report(connector)
+                return
 
     def _report(self, connector: Connector) -> None:
-        if self._said or any(one._transport.delivered() > 0 for one in connector.out._connectors):
-            return  # who is added to readers of a stream has missed nothing that others wait for
         self._said = True
         reader = connector.in_.path.partition(".")[0]
         later = "" if connector.out.is_far else _LATER % reader

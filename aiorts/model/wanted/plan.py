@@ -7,8 +7,9 @@ touched by no step. The order of components, connections and contexts means noth
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Iterator, Mapping
+from collections.abc import Collection, Generator, Iterator, Mapping, Set
 from dataclasses import replace
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
@@ -24,6 +25,7 @@ from aiorts.model.wanted.steps import (
     Connect,
     Create,
     Disconnect,
+    Isolate,
     Move,
     Places,
     Reload,
@@ -86,15 +88,69 @@ def planning(
         name
         for name in exclusive
         if name in now.components
-        and (name not in wanted.components or wanted.components[name].type != now.components[name].type)
+        and (name not in wanted.components or _code(wanted.components[name]) != _code(now.components[name]))
     }
-    if not first:
-        return (yield from _Planner(now, wanted, limited).plan())
-    between = without(now, first)
-    yield
-    one = yield from _Planner(now, between, limited).plan()
-    other = yield from _Planner(between, wanted, limited).plan()
-    return Plan(one.steps + other.steps, one.refused + other.refused)
+    systems = [now]
+    if first:
+        systems.append(without(now, first))
+        yield
+    there = systems[-1]
+    moved = {
+        name
+        for name, one in there.components.items()
+        if name in wanted.components and wanted.components[name].isolation != one.isolation
+    }
+    if moved:
+        systems += _isolating(there, wanted, moved)
+        yield
+    found = Plan((), tuple(_kept(there, wanted, moved)))
+    for before, after in pairwise((*systems, wanted)):
+        one = yield from _Planner(before, after, limited).plan()
+        found = Plan(found.steps + one.steps, found.refused + one.refused)
+    return Plan((), found.refused) if found.refused else found
+
+
+def _kept(now: Wanted, wanted: Wanted, moved: Set[str]) -> Iterator[str]:
+    """What keeps components from another process."""
+    for name in sorted(moved):
+        if now.components[name].type != wanted.components[name].type:
+            yield f"{name}: its type and its isolation change; apply one after the other"
+    for composite in now.composites.values():
+        for name in sorted(moved & set(composite.members)):
+            where = composite.name
+            yield f"{name}: is a member of {where}, and its isolation changes; take it out of {where} first"
+
+
+def _isolating(now: Wanted, wanted: Wanted, moved: Set[str]) -> Iterator[Wanted]:
+    """The system with these components in no context, and then with each in the process in which it is wanted.
+
+    A context runs where its members are, so one whose members are in another process than before is in neither.
+    """
+    contexts = {
+        name: _less(one, moved)
+        for name, one in now.contexts.items()
+        if _is_apart(now, name) == _is_apart(wanted, name) or moved.isdisjoint(one.members)
+    }
+    apart = replace(now, contexts=MappingProxyType(contexts))
+    yield apart
+    components = {
+        name: replace(one, isolation=wanted.components[name].isolation, limits=wanted.components[name].limits)
+        if name in moved
+        else one
+        for name, one in now.components.items()
+    }
+    yield replace(apart, components=MappingProxyType(components))
+
+
+def _is_apart(system: Wanted, context: str) -> bool:
+    """Whether a context runs in a process of its member's own."""
+    members = system.contexts[context].members if context in system.contexts else ()
+    return any(name in system.components and bool(system.components[name].isolation) for name in members)
+
+
+def _code(one: ComponentEntry) -> tuple[str, str]:
+    """What cannot be exchanged while the component holds what its replacement needs."""
+    return one.type, one.isolation
 
 
 def without(system: Wanted, names: Collection[str]) -> Wanted:
@@ -200,8 +256,8 @@ class _Planner:
                 yield f"[{name}] {what}: the table of a service is read when a system starts; stop it and run the file"
         for name, new in wanted.components.items():
             old = now.components.get(name)
-            if old is not None and (old.isolation, old.limits) != (new.isolation, new.limits):
-                yield f"{name}: isolation and limits of a component that runs cannot be changed; give it another name"
+            if old is not None and old.isolation == new.isolation and old.limits != new.limits:
+                yield f"{name}: the limits of a process that runs cannot be changed; take its isolation away first"
         for one, other, what in ((now, wanted, "composite"), (wanted, now, "component")):
             for name in one.components:
                 if name in other.composites:
@@ -223,6 +279,9 @@ class _Planner:
         for name, after in self._wanted.components.items():
             before = self._now.components.get(name)
             if before is None or before == after:
+                continue
+            if before.isolation != after.isolation:
+                yield Isolate(before, after)
                 continue
             if before.type != after.type:
                 yield Reload(before, after)

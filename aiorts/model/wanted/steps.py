@@ -174,6 +174,21 @@ class Reload(_Change):
 
 
 @dataclass(frozen=True, slots=True)
+class Isolate(_Change):
+    """Put a component that is in no context into a process of its own, or back into that of its kernel."""
+
+    before: ComponentEntry
+    after: ComponentEntry
+
+    @property
+    def text(self) -> str:
+        if not self.after.isolation:
+            return f"isolate {self.after.name}: a process of its own -> the kernel's"
+        limits = ", ".join(f"{word} {_value(value)}" for word, value in self.after.limits.items())
+        return f"isolate {self.after.name}: the kernel's process -> one of its own{f' ({limits})' if limits else ''}"
+
+
+@dataclass(frozen=True, slots=True)
 class Supervise(_Change):
     """Change what is done when a component fails, is started, is replaced, or loses its operator."""
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from aiorts.model.policy import Dataflow
 from aiorts.observe import SystemProfile
+from aiorts.system.checks.circles import BEGIN, cycles
 from aiorts.system.checks.findings import Finding
 
 
@@ -50,9 +52,30 @@ def _said(profile: SystemProfile) -> Iterator[tuple[str, str, str, str, str]]:
         if ledger.silent:
             cause = f"{wire.source} has not written for longer than max_gap"
             yield "warning", "W-SILENT", where, cause, f"look at {wire.source.partition('.')[0]} with aiorts cat"
+    for path, ends in _waiting(profile):
+        cause = f"{path}: all run on events, and no sample came along this circle so far"
+        yield "note", "N-CIRCLE", f"connectors.{ends}", cause, BEGIN
     for name, context in profile.contexts.items():
         where, counts = f"contexts.{name}", context.statistics
         if counts.overruns:
             blame = f", the last by {counts.last_blame.place}" if counts.last_blame is not None else ""
             cause = f"{counts.overruns} of {counts.cycles} cycles were not done when the next was due{blame}"
             yield "warning", "W-LATE", where, cause, "see aiorts help missed-deadline"
+
+
+def _waiting(profile: SystemProfile) -> Iterator[tuple[str, str]]:
+    """Circles of active components that run on events alone, along which no sample came: the ports, and the last of
+    its connectors."""
+    others = {name for one in profile.contexts.values() if one.kind != "event" for name in one.members}
+    edges: dict[str, dict[str, tuple[str, str, int]]] = {
+        name: {}
+        for name, one in profile.components.items()
+        if one.composite is None and name not in others and "active" in one.states.values()
+    }
+    names = list(profile.connectors)
+    for number, wire in enumerate(profile.connectors.values()):
+        writer, reader = (path.partition(".")[0] for path in (wire.source, wire.target))
+        arrived = wire.ledger.written - sum(wire.ledger.dropped.values())
+        if writer in edges and reader in edges and wire.options.dataflow is Dataflow.PUSH and not arrived:
+            edges[writer].setdefault(reader, (wire.source, wire.target, number))
+    return ((path, names[number]) for path, number, _ in cycles(edges))

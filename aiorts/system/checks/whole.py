@@ -5,23 +5,21 @@ for themselves. Pure: it looks at a survey and at drafts.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from aiorts.contexts import EventContext
 from aiorts.errors import SLOW_READER, StateError, SystemFileError, WiringError
 from aiorts.kernel.declarations import declarations
-from aiorts.kernel.execution.cell import cell
-from aiorts.kernel.execution.hooks import HookKind
-from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.kernel.ports import OutPort, Port
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.names import names_kernel
 from aiorts.model.options import connector_profile
 from aiorts.model.policy import Dataflow, Push, Subscription
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.wanted.entries import ConnectionEntry
-from aiorts.rules import RulesSettings, ruled
 from aiorts.services import ServicePort
+from aiorts.system.checks.circles import circle_findings, connected_later, contexts_of, cycles, wakes
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
 from aiorts.system.file.families import parts, root, unstartable
@@ -31,10 +29,6 @@ from aiorts.types import is_mutable, type_name
 from aiorts.wire import excess
 
 NOTHING_RUNS = "no context runs anything; add [contexts.NAME] with kind and members"
-_MOST_NAMED = 12
-"""Ports of a cycle that a message names."""
-_BY_THEMSELVES = ("on_initialize", "on_startup", "on_activated")
-"""Hooks that run though no sample came, and may write the first one."""
 _MOST_LISTED = 6
 """Ports that a message lists."""
 
@@ -50,13 +44,12 @@ def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -
             yield Said("error", SystemFileError.code, key, text)
         yield from _open_ports(found, drafts)
         yield from _unwoken(found, drafts)
-        yield from _unstarted(found, drafts)
     yield from _unsaid_files(found)
     yield from _too_many(found)
     yield from _left_alone(found)
     yield from _mutable(found, drafts)
     yield from _too_large(found, drafts)
-    yield from _loops(found, drafts)
+    yield from circle_findings(found, drafts, whole=whole)
     yield from _meetings(found)
     yield from _standoffs(found)
     yield from _waits(found)
@@ -96,15 +89,6 @@ def _unsaid_files(found: Survey) -> Iterator[Said]:
                 yield Said("warning", "W-FILE", ("components", name), text, of_key=True)
 
 
-def _connected_later(found: Survey) -> Callable[[str, Port[Any]], bool]:
-    """Whether a port is one that `[[rules]]` connect when the system runs."""
-    settings = found.services["rules"].settings if "rules" in found.services else None
-    if not isinstance(settings, RulesSettings):
-        return lambda _name, _port: False
-    fits = ruled(settings.rules)
-    return lambda name, port: isinstance(port, InPort | OutPort) and fits(name, port.name, isinstance(port, OutPort))
-
-
 def _listed(parts: Sequence[str]) -> str:
     """The first of these, and how many more there are."""
     more = len(parts) - _MOST_LISTED
@@ -113,7 +97,7 @@ def _listed(parts: Sequence[str]) -> str:
 
 def _open_ports(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
     used = {path for connection in found.system.connections for path in connection.ports}
-    comes = _connected_later(found)
+    comes = connected_later(found)
     for name, draft in drafts.items():
         free = [port for port in draft.ports.values() if f"{name}.{port.name}" not in used and not comes(name, port)]
         if free:
@@ -125,7 +109,7 @@ def _open_ports(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
 
 def _unwoken(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
     """Components that run on events, and pull all that they read: nothing wakes them."""
-    runs = _contexts_of(found)
+    runs = contexts_of(found)
     feeds: dict[str, list[ConnectionEntry]] = {}
     for connection in found.system.connections:
         for reader in {path.partition(".")[0] for path in connection.ports[1:]}:
@@ -205,128 +189,6 @@ def _too_large(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
         yield Said("note", "N-LIMITS", (service,), text, of_key=True)
 
 
-# -- cycles ------------------------------------------------------------------------------------------------------------
-
-
-def _loops(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
-    """Cycles whose members are all in event contexts alone: with one sample in it, such a cycle never rests.
-
-    A connector that the reader pulls wakes nobody, and one of a period is paced: neither is part of such a cycle.
-    """
-    eager = {name for name, those in _contexts_of(found).items() if all(isinstance(one, EventContext) for one in those)}
-    edges: dict[str, dict[str, tuple[str, str, int]]] = {name: {} for name in found.system.components if name in eager}
-    for connection in found.system.connections:
-        profile = found.profiles.get(connection.number)
-        if profile is None or not _wakes(profile[0]):
-            continue
-        out, *ins = connection.ports
-        if _is_service(drafts, out):
-            continue  # a call waits for its answer, and wakes nobody
-        for in_ in ins:
-            writer, reader = out.partition(".")[0], in_.partition(".")[0]
-            if writer in edges and reader in edges:
-                edges[writer].setdefault(reader, (out, in_, connection.number))
-    for path, number in _cycles(edges):
-        text = (
-            f"{path}: all run on events, so that one sample keeps this cycle busy forever; "
-            f"put one of them into a periodic context"
-        )
-        yield Said("warning", "W-LOOP", ("connections", number - 1), text, of_key=True)
-
-
-def _unstarted(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
-    """Circles whose members all wait for a sample of one another: none runs by itself, and no other sends it one."""
-    contexts = _contexts_of(found)
-    comes = _connected_later(found)
-
-    def sleeps(name: str) -> bool:
-        """Whether it runs only because a sample came."""
-        one = drafts[name]
-        return (
-            one.component is not None
-            and one.complete
-            and all(cell(one.component).hook_kinds[hook] == HookKind.ABSENT for hook in _BY_THEMSELVES)
-            and not any(isinstance(port, ServicePort) or comes(name, port) for port in one.ports.values())
-            and all(isinstance(context, EventContext) and context.every is None for context in contexts[name])
-        )
-
-    asleep = [name for name in found.system.components if name in contexts and name in drafts and sleeps(name)]
-    edges: dict[str, dict[str, tuple[str, str, int]]] = {name: {} for name in asleep}
-    woken = list[str]()
-    for connection in found.system.connections:
-        profile = found.profiles.get(connection.number)
-        if profile is not None and profile[0].dataflow is not Dataflow.PUSH:
-            continue  # a pull wakes no reader
-        out, *ins = connection.ports
-        for in_ in ins:
-            writer, reader = out.partition(".")[0], in_.partition(".")[0]
-            if writer in edges:
-                edges[writer].setdefault(reader, (out, in_, connection.number))
-            else:
-                woken.append(reader)
-    while woken:
-        woken += edges.pop(woken.pop(), {})
-    for path, number in _cycles({name: {to: way for to, way in those.items() if to in edges}
-                                 for name, those in edges.items()}):  # fmt: skip
-        text = (
-            f"{path}: each waits for a sample of the one before, and none begins; write the first one in on_activated, "
-            "to a connection with keep_last = true, or put one of them into a periodic context"
-        )
-        yield Said("note", "N-CIRCLE", ("connections", number - 1), text, of_key=True)
-
-
-def _contexts_of(found: Survey) -> dict[str, list[Any]]:
-    """The contexts in which each component is."""
-    contexts: dict[str, list[Any]] = {}
-    for entry in found.system.contexts.values():
-        for member in entry.members:
-            contexts.setdefault(member, []).append(found.contexts.get(entry.name))
-    return contexts
-
-
-def _is_service(drafts: Mapping[str, Draft], path: str) -> bool:
-    component, _, port = path.partition(".")
-    return component in drafts and isinstance(drafts[component].ports.get(port), ServicePort)
-
-
-def _wakes(profile: ConnectorProfile) -> bool:
-    return profile.dataflow is Dataflow.PUSH and profile.subscription is not Subscription.PERIODIC
-
-
-def _cycles(edges: Mapping[str, Mapping[str, tuple[str, str, int]]]) -> Iterator[tuple[str, int]]:
-    """Ways from components back to themselves, each component in one: the ports, and the number of the last step."""
-    told: set[str] = set()
-    for start in edges:
-        if start in told or not (cycle := _cycle(edges, start)):
-            continue
-        told.update(cycle)
-        path = [
-            port for here, there in zip(cycle, [*cycle[1:], cycle[0]], strict=True) for port in edges[here][there][:2]
-        ]
-        shown = [*path[:_MOST_NAMED], "..."] if len(path) > _MOST_NAMED else path
-        yield " → ".join([*shown, path[0]]), edges[cycle[-1]][cycle[0]][2]
-
-
-def _cycle(edges: Mapping[str, Mapping[str, Any]], start: str) -> list[str]:
-    """The shortest way from a component back to itself; empty where there is none."""
-    came: dict[str, str] = {}
-    level = [start]
-    while level:
-        following = []
-        for here in level:
-            for there in edges[here]:
-                if there == start:
-                    way = [here]
-                    while way[-1] != start:
-                        way.append(came[way[-1]])
-                    return way[::-1]
-                if there not in came:
-                    came[there] = here
-                    following.append(there)
-        level = following
-    return []
-
-
 # -- writers that wait -------------------------------------------------------------------------------------------------
 
 
@@ -369,7 +231,7 @@ def _standoffs(found: Survey) -> Iterator[Said]:
             if writer != reader:  # else `_meetings` refuses it
                 edges.setdefault(writer, {}).setdefault(reader, (out, in_, connection.number))
                 edges.setdefault(reader, {})
-    for path, number in _cycles(edges):
+    for path, number, _ in cycles(edges):
         text = (
             f"{path}: length = 0 all the way round: when all of them write at the same time, each waits for the next "
             "one's read forever; set length = 1 or more at one of these connections, or a timeout"
@@ -447,7 +309,7 @@ def _rates(found: Survey, component: str) -> list[float]:
 def _keeps_all(profile: ConnectorProfile) -> bool:
     """Whether every sample is put into the buffer, and none waits for room."""
     every = profile.subscription is Subscription.FLUSH or profile.push in (Push.ALL, Push.FIFO)
-    return _wakes(profile) and every and profile.full is not FullPolicy.BLOCK
+    return wakes(profile) and every and profile.full is not FullPolicy.BLOCK
 
 
 def _beside(found: Survey, connection: ConnectionEntry, writer: str) -> str:

@@ -149,3 +149,14 @@ def readers_first(names: Sequence[str], edges: Iterable[tuple[str, str]]) -> lis
                 seen.add(following)
                 stack.append((following, iter(readers[following])))
     return list(ordered)
+
+
+def activation_order(system: SystemFile) -> list[str]:
+    """Who runs for itself, each after those it sends to: the first sample of a source finds its reader active."""
+    composites = system.composites
+    units = dict.fromkeys(root(composites, name) for name in (*system.components, *composites))
+    edges = []
+    for connection in system.connections:
+        writer, *readers = (root(composites, path.partition(".")[0]) for path in connection.ports)
+        edges += [(writer, reader) for reader in readers if not names_kernel(writer) and not names_kernel(reader)]
+    return readers_first(list(units), edges)

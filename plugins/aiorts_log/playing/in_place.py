@@ -2,12 +2,15 @@
 
 A component whose out-ports were all recorded is not started: in its place, in its contexts, stands one with the same
 ports and parameters and without its hooks, and the samples are sent from its out-ports when they are due. What others
-send to it goes nowhere. It finishes at the end of the recording, as a source does.
+send to it goes nowhere, and calls of its services are refused. It finishes at the end of the recording, as a source
+does.
 """
 
 from __future__ import annotations
 
 import asyncio
+import copy
+import inspect
 import logging
 import math
 import types
@@ -19,7 +22,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts import Component, InPort, KernelService, OutPort, StateMachineComponent, setting
+from aiorts import Component, InPort, KernelService, OutPort, Provided, StateMachineComponent, setting
 from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.exits import FAILED
 from aiorts.statechart import Chart, State
@@ -39,6 +42,7 @@ __all__ = ("InPlace", "ReplaySettings")
 _LOG = logging.getLogger(__name__)
 _NS: Final = 1_000_000_000
 _SHOWN: Final = 10
+_REPLAYED: Final = "it is replayed, and none of its code runs"
 _HOOKS: Final = (
     *("on_initialize", "on_finalize", "on_startup", "on_shutdown", "on_activated", "on_deactivated", "on_execute"),
     *("on_state_update", "on_rate_changed", "on_reset", "on_error", "on_aborting"),
@@ -142,6 +146,9 @@ class InPlace(KernelService):
         self._in_place[name] = frozenset(recorded)
         return _without_hooks(cls)
 
+    def stands_for(self, name: str) -> str:
+        return "" if self._path is None or name not in self._in_place else _REPLAYED
+
     def _check(self, path: str, wanted: Any) -> None:
         for port in self._recorded[path].values():
             if port.unknown and port.count:
@@ -182,8 +189,8 @@ class InPlace(KernelService):
     # -- playing -----------------------------------------------------------------------------------------------------
 
     def started(self) -> None:
-        if self._path is None:
-            return
+        if self._path is None or self._player is not None:
+            return  # a plan that is applied later on changes nothing of the replay
         kernel, settings = self.kernel, self._settings
         routes = {
             key: (kernel.components[name].ports[path.partition(".")[2]], port.type)
@@ -243,13 +250,17 @@ class InPlace(KernelService):
 
 
 def _without_hooks(cls: type[Component]) -> type[Component]:
-    """The class with its ports and parameters, none of whose hooks does anything."""
+    """The class with its ports and parameters, none of whose hooks does anything, and which answers no call."""
 
     def nothing(self: Component, *_: object) -> None:
         """It is replayed, and does nothing of itself."""
 
     # By the original's name it is listed, and saved.
     names: dict[str, Any] = {"__module__": cls.__module__, "__qualname__": cls.__qualname__}
+    for attribute in dir(cls):
+        if isinstance(end := inspect.getattr_static(cls, attribute), Provided):
+            names[attribute] = alike = copy.copy(end)
+            alike.refuses = _REPLAYED
     if issubclass(cls, StateMachineComponent):
         names["chart"] = Chart(State("replayed", initial=True))
     made: type[Component] = types.new_class(cls.__name__, (cls,), exec_body=lambda body: body.update(names))
