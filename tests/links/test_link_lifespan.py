@@ -76,7 +76,7 @@ def test_the_time_for_which_a_sample_waits_for_room_at_the_readers_end_counts() 
         network = MemoryNetwork(delay=0.001)
         async with kernel_of(network, "two") as two, kernel_of(network, "one") as one:
             source, sink = await one.add(Source()), await two.add(Sink())
-            await one.connect(source.out, "two/sink0.inp", lifespan=1.0, length=2)
+            await one.connect(source.out, "two/sink0.inp", lifespan=1.0, length=2, full="block")
             for value in range(10):
                 source.out.write_nowait(long(value))
                 await asyncio.sleep(0.15)

@@ -183,7 +183,7 @@ class ReaderEnd:
         ledger.held += count
         if confirm:
             self._confirm = self._received
-        elif self._ack_ns is None:
+        if self._ack_ns is None:
             self._ack_ns = now + ACK_NS
 
     def want(self, now: int, *, wait: bool) -> bool:
@@ -225,6 +225,11 @@ class ReaderEnd:
     def held(self) -> int:
         """Samples that have come and were not taken."""
         return len(self._held)
+
+    @property
+    def newest(self) -> int:
+        """The ticket of the newest sample that has come and was not taken; 0: all were."""
+        return self._held[-1][0] if self._held else 0
 
     @property
     def received(self) -> int:
