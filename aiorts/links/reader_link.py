@@ -5,7 +5,7 @@ Also the connector that it writes to: its options, and the check of the shape.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from anyio import WouldBlock
@@ -16,7 +16,7 @@ from aiorts.kernel.ports.far import FarOutPort
 from aiorts.kernel.quality.dated import Dated
 from aiorts.links.sides import LinkSide, Wakening, report
 from aiorts.model.buffer import FullPolicy
-from aiorts.model.links import ReaderEnd
+from aiorts.model.links import FATES, ReaderEnd
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ _PATIENCE_NS: Final = 25_000_000
 """How long a sample waits for room that would displace another: what was written one after the other comes
 together, and a reader that keeps up has room for it a few turns of the loop later. A sample waits twice as long at the
 most."""
+_TELL_NS: Final = 50_000_000
+"""How soon after an acknowledgement the writer's end is told of losses."""
 
 
 class ReaderLink(LinkSide[ReaderEnd]):
@@ -60,6 +62,10 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self.settled: Callable[[], None] | None = None
         """Called when a sample that waited for room is in the reader's buffer, or was refused."""
         self._waiting: Waiting | None = None
+        self._lost_before: Mapping[str, int] = {}
+        """What its connector had dropped when there was this writer's end first."""
+        self._tell_ns = 0
+        """When the writer's end is told what was lost; 0: nothing has come since."""
         self._ages = connector.profile.lifespan is not None
         self._displaces = _displaces(connector.profile)
         self._patience = Wakening(kernel, self._displace)
@@ -87,6 +93,9 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self._channel, self.why = channel, ""
         self.end.renumber(number)
         now = self._now()
+        if peer_epoch != self.end.peer_epoch:
+            self._lost_before = dict(transport_of(self.connector).glance()[2])
+            self.end.lost({})
         self.end.channel_up(now, peer_epoch)
         self._poll(now)
 
@@ -98,6 +107,20 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self._poll(now)
         if end.peer_ended and not self._ended:
             self._owner.left()
+
+    def _poll(self, now: int) -> None:
+        if not self._tell_ns and self.end.acknowledges(now):
+            self._tell_ns = now + _TELL_NS
+        elif 0 < self._tell_ns <= now:
+            self._tell_ns = 0
+            self.end.lost(self._losses())
+        super()._poll(now)
+        self._wakening.at(self._tell_ns or None)
+
+    def _losses(self) -> dict[str, int]:
+        """What was lost of what this writer's end has sent, which knows itself of what was refused."""
+        dropped, before = transport_of(self.connector).glance()[2], self._lost_before
+        return {reason: dropped[reason] - before.get(reason, 0) for reason in dropped if reason not in FATES}
 
     def on_room(self) -> None:
         now = self._now()

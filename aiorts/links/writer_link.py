@@ -89,7 +89,19 @@ class WriterLink(LinkSide[WriterEnd]):
     # -- the connector ---------------------------------------------------------------------------------------------
 
     def drained(self) -> tuple[int, int, Mapping[str, int]]:
-        return self._acknowledged, self.end.ledger.in_flight, added(self._dropped, self.refused)
+        lost = self.lost
+        arrived = self._acknowledged - sum(lost.values())
+        return arrived, self.end.ledger.in_flight, added(added(self._dropped, self.refused), lost)
+
+    @property
+    def lost(self) -> Mapping[str, int]:
+        """What the reader's end there is now has lost of what was acknowledged, by reason, as far as it has said."""
+        left, found = self._acknowledged - self.acknowledged_before, {}
+        for reason, count in self.end.lost.items():
+            if taken := min(count, left):
+                found[reason] = taken
+                left -= taken
+        return found
 
     def pump(self) -> None:
         """Take from the connector what the window has room for, and send."""
@@ -209,7 +221,9 @@ class WriterLink(LinkSide[WriterEnd]):
         is_another = self.end.channel_up(self._now(), peer_epoch)
         self._settle()
         if is_another:
-            self._dropped, self.refused = added(self._dropped, self.refused), {}
+            lost, self.end.lost = self.lost, {}
+            self._dropped, self.refused = added(added(self._dropped, self.refused), lost), {}
+            self._acknowledged -= sum(lost.values())
             self.acknowledged_before = self._acknowledged
         self.pump()
         if is_another and self.connector.profile.keep_last:
@@ -255,6 +269,8 @@ class WriterLink(LinkSide[WriterEnd]):
             end.receive(now, head)
         self._settle()
         self.pump()
+        if "overwritten" in end.lost and (losses := self._transport().losses):
+            losses.begin(self.connector)
         if self._idle is not None:
             self._look_idle()
         if end.peer_ended and not self._ended:

@@ -98,3 +98,36 @@ async def test_how_late_samples_are_says_where_it_is_measured(capsys: pytest.Cap
             assert status == 0
             assert [", up to the link" in line for line in text.splitlines() if "latency" in line] == [True], text
         await _ledger(kernel, connector)
+
+
+async def test_what_a_reader_in_a_process_loses_is_known_here_by_reason(caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel() as kernel:
+        source, _, connector = await _aged(kernel)
+        for value in range(200):
+            source.out.write_nowait(TimedLong(time.time_ns(), value))
+            await sleep(0.002)
+        await sleep(0.3)
+        lost = connector.statistics.dropped
+        ledger = await _ledger(kernel, connector)
+        assert lost["overwritten"] > 100
+        assert connector.statistics.balanced
+        assert (ledger.dropped, ledger.unexplained) == (lost, 0)
+        assert any("source.out -> reader.inp" in line and "overwritten" in line for line in caplog.messages)
+
+
+@kept
+async def test_commands_say_what_a_reader_in_a_process_has_lost(capsys: pytest.CaptureFixture[str]) -> None:
+    async with Kernel(services={"control": {"name": "unit"}}) as kernel:
+        source, _, connector = await _aged(kernel)
+        for value in range(200):
+            source.out.write_nowait(TimedLong(time.time_ns(), value))
+            await sleep(0.002)
+        await sleep(0.3)
+        lost = connector.statistics.dropped["overwritten"]
+        _, text = await commanded(capsys, "cat", "-l", "reader")
+        assert f"dropped {lost} overwritten" in text
+        _, text = await commanded(capsys, "top", "--once")
+        assert f"overwritten {lost}" in text
+        _, text = await commanded(capsys, "check", "unit")
+        assert f"connectors.source.out-reader.inp: {lost} of 200 samples were dropped ({lost} overwritten)" in text
+        await _ledger(kernel, connector)

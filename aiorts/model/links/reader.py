@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import repeat
 from typing import Final, TypeAlias
 
@@ -85,7 +85,9 @@ class ReaderEnd:
         self._want_ns: int | None = None
         """When it is asked for (again); None: the writer's end knows of it."""
         self._want_pause_ns = 0
-        self._up = self._was_up = self._hello = self._ended = False
+        self._lost: Mapping[str, int] = {}
+        """What was lost of what was in the reader's buffer, by reason."""
+        self._up = self._was_up = self._hello = self._tells_lost = self._ended = False
 
     def renumber(self, number: int) -> None:
         """Frames carry this number from now on."""
@@ -98,6 +100,7 @@ class ReaderEnd:
             self._fates.clear()
             self._era += _ERA
         self._peer_epoch, self._up, self._was_up, self._hello = peer_epoch, True, True, True
+        self._tells_lost = bool(self._lost)
         self._ack_ns = now
         if self._wanted:
             self._want_ns, self._want_pause_ns = now, _AGAIN_NS
@@ -269,6 +272,11 @@ class ReaderEnd:
         elif self._ack_ns is None:
             self._ack_ns = now + ACK_NS
 
+    def lost(self, losses: Mapping[str, int]) -> None:
+        """So much was lost of what this writer's end has sent and was in the buffer, in all: it is told so."""
+        if losses != self._lost:
+            self._lost, self._tells_lost = losses, True
+
     def on_room(self, now: int) -> None:
         """The channel takes frames again: `poll` goes on."""
 
@@ -280,6 +288,8 @@ class ReaderEnd:
             if not send(frames.hello(self.number, self.epoch, self._received), ()):
                 return None
             self._hello = False
+        if self._tells_lost:
+            self._tells_lost = not send(frames.lost(self.number, self.epoch, self._lost), ())
         if self._ack_ns is None or now < self._ack_ns:
             return self._ack_ns
         if send(frames.acknowledgement(self.number, self._done, self._received, self._fates), ()):
@@ -287,6 +297,10 @@ class ReaderEnd:
             if self._done >= self._confirm:
                 self._confirm = 0
         return None
+
+    def acknowledges(self, now: int) -> bool:
+        """Whether `poll` sends an acknowledgement now."""
+        return self._up and self._ack_ns is not None and now >= self._ack_ns
 
     def end(self, now: int, send: Send) -> None:
         """This end was disconnected: say so."""

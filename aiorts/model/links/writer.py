@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from aiorts.late import dataclass
@@ -59,6 +59,8 @@ class WriterEnd:
         self.ledger = WriterLedger()
         self.peer_ended = False
         """Whether the reader's end was disconnected."""
+        self.lost: Mapping[str, int] = {}
+        """What the reader's end has lost of what was acknowledged, by reason, as it has said last."""
         self._window, self._window_bytes = window, window_bytes
         self._narrows = least is not None
         self._least = self._open = window if least is None else min(least, window)
@@ -214,6 +216,10 @@ class WriterEnd:
             elif kind == frames.WANT:
                 if one == self._next:  # else it was answered already
                     self.query, self._is_query_new = 1 + (flags & frames.WAIT), True
+            elif kind == frames.LOST:
+                if one != self._peer_epoch:
+                    raise BadFrame("of another end")
+                self.lost = frames.losses_of(head, count)
             elif kind == frames.BYE:
                 self.peer_ended = True
             else:
