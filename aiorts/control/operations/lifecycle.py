@@ -60,8 +60,8 @@ def _stop(session: Session, given: Stop) -> Done:
         program = shown(" ".join(sys.argv)) if sys.argv else "an interpreter"
         raise StateError(
             f"{kernel.address or kernel.name}: is part of another program, which does not wait for "
-            f"`Kernel.wait_stop_requested()`: end the program itself, process {os.getpid()} ({program}), with SIGTERM or "
-            "in its own way"
+            f"`Kernel.wait_stop_requested()`: end the program itself, process {os.getpid()} ({program}), with SIGTERM "
+            "or in its own way"
         )
     return Done()
 
