@@ -32,8 +32,6 @@ _PATIENCE_NS: Final = 25_000_000
 """How long a sample waits for room that would displace another: what was written one after the other comes
 together, and a reader that keeps up has room for it a few turns of the loop later. A sample waits twice as long at the
 most."""
-_TELL_NS: Final = 50_000_000
-"""How soon after an acknowledgement the writer's end is told of losses."""
 
 
 class ReaderLink(LinkSide[ReaderEnd]):
@@ -64,8 +62,6 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self._waiting: Waiting | None = None
         self._lost_before: Mapping[str, int] = {}
         """What its connector had dropped when there was this writer's end first."""
-        self._tell_ns = 0
-        """When the writer's end is told what was lost; 0: nothing has come since."""
         self._ages = connector.profile.lifespan is not None
         self._displaces = _displaces(connector.profile)
         self._patience = Wakening(kernel, self._displace)
@@ -109,13 +105,15 @@ class ReaderLink(LinkSide[ReaderEnd]):
             self._owner.left()
 
     def _poll(self, now: int) -> None:
-        if not self._tell_ns and self.end.acknowledges(now):
-            self._tell_ns = now + _TELL_NS
-        elif 0 < self._tell_ns <= now:
-            self._tell_ns = 0
-            self.end.lost(self._losses())
-        super()._poll(now)
-        self._wakening.at(self._tell_ns or None)
+        end, channel = self.end, self._channel
+        if channel is None:
+            return
+        if 0 < end.tell_ns <= now:
+            end.lost(self._losses())
+        due = end.poll(now, channel.send)
+        if end.tell_ns and (due is None or end.tell_ns < due):
+            due = end.tell_ns
+        self._wakening.at(due)
 
     def _losses(self) -> dict[str, int]:
         """What was lost of what this writer's end has sent, which knows itself of what was refused."""

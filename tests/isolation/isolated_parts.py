@@ -410,3 +410,14 @@ class Aged(Component):
             time.sleep(0.05)
         else:
             await self.sleep(0.05)
+
+
+class Blocked(Component):
+    """Holds its process for some seconds with each sample."""
+
+    inp = InPort(TimedLong)
+    seconds: float = Param(0.8)
+
+    def on_execute(self) -> None:
+        self.inp.read_nowait()
+        time.sleep(self.seconds)

@@ -15,6 +15,8 @@ from aiorts.model.links.state import LinkState
 _ERA: Final = 1 << 64
 ACK_NS: Final = 50_000_000
 """How long an acknowledgement may be kept back."""
+_TELL_NS: Final = 50_000_000
+"""How soon after an acknowledgement the writer's end is told of losses."""
 _ACK_BYTES: Final = 1 << 19
 """After so many bytes it is not: until then the writer keeps large samples, and its memory for the next is fresh, which
 the system clears page by page."""
@@ -87,6 +89,8 @@ class ReaderEnd:
         self._want_pause_ns = 0
         self._lost: Mapping[str, int] = {}
         """What was lost of what was in the reader's buffer, by reason."""
+        self.tell_ns = 0
+        """When `lost` is to be called; 0: nothing was acknowledged since."""
         self._up = self._was_up = self._hello = self._tells_lost = self._ended = False
 
     def renumber(self, number: int) -> None:
@@ -274,6 +278,7 @@ class ReaderEnd:
 
     def lost(self, losses: Mapping[str, int]) -> None:
         """So much was lost of what this writer's end has sent and was in the buffer, in all: it is told so."""
+        self.tell_ns = 0
         if losses != self._lost:
             self._lost, self._tells_lost = losses, True
 
@@ -296,11 +301,8 @@ class ReaderEnd:
             self._told, self._ack_ns, self._unacknowledged = self._done, None, 0
             if self._done >= self._confirm:
                 self._confirm = 0
+            self.tell_ns = self.tell_ns or now + _TELL_NS
         return None
-
-    def acknowledges(self, now: int) -> bool:
-        """Whether `poll` sends an acknowledgement now."""
-        return self._up and self._ack_ns is not None and now >= self._ack_ns
 
     def end(self, now: int, send: Send) -> None:
         """This end was disconnected: say so."""

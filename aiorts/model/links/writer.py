@@ -65,8 +65,8 @@ class WriterEnd:
         self._narrows = least is not None
         self._least = self._open = window if least is None else min(least, window)
         """The least, and what is open of the window now."""
-        self._judged, self._judged_ns = 0, 0
-        """A number of which it is measured how soon it is in the reader's buffer, 0: none; and when it was offered."""
+        self._judged, self._late_ns = 0, 0
+        """A number of which is seen how soon it is in the reader's buffer, 0: none; and from when on that is late."""
         self._fills = self._slow = False
         """Whether that one was the last for which the window was open; whether the reader does not keep up."""
         self._peer_epoch = 0
@@ -171,7 +171,7 @@ class WriterEnd:
         """Take one sample; returns its number. There is room. `confirm`: have it acknowledged at once."""
         number = self._next
         self._next += 1
-        if self._narrows:
+        if self._narrows and (now > self._late_ns or not self._judged or len(self._kept) + 1 >= self._open):
             confirm |= self._judge(now, number)
         self._kept[number] = (head, parts, confirm)
         if self.date is not None:
@@ -252,7 +252,7 @@ class WriterEnd:
         if self._slow:  # one for two that were read: its writer does not stop until the window is narrow
             self._open = max(self._least, self._open - done // 2 + (first - 1) // 2)
         if 0 < self._judged <= done:
-            self._judged, self._slow = 0, not self._keeps_up(now)
+            self._judged, self._slow = 0, now > self._late_ns
             if not self._slow:
                 self._open = min(2 * self._open, self._window)
 
@@ -261,13 +261,11 @@ class WriterEnd:
         for which the window is open."""
         fills = len(self._kept) + 1 >= self._open
         if not self._judged or (fills and not self._fills):
-            self._judged, self._judged_ns, self._fills = number, now, fills
-        elif not self._keeps_up(now):
+            self._judged, self._fills = number, fills
+            self._late_ns = now + _KEEPS_UP_NS + 2 * self._trip_ns
+        elif now > self._late_ns:
             self._slow, self._open = True, max(self._least, min(self._open, len(self._kept) + 1))
         return fills and self._open < self._window
-
-    def _keeps_up(self, now: int) -> bool:
-        return now - self._judged_ns <= _KEEPS_UP_NS + 2 * self._trip_ns
 
     def _settle(self, first: int, last: int, fate: str) -> None:
         if last < first:
