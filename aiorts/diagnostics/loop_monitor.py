@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.clock import SimulatedClock, to_ns
 from aiorts.diagnostics import monitor_thread
 from aiorts.diagnostics.blame import Line, choose_line, cut_at_loop
+from aiorts.diagnostics.rarely import Rarely
 from aiorts.diagnostics.stack_sampler import _blame_hook, _stack, depth_beneath_task
 from aiorts.errors import ConfigurationError
 from aiorts.exits import STALLED
@@ -157,6 +158,7 @@ class LoopTimer:
         self._stall: Blame | None = None
         self._logged = 0
         """0: nothing; 1: that it does not turn; 2: that the limit is over."""
+        self._lines = Rarely()
         self._handle: asyncio.TimerHandle | None = None
         self._good_until_ns = 0
         self._fd = -1
@@ -250,16 +252,25 @@ class LoopTimer:
             blame = self._stall = replace(self._blame(lines, called), held_ns=now - began)
             self._logged = 2 if over else 1
         if not logged or (over and logged == 1):
-            stack = " < ".join(f"{line.file}:{line.line} in {line.function}" for line in called[:_SHOWN])
-            ends = over and self.policy == "exit"
-            what = "has not turned" if over else "does not turn"
-            end = f"; the process ends with status {EXIT_STATUS}" if ends else ""
-            text = f"{self._kernel.name}: the event loop {what} for {(now - began) / 1e9:.2f} s"
-            text = f"{text}: {blame}{end}; stack: {stack}"
-            if ends:
-                _end_process(text)
-            _log(text)
+            self._say(blame, called, now, over=over)
         self._set(timer, began + self.limit_ns if not over else now + _SILENCE_NS)
+
+    def _say(self, blame: Blame, called: Sequence[Line], now: int, *, over: bool) -> None:
+        """Log that it stands still: of what holds it again and again at growing distances."""
+        ends = over and self.policy == "exit"
+        held = (blame.component, blame.hook) if blame.hook else (blame.file, blame.function)
+        left_out = self._lines.left_out((over, *held), now)
+        if left_out is None and not ends:
+            return
+        stack = " < ".join(f"{line.file}:{line.line} in {line.function}" for line in called[:_SHOWN])
+        what = "has not turned" if over else "does not turn"
+        end = f"; the process ends with status {EXIT_STATUS}" if ends else ""
+        more = f"; {left_out} such lines were left out before" if left_out else ""
+        text = f"{self._kernel.name}: the event loop {what} for {blame.held_ns / 1e9:.2f} s"
+        text = f"{text}: {blame}{end}{more}; stack: {stack}"
+        if ends:
+            _end_process(text)
+        _log(text)
 
     def _blame(self, lines: list[Line], called: Sequence[Line]) -> Blame:
         task = asyncio.current_task(self._loop)

@@ -59,6 +59,8 @@ class Isolation(KernelService):
         self._processes: dict[str, Process] = {}
         """By the name of the process's kernel."""
         self._components: dict[Process, RemoteComponent] = {}
+        self._delays: dict[str, str] = {}
+        """How processes that are no more have kept their kernel waiting for their ends, by component."""
         self._starts = asyncio.Semaphore(_STARTS)
         self._printing = Printing()
         self._said = False
@@ -113,6 +115,7 @@ class Isolation(KernelService):
 
     def process_of(self, component: RemoteComponent) -> Process:
         """The process of a component, which is not started yet."""
+        self._delays.pop(component.name, None)
         if self._launcher is None:
             self._launcher = Launcher()
         if self._opening is None:
@@ -130,10 +133,16 @@ class Isolation(KernelService):
             line=partial(_log_line, component),
             printed=partial(self._printing.put, component),
             counted=partial(_count, component),
+            holder=partial(self._holder, component.name),
         )
         self._processes[process.kernel] = process
         self._components[process] = component
         return process
+
+    def _holder(self, name: str) -> str:
+        """Which other processes keep this one's end waiting, and how; "" where none does."""
+        delays = self._delays | {one.name: one.delay for one in self._processes.values() if one.delay}
+        return "; ".join(f"{other}: {delay}" for other, delay in delays.items() if other != name)
 
     async def end(self, component: RemoteComponent) -> None:
         """End the process of a component; with the last one, all that starts them."""
@@ -141,7 +150,11 @@ class Isolation(KernelService):
         if process is None:
             return
         del self._components[process]
-        await process.end()
+        try:
+            await process.end()
+        finally:
+            if process.delay:
+                self._delays[process.name] = process.delay
         await self._printing.flush(component)
         if self._processes.get(process.kernel) is process:
             del self._processes[process.kernel]

@@ -26,6 +26,8 @@ _ANSWERS: Final = 7.0
 """Seconds in which it answers: a hook that it runs meanwhile has 5 s and 2 s beyond."""
 _LOOK: Final = 0.5
 """How often it is looked whether the process answers."""
+_PATIENT: Final = 3_600.0
+"""Seconds in which it answers that question, whatever it does meanwhile."""
 _BUSY_BEYOND: Final = 2.0
 """Seconds beyond its deadline that a hook may hold its process."""
 _ENDS: Final = 1.2
@@ -44,6 +46,7 @@ class Process:
         line: called with a level of the log and a line that it logged or wrote to standard error.
         printed: called with a line that it wrote to standard output.
         counted: called with the statistics of its contexts, as plain values, about twice a second.
+        holder: says which other processes use up the time of the end, and how; "" where none does.
     """
 
     def __init__(
@@ -59,11 +62,12 @@ class Process:
         line: Callable[[int, str], None],
         printed: Callable[[str], None],
         counted: Callable[[list[Any]], None],
+        holder: Callable[[], str],
     ) -> None:
         self._kernel, self._launcher, self._transport = kernel, launcher, transport
         self.name, self._limits = name, limits
         self._starts, self._ended, self._line = starts, ended, line
-        self._printed, self._counted = printed, counted
+        self._printed, self._counted, self._holder = printed, counted, holder
         self._links = kernel.service(Links)
         self.kernel = f"{self._links.reached_as}-{name}"
         """The name of its kernel."""
@@ -76,6 +80,8 @@ class Process:
         self._ending = False
         self._killed = ""
         """Why it was killed, where this kernel did it."""
+        self._delay = ""
+        """How it has kept its own end waiting."""
 
     @property
     def runs(self) -> bool:
@@ -89,8 +95,14 @@ class Process:
 
     @property
     def busy(self) -> float:
-        """Seconds for which it has not answered; 0 while it does."""
+        """Seconds for which it has not answered: the hook that runs now holds it, since it answers between two; 0 while
+        it does."""
         return 0.0 if self._busy_since is None else self._kernel.loop.time() - self._busy_since
+
+    @property
+    def delay(self) -> str:
+        """How it keeps others waiting, or did at its end; "" where it does not."""
+        return f"a hook has held it for {busy:.1f} s" if (busy := self.busy) else self._delay
 
     async def start(self, text: str, params: dict[str, Any]) -> None:
         """Start it, and make the component there.
@@ -104,7 +116,7 @@ class Process:
 
     async def _start(self, text: str, params: dict[str, Any]) -> None:
         ours, theirs = socket.socketpair()
-        self._ending, self._peer, self._killed = False, None, ""
+        self._ending, self._peer, self._killed, self._delay = False, None, "", ""
         try:
             first = messages.First(
                 self.kernel,
@@ -186,16 +198,18 @@ class Process:
         child = self._child
         if child is None:
             return
-        why = "the kernel did not wait for its end"
+        self._delay = self.delay
         try:
-            if busy := self.busy:
-                why = f"a hook has held it for {busy:.1f} s"
-            elif self._peer is not None and self.runs:
+            if not self._delay and self._peer is not None and self.runs:
                 with contextlib.suppress(AiortsError):
                     await self.ask("end", within=_LOOK)
                 await asyncio.wait((child.ended,), timeout=_ENDS)
-                why = f"it had not ended {_ENDS:g} s after it was asked to"
+                if self.runs:
+                    self._delay = f"it had not ended {_ENDS:g} s after it was asked to"
         finally:
+            why = self._delay or "the kernel did not wait for its end"
+            if not self._delay and (others := self._holder()):
+                why = f"{why}: others used up the time ({others})"
             if self._peer is not None and self.runs and not child.ended.done():
                 self._line(logging.WARNING, f"killed: {why}; its on_finalize may not have run")
             child.kill()  # also where nobody waits for it any more
@@ -215,16 +229,22 @@ class Process:
         while True:
             await asyncio.sleep(_LOOK)
             asked = self._kernel.loop.time()
+            # One question until it is answered: between two hooks it is, and the next one holds it since then.
+            ping = asyncio.ensure_future(self.ask("ping", within=_PATIENT))
             try:
-                self._counted(await self.ask("ping", within=_LOOK))
+                while not (await asyncio.wait((ping,), timeout=_LOOK))[0]:
+                    self._busy_since = self._busy_since or asked
+                    if self.deadline is not None and self.busy > self.deadline + _BUSY_BEYOND:
+                        return self._kill(f"a hook has held it for {self.busy:.1f} s")
+                self._counted(ping.result())
                 self._busy_since = None
             except ProcessError:
                 self._busy_since = self._busy_since or asked
-                if self.deadline is not None and self.busy > self.deadline + _BUSY_BEYOND:
-                    return self._kill(f"a hook has held it for {self.busy:.1f} s")
                 if lost:
                     return self._kill("it has closed its connection with this kernel and goes on")
                 lost = self._peer not in self._links.peers  # else it ends: its end says how
+            finally:
+                ping.cancel()
 
     def _kill(self, why: str) -> None:
         self._killed = f"killed: {why}"

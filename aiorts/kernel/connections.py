@@ -73,6 +73,7 @@ class Connections:
         options = with_openrtm(options)
         if self.far is not None and len(ports) > 2 and (pairs := self._pairs(ports)):
             return self._make_each(pairs, options)
+        chosen = says_what_is_lost(options)  # by the user: what is usual for a link says it, too
         ports, options = self._resolve(ports, options)
         for port in ports:
             connecting = port.connecting if isinstance(port, PortDeclaration) else None
@@ -84,7 +85,7 @@ class Connections:
                 check_connection(out, in_)
         if options:
             self._report_idle(options, plans[0])
-        reports_losses = not says_what_is_lost(options) and all(loses_unasked(profile) for *_, profile in plans)
+        reports_losses = not chosen and all(loses_unasked(profile) for *_, profile in plans)
         made = []
         for out, in_, profile in plans:
             name = self._free_name(profile.name, f"{out.path}-{in_.path}", len(plans))

@@ -26,7 +26,7 @@ from aiorts.kernel.execution.context import Context
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.loop import calls
 from aiorts.kernel.loop.bus import Bus
-from aiorts.kernel.loop.deadlines import StopBudget
+from aiorts.kernel.loop.deadlines import StopBudget, StopRequest
 from aiorts.kernel.loop.guarded import guarded
 from aiorts.kernel.loop.log import SharedBudget
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of, see_through, throw
@@ -127,7 +127,7 @@ class Microkernel:
         self.closing: asyncio.Future[StopBudget]
         """Done when the kernel begins to close, with the time that is left for it. There once it is open."""
         self._closing: asyncio.Task[None] | None = None
-        self._stop_requested = asyncio.Event()
+        self._stop_requested = StopRequest()
         self._stop_due = False
         """Whether a stop was requested: contexts leave it more turns of the loop from then on."""
         self._interrupt: BaseException | None = None
@@ -148,8 +148,7 @@ class Microkernel:
         self.closing = loop.create_future()
         self.opened_ns = clock.monotonic_ns()
         self._timers.acquire()
-        add_probe = getattr(clock, "add_probe", None)
-        if add_probe is not None:
+        if (add_probe := getattr(clock, "add_probe", None)) is not None:
             self._remove_probe = add_probe(lambda: sum(one.runner.activity() for one in self._contexts.values()))
         embedding.enter(self, loop)
         try:
@@ -228,10 +227,11 @@ class Microkernel:
     ) -> None:
         await self.aclose()
 
-    def request_stop(self, status: int = 0) -> None:
-        """Request an orderly end, from any thread; the code that runs the kernel (`wait_stop_requested`) ends it."""
+    def request_stop(self, status: int = 0) -> bool:
+        """Request an orderly end, from any thread, of who awaits `wait_stop_requested`; whether anybody has so far."""
         self.exit_status = status or int(self._has_faulted)
         self.call_on_loop(self._await_stop)
+        return self._stop_requested.awaited
 
     async def wait_stop_requested(self) -> int:
         """Wait until the end is requested; returns the exit status that was given."""

@@ -171,8 +171,9 @@ def _join(link: WriterLink, there: _Report) -> LinkLedger:
     end, here = link.end, link.connector.statistics
     if (end.epoch, end.peer_epoch) != (there.writer_epoch, there.reader_epoch) or there.received > end.numbered:
         raise LinkError(f"{link.connector.name}: ledger: one of its ends is another one now; ask again")
-    # What the reader's end has refused, both have counted.
-    lost = added(here.dropped, {reason: -count for reason, count in link.refused.items()})
+    # What the reader's end has refused or lost, both have counted.
+    known = added(link.refused, link.lost)
+    lost = added(here.dropped, {reason: -count for reason, count in known.items()})
     dropped = {reason: count for reason, count in added(lost, there.dropped).items() if count}
     return LinkLedger(
         here.written + there.besides,

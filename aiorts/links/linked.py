@@ -71,6 +71,10 @@ class Linked(FeaturedTransport):
             dropped=MappingProxyType(added(found.dropped, dropped)),
         )
 
+    def glance(self) -> tuple[int, int, Mapping[str, int]]:
+        written, buffered, dropped = super().glance()
+        return written, buffered, added(dropped, self._link.drained()[2]) if self._link is not None else dropped
+
     def _pump(self) -> None:
         if self._link is not None:
             self._link.pump()

@@ -5,8 +5,8 @@ Also the connector that it writes to: its options, and the check of the shape.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
 
 from anyio import WouldBlock
 
@@ -14,9 +14,9 @@ from aiorts.errors import format_error
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.far import FarOutPort
 from aiorts.kernel.quality.dated import Dated
-from aiorts.links.sides import LinkSide, report
+from aiorts.links.sides import LinkSide, Wakening, report
 from aiorts.model.buffer import FullPolicy
-from aiorts.model.links import ReaderEnd
+from aiorts.model.links import FATES, ReaderEnd
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
 
 if TYPE_CHECKING:
@@ -27,6 +27,11 @@ if TYPE_CHECKING:
     from aiorts.links.transport import Channel
     from aiorts.model.links import Buffer
     from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
+
+_PATIENCE_NS: Final = 25_000_000
+"""How long a sample waits for room that would displace another: what was written one after the other comes
+together, and a reader that keeps up has room for it a few turns of the loop later. A sample waits twice as long at the
+most."""
 
 
 class ReaderLink(LinkSide[ReaderEnd]):
@@ -55,7 +60,14 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self.settled: Callable[[], None] | None = None
         """Called when a sample that waited for room is in the reader's buffer, or was refused."""
         self._waiting: Waiting | None = None
+        self._lost_before: Mapping[str, int] = {}
+        """What its connector had dropped when there was this writer's end first."""
         self._ages = connector.profile.lifespan is not None
+        self._displaces = _displaces(connector.profile)
+        self._patience = Wakening(kernel, self._displace)
+        """Ends the time for which what would displace another sample waits."""
+        self._patient_to = 0
+        """What has come up to this number waits no longer then; 0: nothing waits."""
         # Its reader is in a third kernel: each sample waits for the answer from there, and so does its writer.
         self._confirms = connector.in_.is_far and connector.profile.subscription is Subscription.FLUSH
         if isinstance(connector.out, FarOutPort):
@@ -77,6 +89,9 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self._channel, self.why = channel, ""
         self.end.renumber(number)
         now = self._now()
+        if peer_epoch != self.end.peer_epoch:
+            self._lost_before = dict(transport_of(self.connector).glance()[2])
+            self.end.lost({})
         self.end.channel_up(now, peer_epoch)
         self._poll(now)
 
@@ -88,6 +103,22 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self._poll(now)
         if end.peer_ended and not self._ended:
             self._owner.left()
+
+    def _poll(self, now: int) -> None:
+        end, channel = self.end, self._channel
+        if channel is None:
+            return
+        if 0 < end.tell_ns <= now:
+            end.lost(self._losses())
+        due = end.poll(now, channel.send)
+        if end.tell_ns and (due is None or end.tell_ns < due):
+            due = end.tell_ns
+        self._wakening.at(due)
+
+    def _losses(self) -> dict[str, int]:
+        """What was lost of what this writer's end has sent, which knows itself of what was refused."""
+        dropped, before = transport_of(self.connector).glance()[2], self._lost_before
+        return {reason: dropped[reason] - before.get(reason, 0) for reason in dropped if reason not in FATES}
 
     def on_room(self) -> None:
         now = self._now()
@@ -108,6 +139,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
             return
         self._ended = True
         self._wakening.cancel()
+        self._patience.cancel()
         channel, self._channel = self._channel, None
         if channel is not None:
             if for_good:
@@ -119,6 +151,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
         end, decode = self.end, self._decode
         write = _always_waits if self._confirms else self.connector.out.write_nowait
         ages = self._ages
+        transport = transport_of(self.connector) if self._displaces else None
         taken = last = 0
         while not self._waits and not self._ended and (received := end.take()) is not None:
             ticket, head, parts = received
@@ -135,6 +168,8 @@ class ReaderLink(LinkSide[ReaderEnd]):
             if ages:
                 self._date(end.date)
             try:
+                if transport is not None and len(transport.queue) >= transport.length:
+                    raise WouldBlock
                 has_room = write(record)
             except WouldBlock:
                 end.done(now, last, taken)
@@ -160,22 +195,44 @@ class ReaderLink(LinkSide[ReaderEnd]):
     def _wait(self, number: int, record: Any) -> None:
         """Have the connector say when the reader has made room for this sample, which is in the buffer then."""
         future = self._kernel.loop.create_future()
-        self._waiting = transport_of(self.connector).wait_for_room(record, future)
+        transport = transport_of(self.connector)
+        self._waiting = transport.wait_for_room(record, future, patient=self._displaces)
         if self._waiting is None:
             self.end.done(self._now(), number, 1)
             return
         self._waits = number
         future.add_done_callback(self._room_made)
+        if self._displaces and not self._patient_to:
+            self._be_patient()
 
-    def _room_made(self, _future: object) -> None:
+    def _be_patient(self) -> None:
+        """Let what has come until now wait for room, for a while."""
+        self._patient_to = self.end.newest or self._waits
+        self._patience.at(self._now() + _PATIENCE_NS)
+
+    def _displace(self) -> None:
+        """What has waited for long enough takes the place of the oldest samples."""
+        while (entry := self._waiting) is not None and self._waits <= self._patient_to:
+            transport = transport_of(self.connector)
+            if transport.give_up(entry):
+                transport.offer(entry.sample)
+            self._room_made(entry.future)
+        if self._waits:
+            self._be_patient()
+        else:
+            self._patient_to = 0
+
+    def _room_made(self, future: object) -> None:
         number, entry = self._waits, self._waiting
+        if entry is None or entry.future is not future:
+            return  # it has been told before
         self._waits, self._waiting = 0, None
         if self._ages:
             self._date(None)
         if self._ended:
             return
         now = self._now()
-        if entry is not None and entry.refused:
+        if entry.refused:
             self.end.failed(now, number, "rejected")
         else:
             self.end.done(now, number, 1)
@@ -193,9 +250,9 @@ def _always_waits(_sample: Any) -> bool:
 def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
     """The options of the connector at the reader's end, by those that the link was made with.
 
-    A link loses nothing inside its window: what finds the reader's buffer full waits at the reader's end, and when the
-    window is used up the writer's buffer decides. With flush the writer waits for the answer, so the policy of the full
-    buffer is the reader's own.
+    What finds the reader's buffer full waits at the reader's end. Where the connector overwrites, it does so for a
+    moment, and then takes the place of the oldest sample. Else the window is used up, and the writer's buffer decides.
+    With flush the writer waits for the answer, so the policy of the full buffer is the reader's own.
     """
     options: dict[str, Any] = {"timeout": None, "allow_duplicate": True}
     options |= {"keep_last": profile.keep_last, "lifespan": profile.lifespan, "max_gap": profile.max_gap}
@@ -207,7 +264,14 @@ def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
         return {**options, "length": profile.length, "full": profile.full}
     if profile.push is Push.NEW:
         return {**options, "subscription": Subscription.NEW, "push": Push.NEW}
-    return {**options, "length": profile.length, "full": FullPolicy.BLOCK}
+    full = FullPolicy.OVERWRITE if profile.full is FullPolicy.OVERWRITE else FullPolicy.BLOCK
+    return {**options, "subscription": Subscription.NEW, "push": Push.ALL, "length": profile.length, "full": full}
+
+
+def _displaces(profile: ConnectorProfile) -> bool:
+    """Whether what finds the buffer full takes the place of the oldest sample; with flush its writer waits for that."""
+    is_chosen = profile.dataflow is Dataflow.PULL or profile.push is Push.NEW
+    return profile.full is FullPolicy.OVERWRITE and profile.subscription is not Subscription.FLUSH and not is_chosen
 
 
 def of_shape(

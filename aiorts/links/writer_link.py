@@ -18,8 +18,9 @@ from aiorts.links.layout import layout_of
 from aiorts.links.linked import LINK, Aged, Confirmation, Confirmed, Linked, added
 from aiorts.links.sides import LinkSide, report
 from aiorts.links.transport import LinkOffer
+from aiorts.model.buffer import FullPolicy
 from aiorts.model.links import WriterEnd, versions
-from aiorts.model.policy import Push
+from aiorts.model.policy import Push, Subscription
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -28,12 +29,15 @@ if TYPE_CHECKING:
     from aiorts.links.transport import Channel
     from aiorts.model.links import Buffer
     from aiorts.model.names import Path
+    from aiorts.model.profile import ConnectorProfile
 
 _WINDOW: Final = 256
 """Samples that may be unacknowledged."""
 _WINDOW_BYTES: Final = 8 << 20
 _NEWEST: Final = 2
 """The same where only the newest sample counts: one on its way and one behind it."""
+_LEAST: Final = 4
+"""The same at the least where the writer's buffer decides what becomes of what a slow reader has no room for."""
 _SOON_NS: Final = 50_000
 """A sample that is written so soon after another was sent goes with those that are written after it."""
 _ACKNOWLEDGED: Final = "acknowledged"
@@ -58,7 +62,8 @@ class WriterLink(LinkSide[WriterEnd]):
         encode: Callable[[Any], tuple[bytes, Sequence[memoryview]]],
     ) -> None:
         profile = connector.profile
-        end = WriterEnd(0, epoch, window=_NEWEST if profile.push is Push.NEW else _WINDOW)
+        window = _NEWEST if profile.push is Push.NEW else _WINDOW
+        end = WriterEnd(0, epoch, window=window, least=_least(profile))
         super().__init__(kernel, connector, end, owner)
         self._encode = encode
         self._turn_due = self._taking = False
@@ -84,7 +89,19 @@ class WriterLink(LinkSide[WriterEnd]):
     # -- the connector ---------------------------------------------------------------------------------------------
 
     def drained(self) -> tuple[int, int, Mapping[str, int]]:
-        return self._acknowledged, self.end.ledger.in_flight, added(self._dropped, self.refused)
+        lost = self.lost
+        arrived = self._acknowledged - sum(lost.values())
+        return arrived, self.end.ledger.in_flight, added(added(self._dropped, self.refused), lost)
+
+    @property
+    def lost(self) -> Mapping[str, int]:
+        """What the reader's end there is now has lost of what was acknowledged, by reason, as far as it has said."""
+        left, found = self._acknowledged - self.acknowledged_before, {}
+        for reason, count in self.end.lost.items():
+            if taken := min(count, left):
+                found[reason] = taken
+                left -= taken
+        return found
 
     def pump(self) -> None:
         """Take from the connector what the window has room for, and send."""
@@ -204,7 +221,9 @@ class WriterLink(LinkSide[WriterEnd]):
         is_another = self.end.channel_up(self._now(), peer_epoch)
         self._settle()
         if is_another:
-            self._dropped, self.refused = added(self._dropped, self.refused), {}
+            lost, self.end.lost = self.lost, {}
+            self._dropped, self.refused = added(added(self._dropped, self.refused), lost), {}
+            self._acknowledged -= sum(lost.values())
             self.acknowledged_before = self._acknowledged
         self.pump()
         if is_another and self.connector.profile.keep_last:
@@ -250,6 +269,8 @@ class WriterLink(LinkSide[WriterEnd]):
             end.receive(now, head)
         self._settle()
         self.pump()
+        if "overwritten" in end.lost and (losses := self._transport().losses):
+            losses.begin(self.connector)
         if self._idle is not None:
             self._look_idle()
         if end.peer_ended and not self._ended:
@@ -308,6 +329,13 @@ class WriterLink(LinkSide[WriterEnd]):
 
     def _count(self, reason: str, count: int) -> None:
         self._dropped = added(self._dropped, {reason: count})
+
+
+def _least(profile: ConnectorProfile) -> int | None:
+    """Samples that may be on their way to a slow reader, where the policy of the full buffer is the writer's own."""
+    if profile.full is FullPolicy.OVERWRITE or profile.subscription is Subscription.FLUSH:
+        return None  # the reader's end takes all that comes, or the writer waits for each
+    return max(_LEAST, profile.length)
 
 
 def _nowhere(_head: bytes, _parts: Sequence[memoryview]) -> bool:

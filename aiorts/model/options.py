@@ -345,8 +345,8 @@ def says_what_is_lost(options: Mapping[str, Any]) -> bool:
 
 def loses_unasked(profile: ConnectorProfile) -> bool:
     """Whether every sample is to be delivered, and the oldest is dropped when the reader is slow."""
-    every = profile.dataflow is Dataflow.PUSH and profile.subscription is Subscription.FLUSH
-    return every and profile.full is FullPolicy.OVERWRITE
+    every = profile.subscription is Subscription.FLUSH or profile.push is Push.ALL
+    return every and profile.dataflow is Dataflow.PUSH and profile.full is FullPolicy.OVERWRITE
 
 
 def _rendezvous_by(where: str, own: Mapping[str, Any], get: _Reader) -> str:

@@ -181,7 +181,9 @@ class LockFreeTransport(Transport):
         self.drop("timeout")
         self.extra.writing = False
 
-    def wait_for_room(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting | None:
+    def wait_for_room(
+        self, sample: Any, future: asyncio.Future[None] | None, *, patient: bool = False
+    ) -> Waiting | None:
         if not self.must_wait():
             self.offer(sample)
             return None

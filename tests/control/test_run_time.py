@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import os
+import time
 from pathlib import Path
 
 import pytest
@@ -199,3 +202,15 @@ async def test_no_code_is_read_where_others_may_only_look(capsys: pytest.Capture
     async with controlled("looks", mode="view"):
         status, text = await commanded(capsys, "reload", "counter0")
         assert (status, "needs the right 'code'" in text) == (4, True)
+
+
+async def test_a_kernel_within_another_program_says_at_once_whose_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    async with controlled() as kernel:
+        began = time.monotonic()
+        status, text = await commanded(capsys, "stop", "unit")
+        assert (status, time.monotonic() - began < 5.0) == (2, True), text
+        assert "E-STATE" in text
+        assert f"process {os.getpid()} (" in text
+        awaited = asyncio.ensure_future(kernel.wait_stop_requested())
+        assert await awaited == 0  # it was asked to end, and whoever waits for that later does end it
+        assert kernel.request_stop()

@@ -295,3 +295,14 @@ async def test_simulated_time_has_no_stalls() -> None:
     async with Kernel() as kernel:
         assert not kernel.watch_loop()
         assert kernel.loop_stalls.count == 0
+
+
+async def test_what_holds_the_loop_again_and_again_is_said_once_and_counted(caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel() as kernel:
+        kernel.watch_loop(limit=60.0)
+        await asyncio.sleep(0.05)
+        for _ in range(4):
+            time.sleep(0.35)
+            await asyncio.sleep(0.02)
+        assert kernel.loop_stalls.count == 4
+        assert len([line for line in caplog.messages if "does not turn" in line]) == 1

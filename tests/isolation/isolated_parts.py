@@ -394,3 +394,30 @@ class Lamp(MultiModeComponent):
     """Modes."""
 
     modes = ("dark", "bright")
+
+
+class Aged(Component):
+    """Reads one sample in each cycle, which takes 50 ms, and says how old it is, in us."""
+
+    inp = InPort(TimedLong)
+    out = OutPort(TimedLong)
+    blocks: bool = Param(False)
+
+    async def on_execute(self) -> None:
+        sample = self.inp.read_nowait()
+        self.out.write_nowait(TimedLong(0, (time.time_ns() - sample.tm) // 1_000))
+        if self.blocks:
+            time.sleep(0.05)
+        else:
+            await self.sleep(0.05)
+
+
+class Blocked(Component):
+    """Holds its process for some seconds with each sample."""
+
+    inp = InPort(TimedLong)
+    seconds: float = Param(0.8)
+
+    def on_execute(self) -> None:
+        self.inp.read_nowait()
+        time.sleep(self.seconds)

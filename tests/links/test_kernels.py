@@ -294,7 +294,7 @@ async def test_a_kernel_that_is_started_anew_goes_on_with_the_loss_counted() -> 
         source = await one.add(Source())
         async with reachable("two") as two:
             sink = await two.add(Sink())
-            connector = await one.connect(source.out, "two/sink0.inp", length=2, full="overwrite")
+            connector = await one.connect(source.out, "two/sink0.inp", length=2, full="block")
             for value in range(5):
                 source.out.write_nowait(long(value))
                 await sleep(0)
@@ -342,14 +342,14 @@ async def test_what_has_come_can_be_read_after_the_writer_has_ended() -> None:
         async with Kernel("one") as one:
             source = await one.add(Source())
             await one.connect(source.out, "two/sink0.inp", length=4, full="block", timeout=None)
-            for value in range(20):
+            for value in range(8):
                 await source.out.write(long(value))
         await sleep(0.2)
         seen = []
         with fail_after(10):
-            while len(seen) < 20:
+            while len(seen) < 8:
                 seen.append((await sink.inp.read()).data)
-        assert seen == list(range(20))
+        assert seen == list(range(8))
         await until(lambda: not two.connectors)
 
 

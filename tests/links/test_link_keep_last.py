@@ -84,7 +84,7 @@ def test_a_reader_that_becomes_active_later_has_the_last_sample() -> None:
             context = await two.start(EventContext(), sink)
             connector = await one.connect(source.out, "two/sink0.inp", keep_last=True)
             await source.out.write(long(7))
-            await until(lambda: connector.statistics.acknowledged == 1)
+            await until(lambda: connector.statistics.dropped == {"inactive": 1})
             assert not sink.inp.is_new
             await context.activate(sink)
             assert sink.states[context.name] is LifecycleState.ACTIVE

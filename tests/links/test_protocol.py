@@ -411,3 +411,49 @@ def test_sent_again_counts_the_samples_that_the_channel_took_again() -> None:
     assert writer.ledger.sent_again == 0
     writer.poll(400 * MS, lambda head, parts: True)
     assert writer.ledger.sent_again == 3
+
+
+def test_the_writers_end_knows_what_was_lost_behind_the_reader_end() -> None:
+    pair = Pair(0)
+    pair.connect()
+    pair.step(pair.now + 10 * MS)
+    for losses in ({"overwritten": 3}, {"overwritten": 5, "expired": 1}):
+        pair.reader.lost(losses)
+        pair.step(pair.now + 10 * MS)
+        assert pair.writer.lost == losses
+    before = pair.frames
+    pair.reader.lost({"overwritten": 5, "expired": 1})
+    pair.step(pair.now + 10 * MS)
+    assert pair.frames == before  # it is said once
+    assert (pair.writer.ledger.bad_frames, pair.reader.ledger.bad_frames) == (0, 0)
+
+
+def test_losses_of_reasons_that_are_not_known_count_together_and_of_too_many_not_at_all() -> None:
+    pair = Pair(0)
+    pair.connect()
+    pair.writer.receive(0, frames.lost(7, pair.reader.epoch, {"mine": 2, "yours": 3, "expired": 1}))
+    assert pair.writer.lost == {"refused": 5, "expired": 1}
+    pair.writer.receive(0, frames.lost(7, pair.reader.epoch, {f"reason {number}": 1 for number in range(100)}))
+    pair.writer.receive(0, frames.lost(7, pair.reader.epoch + 1, {"expired": 9}))
+    assert (pair.writer.lost, pair.writer.ledger.bad_frames) == ({"refused": 5, "expired": 1}, 2)
+
+
+def test_the_window_is_narrow_until_the_reader_has_kept_up_and_again_when_it_does_not() -> None:
+    pair = Pair(0, window=256)
+    pair.writer = WriterEnd(7, 1_000, window=256, least=8)
+    pair.connect()
+    pair.step(pair.now + 10 * MS)
+    rooms = []
+    for _ in range(7):
+        rooms.append(pair.writer.room)
+        for value in range(rooms[-1]):
+            pair.offer(value)
+        pair.step(pair.now + 60 * MS)
+    assert rooms == [8, 16, 32, 64, 128, 256, 256]
+    pair.buffer = 0
+    for value in range(100):
+        pair.step(pair.now + 20 * MS)
+        if value < 20 or pair.writer.room:
+            pair.offer(value)
+    assert pair.writer.room == 0
+    assert pair.writer.ledger.in_flight < 16

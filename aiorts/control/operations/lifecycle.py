@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from typing import Final
 
 from aiorts.control.operation import Operation, Right
@@ -11,6 +13,7 @@ from aiorts.control.values import Done, Member, Stop
 from aiorts.errors import StateError
 from aiorts.kernel.execution.cell import cell
 from aiorts.late import dataclass
+from aiorts.model.values import shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +55,14 @@ def _hold(session: Session, given: Holding) -> Done:
 
 
 def _stop(session: Session, given: Stop) -> Done:
-    session.kernel.request_stop(given.status)
+    kernel = session.kernel
+    if not kernel.request_stop(given.status):
+        program = shown(" ".join(sys.argv)) if sys.argv else "an interpreter"
+        raise StateError(
+            f"{kernel.address or kernel.name}: is part of another program, which does not wait for "
+            f"`Kernel.wait_stop_requested()`: end the program itself, process {os.getpid()} ({program}), with SIGTERM "
+            "or in its own way"
+        )
     return Done()
 
 

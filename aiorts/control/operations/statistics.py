@@ -64,7 +64,8 @@ class Counters(TypedDict):
     """Written, delivered, buffered, dropped by reason, and the option `measure`."""
     timed: dict[str, dict[str, tuple[int, ...]]]
     """"latency" and "age": how many, p50, p99 and maximum in nanoseconds; "within": how far the age may be off that
-    is by the stamps of another machine."""
+    is by the stamps of another machine; "link": they end where the link takes the sample, since the reader is in
+    another process."""
     contexts: dict[str, dict[str, Any]]
     components: dict[str, dict[str, Any]]
 
@@ -137,7 +138,9 @@ def _timed(connector: Connector) -> dict[str, tuple[int, ...]]:
         for what, spans in both
         if spans is not None and spans.count
     }
-    return made if found.age_within_ns is None else {**made, "within": (found.age_within_ns,)}
+    if found.age_within_ns is not None:
+        made["within"] = (found.age_within_ns,)
+    return {**made, "link": ()} if made and connector.profile.far_end == "reader" else made
 
 
 def _context(context: Context) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Final
+from typing import Final, Literal
 
 GRACE: Final = 0.5
 """Seconds between two cancellations of a hook that is over its deadline."""
@@ -49,3 +49,14 @@ class StopBudget:
         """Seconds between cancellations."""
         now = self._loop.time()
         return GRACE if now < self._hard else max(0.0, (self._end - now) * _GRACE_SHARE)
+
+
+class StopRequest(asyncio.Event):
+    """Set once the end of a kernel was requested."""
+
+    awaited = False
+    """Whether any code has waited for it."""
+
+    async def wait(self) -> Literal[True]:
+        self.awaited = True
+        return await super().wait()

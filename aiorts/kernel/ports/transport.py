@@ -342,7 +342,11 @@ class Transport:
 
     def must_wait(self) -> bool:
         """Whether a sample written now would have to wait for room."""
-        if not self.blocks or self.closed or not self.receiver.open or self.retired:
+        return self.blocks and self._lacks_room()
+
+    def _lacks_room(self) -> bool:
+        """Whether a sample written now is to go into the queue, and finds that full."""
+        if self.closed or not self.receiver.open or self.retired:
             return False
         if len(self.queue) < self.length and not self.waiting:
             return False
@@ -450,12 +454,15 @@ class Transport:
 
     # -- waiting for room ----------------------------------------------------------------------------------------------
 
-    def wait_for_room(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting | None:
-        """Queue up for room; None when there is room after all (across threads) and the sample was taken."""
+    def wait_for_room(
+        self, sample: Any, future: asyncio.Future[None] | None, *, patient: bool = False
+    ) -> Waiting | None:
+        """Queue up for room, if `patient` also where a write displaces the oldest sample; None when there is room after
+        all (across threads) and the sample was taken."""
         with self.guard():
             if (now := self.connector._transport) is not self:
-                return now.wait_for_room(sample, future)
-            if self.must_wait():
+                return now.wait_for_room(sample, future, patient=patient)
+            if self.must_wait() or (patient and self._lacks_room()):
                 return self.queue_up(sample, future)
             self.offer(sample)
             return None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, TypeAlias
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
@@ -21,6 +21,7 @@ ACK: Final = 3
 BYE: Final = 4
 WANT: Final = 5
 NONE: Final = 6
+LOST: Final = 7
 CONFIRM: Final = 1
 """Flag of data: acknowledge at once."""
 AGED: Final = 2
@@ -33,6 +34,8 @@ BATCH_BYTES: Final = 32_768
 """Bytes of the samples of one frame at the most, if it is more than one sample."""
 FATES: Final = ("rejected", "undecodable")
 """Why samples are not in the reader's buffer."""
+LOSSES: Final = ("overwritten", "superseded", "inactive", "expired", "unconverted", "disconnected")
+"""Why samples are lost that were in the reader's buffer."""
 REFUSED: Final = "refused"
 """What counts for any other reason that an acknowledgement gives: whoever sends it could name a new one each time."""
 
@@ -54,7 +57,7 @@ class Turn(enum.Enum):
 
 
 _TURNS: Final[Mapping[int, Turn]] = {
-    **dict.fromkeys((HELLO, ACK, WANT), Turn.CONTROL),
+    **dict.fromkeys((HELLO, ACK, WANT, LOST), Turn.CONTROL),
     **dict.fromkeys((BYE, NONE), Turn.LAST),
 }
 """Bye and none speak of the samples before them, and are said once. What is not known has the bound of samples."""
@@ -104,6 +107,14 @@ def acknowledgement(link: int, done: int, received: int, fates: Mapping[int, str
     return b"".join(frame)
 
 
+def lost(link: int, epoch: int, losses: Mapping[str, int]) -> bytes:
+    """Says what this reader's end has lost of what was in its buffer: how many samples by reason, in all."""
+    frame = [_NUMBERED.pack(LOST, 0, len(losses), link, epoch, 0)]
+    for reason, count in losses.items():
+        frame += (_FATE.pack(count, len(reason)), reason.encode())
+    return b"".join(frame)
+
+
 def bye(link: int) -> bytes:
     """Says that this end was disconnected."""
     return _HEAD.pack(BYE, 0, 0, link)
@@ -121,7 +132,8 @@ def none(link: int, number: int, *, wait: bool) -> bytes:
 
 def head_of(frame: Buffer, link: int) -> tuple[int, int, int, int, int]:
     """Kind, flags and count of a frame, and two numbers: of hello the epoch and received, of data first and oldest, of
-    an acknowledgement done and received, of want and none the number and zero, of bye zeros.
+    an acknowledgement done and received, of want and none the number and zero, of lost the epoch and zero, of bye
+    zeros.
     BadFrame: it is too short, or of another link."""
     if len(frame) >= _NUMBERED.size:
         kind, flags, count, number, one, two = _NUMBERED.unpack_from(frame)
@@ -164,7 +176,22 @@ def samples_of(frame: Buffer, count: int, ages: int = 0) -> list[memoryview]:
 
 def fates_of(frame: Buffer, count: int) -> dict[int, str]:
     """What became of the samples of an acknowledgement that are not in the reader's buffer, by number."""
-    found: dict[int, str] = {}
+    return dict(_pairs_of(frame, count))
+
+
+def losses_of(frame: Buffer, count: int) -> dict[str, int]:
+    """How many samples the reader's end has lost, by reason; those that are not known together."""
+    if count > 2 * len(LOSSES):
+        raise BadFrame("of too many reasons")
+    found: dict[str, int] = {}
+    for lost, reason in _pairs_of(frame, count):
+        known = reason if reason in LOSSES else REFUSED
+        found[known] = found.get(known, 0) + lost
+    return found
+
+
+def _pairs_of(frame: Buffer, count: int) -> Iterator[tuple[int, str]]:
+    """Numbers, each with its word."""
     place = _NUMBERED.size
     for _ in range(count):
         if len(frame) < place + _FATE.size:
@@ -172,10 +199,10 @@ def fates_of(frame: Buffer, count: int) -> dict[int, str]:
         number, length = _FATE.unpack_from(frame, place)
         place += _FATE.size
         try:
-            found[number] = str(frame[place : place + length], "utf-8")
+            word = str(frame[place : place + length], "utf-8")
         except UnicodeDecodeError:
             raise BadFrame("no text") from None
+        yield number, word
         place += length
     if place != len(frame):
         raise BadFrame("of another length")
-    return found

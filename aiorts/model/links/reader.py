@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import repeat
 from typing import Final, TypeAlias
 
@@ -15,6 +15,8 @@ from aiorts.model.links.state import LinkState
 _ERA: Final = 1 << 64
 ACK_NS: Final = 50_000_000
 """How long an acknowledgement may be kept back."""
+_TELL_NS: Final = 50_000_000
+"""How soon after an acknowledgement the writer's end is told of losses."""
 _ACK_BYTES: Final = 1 << 19
 """After so many bytes it is not: until then the writer keeps large samples, and its memory for the next is fresh, which
 the system clears page by page."""
@@ -85,7 +87,11 @@ class ReaderEnd:
         self._want_ns: int | None = None
         """When it is asked for (again); None: the writer's end knows of it."""
         self._want_pause_ns = 0
-        self._up = self._was_up = self._hello = self._ended = False
+        self._lost: Mapping[str, int] = {}
+        """What was lost of what was in the reader's buffer, by reason."""
+        self.tell_ns = 0
+        """When `lost` is to be called; 0: nothing was acknowledged since."""
+        self._up = self._was_up = self._hello = self._tells_lost = self._ended = False
 
     def renumber(self, number: int) -> None:
         """Frames carry this number from now on."""
@@ -98,6 +104,7 @@ class ReaderEnd:
             self._fates.clear()
             self._era += _ERA
         self._peer_epoch, self._up, self._was_up, self._hello = peer_epoch, True, True, True
+        self._tells_lost = bool(self._lost)
         self._ack_ns = now
         if self._wanted:
             self._want_ns, self._want_pause_ns = now, _AGAIN_NS
@@ -183,7 +190,7 @@ class ReaderEnd:
         ledger.held += count
         if confirm:
             self._confirm = self._received
-        elif self._ack_ns is None:
+        if self._ack_ns is None:
             self._ack_ns = now + ACK_NS
 
     def want(self, now: int, *, wait: bool) -> bool:
@@ -227,6 +234,11 @@ class ReaderEnd:
         return len(self._held)
 
     @property
+    def newest(self) -> int:
+        """The ticket of the newest sample that has come and was not taken; 0: all were."""
+        return self._held[-1][0] if self._held else 0
+
+    @property
     def received(self) -> int:
         """All up to this number have come of the writer's end there is now."""
         return self._received
@@ -264,6 +276,12 @@ class ReaderEnd:
         elif self._ack_ns is None:
             self._ack_ns = now + ACK_NS
 
+    def lost(self, losses: Mapping[str, int]) -> None:
+        """So much was lost of what this writer's end has sent and was in the buffer, in all: it is told so."""
+        self.tell_ns = 0
+        if losses != self._lost:
+            self._lost, self._tells_lost = losses, True
+
     def on_room(self, now: int) -> None:
         """The channel takes frames again: `poll` goes on."""
 
@@ -275,12 +293,15 @@ class ReaderEnd:
             if not send(frames.hello(self.number, self.epoch, self._received), ()):
                 return None
             self._hello = False
+        if self._tells_lost:
+            self._tells_lost = not send(frames.lost(self.number, self.epoch, self._lost), ())
         if self._ack_ns is None or now < self._ack_ns:
             return self._ack_ns
         if send(frames.acknowledgement(self.number, self._done, self._received, self._fates), ()):
             self._told, self._ack_ns, self._unacknowledged = self._done, None, 0
             if self._done >= self._confirm:
                 self._confirm = 0
+            self.tell_ns = self.tell_ns or now + _TELL_NS
         return None
 
     def end(self, now: int, send: Send) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from aiorts.late import dataclass
@@ -21,6 +21,8 @@ STALLED_NS: Final = 2_000 * _MS
 UNANSWERED_NS: Final = 10_000 * _MS
 """A channel on which no hello was answered for so long leads nowhere."""
 _KEPT_BACK_NS: Final = 50 * _MS
+_KEEPS_UP_NS: Final = 100 * _MS
+"""A reader in whose buffer a sample is within this time, and two round trips, keeps up."""
 
 
 @dataclass(slots=True)
@@ -45,15 +47,28 @@ class WriterEnd:
         epoch: of this end.
         window: samples that may be unacknowledged, 1 to 65,535.
         window_bytes: the same in bytes; one larger sample goes alone.
+        least: the same at the beginning, and while the reader does not keep up, so that the writer's buffer decides
+            soon; it doubles with each round trip in which the reader does. None: it is always the whole window.
     """
 
-    def __init__(self, number: int, epoch: int, *, window: int = 256, window_bytes: int = 8 << 20) -> None:
+    def __init__(
+        self, number: int, epoch: int, *, window: int = 256, window_bytes: int = 8 << 20, least: int | None = None
+    ) -> None:
         check_window(window)
         self.number, self.epoch = number, epoch
         self.ledger = WriterLedger()
         self.peer_ended = False
         """Whether the reader's end was disconnected."""
+        self.lost: Mapping[str, int] = {}
+        """What the reader's end has lost of what was acknowledged, by reason, as it has said last."""
         self._window, self._window_bytes = window, window_bytes
+        self._narrows = least is not None
+        self._least = self._open = window if least is None else min(least, window)
+        """The least, and what is open of the window now."""
+        self._judged, self._late_ns = 0, 0
+        """A number of which is seen how soon it is in the reader's buffer, 0: none; and from when on that is late."""
+        self._fills = self._slow = False
+        """Whether that one was the last for which the window was open; whether the reader does not keep up."""
         self._peer_epoch = 0
         self._kept: dict[int, tuple[bytes, Sequence[memoryview], bool]] = {}
         """What is not acknowledged, by number, without a gap."""
@@ -114,7 +129,8 @@ class WriterEnd:
         self._kept = dict(enumerate(unsent, 1))
         self._dates = {number - self._highest: date for number, date in self._dates.items()}
         self._oldest, self._next = 1, 1 + len(unsent)
-        self._sent = self._highest = self._received = self.query = 0
+        self._sent = self._highest = self._received = self.query = self._judged = 0
+        self._open, self._slow = self._least, False
 
     def state(self, now: int) -> LinkState:
         """How far the link is."""
@@ -139,7 +155,7 @@ class WriterEnd:
         kept = len(self._kept)
         if not self._up or (kept and self._bytes >= self._window_bytes):
             return 0
-        return self._window - kept
+        return self._open - kept
 
     @property
     def numbered(self) -> int:
@@ -155,6 +171,8 @@ class WriterEnd:
         """Take one sample; returns its number. There is room. `confirm`: have it acknowledged at once."""
         number = self._next
         self._next += 1
+        if self._narrows and (now > self._late_ns or not self._judged or len(self._kept) + 1 >= self._open):
+            confirm |= self._judge(now, number)
         self._kept[number] = (head, parts, confirm)
         if self.date is not None:
             self._dates[number] = self.date
@@ -198,6 +216,10 @@ class WriterEnd:
             elif kind == frames.WANT:
                 if one == self._next:  # else it was answered already
                     self.query, self._is_query_new = 1 + (flags & frames.WAIT), True
+            elif kind == frames.LOST:
+                if one != self._peer_epoch:
+                    raise BadFrame("of another end")
+                self.lost = frames.losses_of(head, count)
             elif kind == frames.BYE:
                 self.peer_ended = True
             else:
@@ -227,6 +249,23 @@ class WriterEnd:
             fate = fates[number]
             self._settle(number, number, fate if fate in frames.FATES else frames.REFUSED)
         self._settle(self._oldest, done, "acknowledged")
+        if self._slow:  # one for two that were read: its writer does not stop until the window is narrow
+            self._open = max(self._least, self._open - done // 2 + (first - 1) // 2)
+        if 0 < self._judged <= done:
+            self._judged, self._slow = 0, now > self._late_ns
+            if not self._slow:
+                self._open = min(2 * self._open, self._window)
+
+    def _judge(self, now: int, number: int) -> bool:
+        """Look whether the reader keeps up. Returns whether this sample is to be acknowledged at once: it is the last
+        for which the window is open."""
+        fills = len(self._kept) + 1 >= self._open
+        if not self._judged or (fills and not self._fills):
+            self._judged, self._fills = number, fills
+            self._late_ns = now + _KEEPS_UP_NS + 2 * self._trip_ns
+        elif now > self._late_ns:
+            self._slow, self._open = True, max(self._least, min(self._open, len(self._kept) + 1))
+        return fills and self._open < self._window
 
     def _settle(self, first: int, last: int, fate: str) -> None:
         if last < first:

@@ -92,7 +92,7 @@ class FrameOutput(Component):
         *,
         stream: BinaryIO | None = None,
         count: int | None = None,
-        done: Callable[[], None] | None = None,
+        done: Callable[[], object] | None = None,
     ) -> None:
         super().__init__(name)
         self.written = 0

@@ -228,7 +228,7 @@ class StandardOutput(Component):
         *,
         stream: LineStream | None = None,
         count: int | None = None,
-        done: Callable[[], None] | None = None,
+        done: Callable[[], object] | None = None,
     ) -> None:
         super().__init__(name)
         self.written = 0

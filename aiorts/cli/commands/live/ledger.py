@@ -7,6 +7,8 @@ from typing import Any, Final
 
 EXACT: Final = 10_000_000
 """Nanoseconds by which a span of time may be off that is worth its figure."""
+UP_TO_LINK: Final = ", up to the link"
+"""Behind spans that end where a link takes the sample: the writer's end does not know when it is read."""
 
 
 def ledger_text(counts: Mapping[str, Any]) -> str:

@@ -53,7 +53,8 @@ reset = _command("reset", "Take components out of error. * and ? in quotes stand
 def stop(kernel: str, timeout: float, as_json: bool) -> int:
     """End the run KERNEL in order, as SIGTERM does, and wait until it has ended.
 
-    Without a name it is the only one that runs.
+    Without a name it is the only one that runs. A kernel within an application ends when that ends, or waits for this
+    (Kernel.wait_stop_requested): else it is E-STATE, which says whose program it is.
     """
     with kernels(changing=True) as found:
         one = found.kernel(kernel.rstrip("/"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from aiorts.cli.commands.live.ledger import EXACT, ledger_text
+from aiorts.cli.commands.live.ledger import EXACT, UP_TO_LINK, ledger_text
 from aiorts.cli.console.output import table
 from aiorts.model.lifecycle import state_text
 
@@ -211,11 +211,12 @@ def _connector(name: str, report: Mapping[str, Any], *, long: bool) -> Iterator[
             if key not in _NO_WORD and value is not None and _USUAL.get(key) != value
         ]
         yield f"  {', '.join(said)}"
+        end = UP_TO_LINK if counts["delivered"] is None else ""
         for word in ("latency", "age"):
             if (spans := counts[word]) is not None:
                 off = counts.get("age_within_ns") if word == "age" else None
                 texts = [f"{spans[key] / 1e6:.3f} ms{_off(off)}" for key in ("p50_ns", "p99_ns")]
-                yield f"  {word} p50 {texts[0]}, p99 {texts[1]}" if off is None or off <= EXACT else f"  {word} ?"
+                yield f"  {word} p50 {texts[0]}, p99 {texts[1]}{end}" if off is None or off <= EXACT else f"  {word} ?"
 
 
 def _off(within_ns: int | None) -> str:

@@ -10,6 +10,7 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.edges import Edge, complete_edge, find_edges
+from aiorts.cli.commands.live.ledger import UP_TO_LINK
 from aiorts.cli.commands.live.measure.readings import Counters, Rates, readings
 from aiorts.cli.commands.live.measure.spans import span_plain, span_text, within_text
 from aiorts.cli.commands.live.showing import Over, following_options, has_ended
@@ -141,6 +142,9 @@ def delay(name: str, interval: float, duration: float | None, count: int | None,
     Where the stamps are those of another machine, its clock's offset is taken off the age, which may then be off by
     what stands behind `+-`: half of the shortest time there and back. It is `?` where that is more than 10 ms.
 
+    Where the reader is in another process, both are taken as the link takes the sample, and the line says so: the way
+    there, and what a sample waits for its reader, come on top.
+
     A connector that is not measured is from now on, which standard error says, and no longer when this ends, however
     it ends. That needs the right to operate the kernel. It ends with the kernel.
     """
@@ -163,6 +167,8 @@ def delay(name: str, interval: float, duration: float | None, count: int | None,
                 plain: dict[str, Any] = {what: span_plain(found.get(what)) for what in _TIMED}
                 if "within" in found:
                     plain["age_within_ns"] = found["within"][0]
+                if "link" in found:
+                    plain["to_link"] = True
                 _print(edge, _spans(found), plain, as_json=as_json)
             return not early
 
@@ -194,7 +200,7 @@ def _spans(found: Mapping[str, Any]) -> str:
         p50, p99, most = map(span_text, found[what][1:])
         off = within_text(found["within"][0]) if what == "age" and "within" in found else ""
         texts.append("age ?" if off == "?" else f"{what} p50 {p50}{off}  p99 {p99}  max {most}")
-    return f"{'  '.join(texts)}  samples {found['latency'][0]}"
+    return f"{'  '.join(texts)}  samples {found['latency'][0]}{UP_TO_LINK if 'link' in found else ''}"
 
 
 def _bytes(count: float) -> str:

@@ -1,0 +1,35 @@
+"""What is said again and again of one thing: at once, then at growing distances, with how often it was left out."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Final
+
+_FIRST_NS: Final = 10_000_000_000
+_LONGEST_NS: Final = 3_600_000_000_000
+"""The first and the longest distance; each is twice the one before."""
+_MOST: Final = 256
+"""Things that are known at the most; the one that was said first is forgotten."""
+
+
+class Rarely:
+    """When what repeats is said. Time comes as nanoseconds of any clock that never goes back."""
+
+    def __init__(self) -> None:
+        self._said: dict[Hashable, tuple[int, int, int]] = {}
+        """Of each thing when it was said last, the distance to the next time, and how often it was left out since."""
+
+    def left_out(self, what: Hashable, now_ns: int) -> int | None:
+        """How often it was left out since it was said last, where it is to be said now; None: it is left out, too.
+
+        After twice the distance without it, it begins anew.
+        """
+        at_ns, distance_ns, count = self._said.pop(what, (0, 0, 0))
+        if distance_ns and now_ns < at_ns + distance_ns:
+            self._said[what] = at_ns, distance_ns, count + 1
+            return None
+        goes_on = distance_ns and now_ns < at_ns + 2 * distance_ns
+        self._said[what] = now_ns, min(2 * distance_ns, _LONGEST_NS) if goes_on else _FIRST_NS, 0
+        if len(self._said) > _MOST:
+            del self._said[next(iter(self._said))]
+        return count
