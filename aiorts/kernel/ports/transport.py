@@ -627,8 +627,7 @@ class Transport:
 
     def store(self, sample: Any) -> bool:
         """Take a sample that the push policy sends, as the policies say; False when it was rejected."""
-        if self.push is _NEW and self.queue:
-            displaced = len(self.queue)  # more than one where other options were in force before
+        if self.push is _NEW and (displaced := len(self.queue)):  # several where other options were in force before
             self.drop_these("superseded", self.queue)
             self.queue.clear()
             self.push_in(self.stamp_in(sample), displaced=displaced)
