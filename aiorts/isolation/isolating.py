@@ -32,6 +32,7 @@ from aiorts.model.service_profile import ServiceConnectorProfile
 from aiorts.processes import Launcher, Limits
 
 if TYPE_CHECKING:
+    from aiorts.kernel.loop.deadlines import StopBudget
     from aiorts.kernel.loop.timers import Cancellable
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
@@ -178,8 +179,10 @@ class Isolation(KernelService):
         for timer in self._leftover.values():
             timer.cancel()
         self._leftover.clear()
+
+    async def leaving(self, budget: StopBudget) -> None:
         if self._launcher is not None:
-            kernel_task(self.kernel.loop, self._launcher.close(), "aiorts isolation close")
+            await self._launcher.close(budget.rest)
 
     def _rewired(self, event: Connected | Disconnected) -> None:
         """Interfaces that isolated components call may have others who answer."""

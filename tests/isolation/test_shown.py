@@ -114,7 +114,7 @@ async def test_a_hook_over_its_deadline_in_a_process_is_told_with_the_state(
         word = "a hook" if kind == "Scale" else "on_execute"
         assert re.search(rf"active, {word} for \d\.\d s \(deadline 0\.3 s\)", text), text
     # The kernel waits for no hook that swallows its end; what waits for the process's end goes on a little longer.
-    await until(lambda: not any(task.get_name().startswith("aiorts") for task in asyncio.all_tasks()))
+    assert [name for task in asyncio.all_tasks() if (name := task.get_name()).startswith("aiorts")] == []
 
 
 async def test_a_plan_changes_a_value_in_the_process_too(tmp_path: Path) -> None:
