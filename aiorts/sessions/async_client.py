@@ -89,12 +89,14 @@ class AsyncClient(BaseClient):
             AmbiguousError: several have it; says which.
             ControlError: it refuses the session, or speaks another protocol.
         """
-        until = asyncio.get_running_loop().time() + timeout
+        loop = asyncio.get_running_loop()
+        until = loop.time() + timeout
         entry = target if isinstance(target, Entry) else await to_thread.run_sync(entry_named, target)
-        return await cls(entry, who, right=right)._begun(await _connected(entry, until), until)
+        connected = await _connected(entry, until)
+        return await cls(entry, who, right=right).begin(connected, until - loop.time())
 
-    async def _begun(self, connected: socket.socket, until: float) -> Self:
-        """Begin over a connected socket; AiortsError: the kernel refuses the session, or does not answer."""
+    async def begin(self, connected: socket.socket, timeout: float) -> Self:
+        """Begin over a connected socket, which it owns from then on; errors as `open`."""
         loop = asyncio.get_running_loop()
         try:
             await loop.create_unix_connection(lambda: self._wire, sock=connected)
@@ -103,7 +105,7 @@ class AsyncClient(BaseClient):
             raise
         try:
             self._write(self._greeting())
-            await self._until(None, lambda: bool(self.hello), until - loop.time())
+            await self._until(None, lambda: bool(self.hello), timeout)
         except BaseException:
             self.close()
             raise
@@ -142,6 +144,28 @@ class AsyncClient(BaseClient):
     def stream(self, operation: str, wait: float | None = TIMEOUT, /, **arguments: object) -> AsyncStream:
         """An operation that streams; it begins where it is first waited for. Arguments as `call`."""
         return AsyncStream(self, operation, wait, arguments)
+
+    async def follow(self, operation: str, take: Callable[[Any], object], /, **arguments: object) -> None:
+        """Begin an operation that streams, and have `take` called with each item as it comes, until the session ends.
+
+        Raises as `call`. The session ends where `take` raises LookupError, TypeError or ValueError: it is no item.
+        """
+        call = await self._begin(operation, TIMEOUT, arguments, streams=True)
+        try:
+            (await self._next(call, TIMEOUT)).result()
+        except BaseException:
+            self._cancel(call)
+            raise
+        self._awaited[call] = partial(self._pass_on, call, take)
+        self._pass_on(call, take)
+
+    def _pass_on(self, call: Call, take: Callable[[Any], object]) -> None:
+        while call:
+            if (answer := call.take()).said == "item":
+                take(answer.value)
+            else:
+                self._session.leave(call)
+                self._awaited.pop(call, None)
 
     async def _begin(
         self, operation: str, wait: float | None, arguments: Mapping[str, object], *, streams: bool = False
