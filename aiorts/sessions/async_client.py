@@ -20,7 +20,7 @@ from anyio import to_thread
 from aiorts.errors import AiortsError, ClosedError, NoAnswerError, WireError
 from aiorts.sessions.base_client import END, TIMEOUT, BaseClient, refusal
 from aiorts.sessions.folder import CLOSING_SECONDS, Entry, is_listed
-from aiorts.sessions.protocol import ANSWERS, RightName
+from aiorts.sessions.protocol import ANSWERS, WAITING, RightName
 from aiorts.sessions.session import ITEMS, Answer, Call
 from aiorts.sessions.target import entry_named
 
@@ -168,12 +168,18 @@ class AsyncClient(BaseClient):
                 self._awaited.pop(call, None)
 
     async def _begin(
-        self, operation: str, wait: float | None, arguments: Mapping[str, object], *, streams: bool = False
+        self,
+        operation: str,
+        wait: float | None,
+        arguments: Mapping[str, object],
+        *,
+        streams: bool = False,
+        window: int = 0,
     ) -> Call:
         self._session.check()
         if not self._wire.takes.is_set():
             await self._in_time(self._wire.takes.wait(), wait, "does not take what is sent")
-        call, frame = self._session.begin(operation, arguments, streams=streams)
+        call, frame = self._session.begin(operation, arguments, streams=streams, window=window)
         self._write(frame)
         return call
 
@@ -181,7 +187,9 @@ class AsyncClient(BaseClient):
         """The next that comes for a call; what has come before the session ended comes before its error."""
         if not call:
             await self._until(call, lambda: bool(call), wait)
-        return call.take()
+        answer, credit = self._session.take(call)
+        self._write(credit)
+        return answer
 
     async def _until(self, call: Call | None, there: Callable[[], bool], wait: float | None) -> None:
         await self._in_time(self._came(call, there), wait)
@@ -302,7 +310,7 @@ class AsyncStream:
         if self._call is not None:
             return self._call
         operation, wait, arguments = self._asked
-        call = self._call = await self.client._begin(operation, wait, arguments, streams=True)
+        call = self._call = await self.client._begin(operation, wait, arguments, streams=True, window=WAITING)
         try:
             self.began = (await self.client._next(call, wait)).result()
         except BaseException:
