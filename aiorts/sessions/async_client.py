@@ -280,7 +280,8 @@ class AsyncClient(BaseClient):
 class AsyncStream:
     """The items of an operation that streams, in order; `async for` waits for the next.
 
-    It ends in the kernel where it is left: by `break`, an exception, `close()` or the end of `async with`.
+    It ends in the kernel by `close()`, at the end of `async with`, and where nothing refers to it any more: as after
+    `break`, or an exception, in `async for item in client.stream(...)`.
 
     Attributes:
         began: what the operation said when it began.
