@@ -20,8 +20,8 @@ from anyio import to_thread
 from aiorts.errors import AiortsError, ClosedError, NoAnswerError, WireError
 from aiorts.sessions.base_client import END, TIMEOUT, BaseClient, refusal
 from aiorts.sessions.folder import CLOSING_SECONDS, Entry, is_listed
-from aiorts.sessions.protocol import ANSWERS, WAITING, RightName
-from aiorts.sessions.session import ITEMS, Answer, Call
+from aiorts.sessions.protocol import ANSWERS, RightName
+from aiorts.sessions.session import ITEMS, WINDOW, Answer, Call
 from aiorts.sessions.target import entry_named
 
 _LAST: Final = 1.0
@@ -311,7 +311,7 @@ class AsyncStream:
         if self._call is not None:
             return self._call
         operation, wait, arguments = self._asked
-        call = self._call = await self.client._begin(operation, wait, arguments, streams=True, window=WAITING)
+        call = self._call = await self.client._begin(operation, wait, arguments, streams=True, window=WINDOW)
         try:
             self.began = (await self.client._next(call, wait)).result()
         except BaseException:

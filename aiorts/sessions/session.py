@@ -1,7 +1,7 @@
 """A client's session with a kernel, without its socket: bytes in; answers, and bytes out.
 
-It has no socket, thread, loop or time: the blocking `Client` and `aiorts.remote.session`, on an event loop, drive the
-same one. Two tables say what it does: `SESSION` with each frame that comes, `CALL` with each answer to a call.
+It has no socket, thread, loop or time: the blocking `Client` and the `AsyncClient` of an event loop drive the same one.
+Two tables say what it does: `SESSION` with each frame that comes, `CALL` with each answer to a call.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ from aiorts.sessions.protocol import (
 
 ITEMS: Final = 4_096
 """Items of a stream that are kept for a taker that is behind, where its credit is limited."""
+WINDOW: Final = 1_024
+"""Items of a stream that a kernel may send to a taker on a loop before more are taken: of half of them it hears in
+time, also while it holds calls back for half a second."""
 BYTES: Final = 32 << 20
 """Bytes of them, as they came; one alone may be larger."""
 

@@ -17,8 +17,9 @@ from anyio import fail_after, move_on_after
 from aiorts import Component, Kernel
 from aiorts.control import Control
 from aiorts.errors import AbsentError, AmbiguousError, ClosedError, NoAnswerError, WiringError
-from aiorts.sessions import END, WAITING, AsyncClient, CutOff, Entry, framed
+from aiorts.sessions import END, AsyncClient, CutOff, Entry, framed
 from aiorts.sessions.protocol import NEWEST
+from aiorts.sessions.session import WINDOW
 from aiorts.types import TimedDouble
 from campaign import cases, time_limit
 from control_parts import WAIT, controlled, entry_of
@@ -169,17 +170,17 @@ async def test_a_stream_that_nobody_reads_is_held_up_and_nothing_else_is() -> No
         client.stream("tap", WAIT, port="counter0.out") as fast,
     ):
         last = 0.0
-        while last < 4 * WAITING:
+        while last < 2 * WINDOW:
             write(kernel, 20)
             for _ in range(20):
                 last = (await fast.next(WAIT))["data"]
         assert fast.missed == 0
         assert (await client.call("names", WAIT))["state"] == "open"
-        found = [await slow.next(WAIT) for _ in range(WAITING)]  # what there was credit for
+        found = [await slow.next(WAIT) for _ in range(WINDOW)]  # what there was credit for
         first = found[0]["data"]
-        assert [one["data"] for one in found] == [first + number for number in range(WAITING)]
+        assert [one["data"] for one in found] == [first + number for number in range(WINDOW)]
         later = (await slow.next(WAIT))["data"]
-        assert slow.missed == later - first - WAITING > 0  # the kernel says how many it did not send
+        assert slow.missed == later - first - WINDOW > 0  # the kernel says how many it did not send
 
 
 async def test_a_stream_ends_as_the_operation_does() -> None:
