@@ -184,9 +184,15 @@ class AsyncClient(BaseClient):
         return call
 
     async def _next(self, call: Call, wait: float | None) -> Answer:
-        """The next that comes for a call; what has come before the session ended comes before its error."""
+        """The next that comes for a call; what has come before the session ended comes before its error.
+
+        Raises:
+            ClosedError: the call was given up meanwhile, or the session has ended.
+        """
         if not call:
-            await self._until(call, lambda: bool(call), wait)
+            await self._until(call, lambda: bool(call) or call.given_up, wait)
+        if not call:
+            raise ClosedError(f"{self.entry.address}: the stream was closed")
         answer, credit = self._session.take(call)
         self._write(credit)
         return answer
@@ -218,8 +224,7 @@ class AsyncClient(BaseClient):
 
     def _cancel(self, call: Call) -> None:
         self._write(self._session.cancel(call))
-        if (wake := self._awaited.get(call)) is not None:
-            wake()
+        self._wake(call)
 
     # -- the socket ------------------------------------------------------------------------------------------------
 

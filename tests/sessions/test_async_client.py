@@ -183,6 +183,18 @@ async def test_a_stream_that_nobody_reads_is_held_up_and_nothing_else_is() -> No
         assert slow.missed == later - first - WINDOW > 0  # the kernel says how many it did not send
 
 
+async def test_a_stream_that_is_closed_while_a_task_waits_for_an_item_is_over_for_it() -> None:
+    async with controlled("over"), AsyncClient.connect("over", timeout=WAIT) as client:
+        stream = await client.stream("events", WAIT, kinds=["ComponentAdded"]).open()
+        waiting = asyncio.create_task(stream.next())
+        await asyncio.sleep(0)
+        with pytest.raises(RuntimeError, match="two tasks wait for the items of one stream"):
+            await stream.next()
+        stream.close()
+        with fail_after(WAIT):
+            assert await waiting is END
+
+
 async def test_a_stream_ends_as_the_operation_does() -> None:
     async with controlled("over") as kernel, AsyncClient.connect("over", timeout=WAIT) as client:
         async with client.stream("tap", WAIT, port="counter0.out") as stream:
