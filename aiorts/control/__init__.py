@@ -10,16 +10,16 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.control.operation import Right
+    from aiorts.control.operation import Right, converters_read, is_code
     from aiorts.control.server.service import Control
     from aiorts.control.session import Session
 
-__all__ = ("Control", "Right", "Session")
+__all__ = ("Control", "Right", "Session", "converters_read", "is_code")
 
 _late(
     globals(),
     {
-        "aiorts.control.operation": "Right",
+        "aiorts.control.operation": "Right converters_read is_code",
         "aiorts.control.server.service": "Control",
         "aiorts.control.session": "Session",
     },

@@ -1,7 +1,7 @@
 """A client's session with a kernel, without its socket: bytes in; answers, and bytes out.
 
-It has no socket, thread, loop or time: the blocking `Client` and `aiorts.remote.session`, on an event loop, drive the
-same one. Two tables say what it does: `SESSION` with each frame that comes, `CALL` with each answer to a call.
+It has no socket, thread, loop or time: the blocking `Client` and the `AsyncClient` of an event loop drive the same one.
+Two tables say what it does: `SESSION` with each frame that comes, `CALL` with each answer to a call.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from aiorts.sessions.protocol import (
     NEWEST,
     OLDEST,
     REQUESTS,
+    RightName,
     agreed,
     answer_in,
     error_in,
@@ -28,6 +29,9 @@ from aiorts.sessions.protocol import (
 
 ITEMS: Final = 4_096
 """Items of a stream that are kept for a taker that is behind, where its credit is limited."""
+WINDOW: Final = 1_024
+"""Items of a stream that a kernel may send to a taker on a loop before more are taken: of half of them it hears in
+time, also while it holds calls back for half a second."""
 BYTES: Final = 32 << 20
 """Bytes of them, as they came; one alone may be larger."""
 
@@ -105,10 +109,14 @@ class Heard:
 class Call:
     """One call: its state, and its answers that are not taken yet. One thread may take while another keeps."""
 
-    __slots__ = ("_came", "_kept", "_missed", "_taken", "number", "state", "streams")
+    __slots__ = ("_came", "_kept", "_missed", "_taken", "due", "given_up", "number", "state", "streams", "window")
 
-    def __init__(self, number: int, *, streams: bool) -> None:
-        self.number, self.streams = number, streams
+    def __init__(self, number: int, *, streams: bool, window: int = 0) -> None:
+        self.number, self.streams, self.window = number, streams, window
+        self.given_up = False
+        """Whether this end wants nothing of it any more."""
+        self.due = 0
+        """Items that were taken, and for which the kernel has no new credit yet."""
         self.state: CallState = "opening"
         self._kept: deque[Answer] = deque()
         self._came = self._taken = 0
@@ -146,8 +154,9 @@ class Call:
         missed, self._missed = self._missed, 0
         return missed
 
-    def clear(self) -> None:
-        """Drop the answers that are kept."""
+    def give_up(self) -> None:
+        """Want nothing of it any more: the answers that are kept are dropped."""
+        self.given_up = True
         self._kept.clear()
 
 
@@ -183,20 +192,28 @@ class ClientSession:
 
     # -- out -------------------------------------------------------------------------------------------------------
 
-    def greeting(self, who: str, *, carried: bool = False) -> bytes:
+    def greeting(self, who: str, right: RightName = "", *, carried: bool = False) -> bytes:
         """The first bytes of a session: hello.
 
         Args:
             who: this end, for the kernel's log.
+            right: the most that is wanted; "" is all that the kernel allows.
             carried: whether the socket carries sessions with several kernels; hello then says which is meant.
         """
         hello: dict[str, object] = {"oldest": OLDEST, "newest": NEWEST, "who": who}
+        if right:
+            hello["right"] = right
         if carried:
             hello["to"] = [self.address, self.epoch]
         return framed({"hello": hello})
 
-    def begin(self, operation: str, arguments: Mapping[str, object], *, streams: bool = False) -> tuple[Call, bytes]:
+    def begin(
+        self, operation: str, arguments: Mapping[str, object], *, streams: bool = False, window: int = 0
+    ) -> tuple[Call, bytes]:
         """A call that is under way once the bytes are sent.
+
+        Args:
+            window: items of a stream that the kernel may send before `take` gives it new credit; 0: all.
 
         Raises:
             LimitError: it is larger than a kernel takes; the session goes on.
@@ -204,12 +221,23 @@ class ClientSession:
         """
         self.check()
         number = self.last + 1
-        frame = framed({"id": number, "op": operation, "epoch": self.epoch, "args": arguments})
+        message = {"id": number, "op": operation, "epoch": self.epoch, "args": arguments}
+        frame = framed(message | {"credit": window} if window else message)
         if len(frame) > REQUESTS.frame:
             raise LimitError(f"a call of {len(frame)} bytes; at most {REQUESTS.frame} are allowed")
         self.last = number
-        call = self.calls[number] = Call(number, streams=streams)
+        call = self.calls[number] = Call(number, streams=streams, window=window)
         return call, frame
+
+    def take(self, call: Call) -> tuple[Answer, bytes]:
+        """The next answer of a call, as `Call.take`, and the bytes that give the kernel credit for more items."""
+        answer = call.take()
+        if call.window and answer.said == "item" and self.hello.get("credits"):
+            call.due += 1
+            if call.due * 2 >= call.window and call.state == "open" and self.error is None:
+                credit, call.due = call.due, 0
+                return answer, framed({"id": call.number, "credit": credit})
+        return answer, b""
 
     def cancel(self, call: Call) -> bytes:
         """Give a call up and have the kernel end it; the bytes for the kernel, or none where it has ended."""
@@ -223,7 +251,7 @@ class ClientSession:
     def _step(self, call: Call, said: Said) -> Do:
         call.state, do = CALL[call.state][said]
         if said == "cancel" or said == "leave":
-            call.clear()
+            call.give_up()
         if do == "forget":
             self.calls.pop(call.number, None)
         return do

@@ -17,8 +17,9 @@ from aiorts.errors import AbsentError, AiortsError, AmbiguousError, ClosedError,
 from aiorts.late import dataclass
 from aiorts.model.names import split_path
 from aiorts.sessions.client import Client, Silent, open_all
-from aiorts.sessions.folder import Entry, entries
+from aiorts.sessions.folder import Entry, entries, entry_at, is_listed
 from aiorts.sessions.many import said_by_many
+from aiorts.sessions.protocol import RightName
 
 T = TypeVar("T")
 FILES: Final = (".toml", ".xml", ".yaml", ".yml", ".mcap")
@@ -253,12 +254,7 @@ class Kernels:
             known = [name for one in among for name in one.names["components"]]
         else:
             known, component = [one.name for one in self.running], ""
-        from difflib import get_close_matches
-
-        known = list(dict.fromkeys(known))
-        near = get_close_matches(component or kernel, known, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:_SHOWN]) or 'none'}"
-        raise AbsentError(f"{word}: nothing that runs has this name; {hint}")
+        raise _absent(word, component or kernel, known)
 
     def _of_other_kind(self, kernel: str, name: str, wanted: str) -> str:
         """What has a name of which nothing of the wanted kind is there, in words; "" where nothing has it."""
@@ -278,7 +274,11 @@ class Kernels:
 
 @contextmanager
 def kernels(
-    timeout: float = 1.0, select: Callable[[Entry], bool] | None = None, *, changing: bool = False
+    timeout: float = 1.0,
+    select: Callable[[Entry], bool] | None = None,
+    *,
+    changing: bool = False,
+    right: RightName = "",
 ) -> Iterator[Kernels]:
     """Open a session with each kernel of this user that runs.
 
@@ -286,13 +286,14 @@ def kernels(
         timeout: seconds to wait for the first answer.
         select: which kernels; all by default.
         changing: of `Kernels`.
+        right: of `Client.open`.
     """
     if _shared:
         yield from _anew(_shared[-1], select, changing=changing)
         return
     wanted = [one for one in entries() if select is None or select(one)]
-    running, asked = _told(wanted)
-    opened, silent = open_all(asked, "names", timeout=timeout)
+    running, asked = _told(wanted, right)
+    opened, silent = open_all(asked, "names", timeout=timeout, right=right)
     running += [Running(client, names) for client, names in opened]
     running.sort(key=lambda one: one.client.entry.address)
     found = Kernels(running, silent, changing=changing)
@@ -304,7 +305,7 @@ def kernels(
         found.close()
 
 
-def _told(wanted: Sequence[Entry]) -> tuple[list[Running], list[Entry]]:
+def _told(wanted: Sequence[Entry], right: RightName) -> tuple[list[Running], list[Entry]]:
     """The kernels that are known without a session, which begins when it is wanted; and all others."""
     said = said_by_many(wanted, "names")
     running, others = [], []
@@ -313,8 +314,8 @@ def _told(wanted: Sequence[Entry]) -> tuple[list[Running], list[Entry]]:
         if names is None:
             others.append(one)
         else:
-            process = names.get("pid") or one.pid
-            running.append(Running(Client(Entry(one.address, process, one.epoch, one.path, True), later=True), names))
+            entry = Entry(one.address, names.get("pid") or one.pid, one.epoch, one.path, True)
+            running.append(Running(Client(entry, right=right, later=True), names))
     return running, others
 
 
@@ -323,7 +324,7 @@ _shared: Final[list[Kernels]] = []
 
 @contextmanager
 def sharing() -> Iterator[None]:
-    """Have all commands until the end of the block use the sessions that are open now."""
+    """Have all commands until the end of the block, whatever they need, use the sessions that are open now."""
     with kernels() as found:
         _shared.append(found)
         try:
@@ -378,6 +379,38 @@ def the_one(word: str, found: Sequence[T], names: Sequence[str]) -> T:
     return found[0]
 
 
+def entry_named(word: str = "") -> Entry:
+    """The entry of the kernel that a word means; no session is begun.
+
+    Args:
+        word: its name, "host/name" or the path of its socket; "" is the only one that runs.
+
+    Raises:
+        AbsentError: nothing has the name. AmbiguousError: several have; says which.
+    """
+    if word.startswith("/"):
+        return entry_at(word)
+    there = entries()
+    found = [one for one in there if not word or _matches(one, word)]
+    if len(found) > 1:  # those that were killed have left theirs
+        found = [one for one in found if is_listed(one)]
+    if not there or not (found or word):
+        raise AbsentError(f"{word and f'{word}: '}nothing runs that can be reached; start it with `aiorts run`")
+    if not found:
+        raise _absent(word, word, [one.name for one in there])
+    return the_one(word or "no kernel is named", found, [one.address for one in found])
+
+
+def _absent(word: str, name: str, known: Iterable[str]) -> AbsentError:
+    """Nothing has the name that a word has in it; says which is near, or which there are."""
+    from difflib import get_close_matches
+
+    known = list(dict.fromkeys(known))
+    near = get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:_SHOWN]) or 'none'}"
+    return AbsentError(f"{word}: nothing that runs has this name; {hint}")
+
+
 # -- completion --------------------------------------------------------------------------------------------------------
 
 PATIENCE: Final = 0.05
@@ -386,7 +419,7 @@ PATIENCE: Final = 0.05
 
 def likely(incomplete: str) -> list[str]:
     """The words that the beginning of one may mean: components, their ports after a dot, kernels with a slash."""
-    with kernels(PATIENCE) as found:
+    with kernels(PATIENCE, right="view") as found:
         head, dot, _ = incomplete.rpartition(".")
         if dot:
             words = [f"{head}.{port}" for one in outlines(found, head) for port in one["ports"]]
