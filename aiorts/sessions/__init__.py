@@ -10,7 +10,9 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.sessions.client import END, TIMEOUT, Client, CutOff, Silent, Stream, open_all
+    from aiorts.sessions.async_client import AsyncClient, AsyncStream
+    from aiorts.sessions.base_client import END, TIMEOUT, CutOff
+    from aiorts.sessions.client import Client, Silent, Stream, open_all
     from aiorts.sessions.folder import (
         FURTHER,
         Carrier,
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
         STALL_SECONDS,
         WAITING,
         Made,
+        RightName,
         agreed,
         answer_in,
         framed,
@@ -65,6 +68,8 @@ __all__ = (
     "STALL_SECONDS",
     "TIMEOUT",
     "WAITING",
+    "AsyncClient",
+    "AsyncStream",
     "Call",
     "Carrier",
     "Claim",
@@ -76,6 +81,7 @@ __all__ = (
     "Kernels",
     "Made",
     "Outcome",
+    "RightName",
     "Running",
     "Silent",
     "Stream",
@@ -105,13 +111,16 @@ __all__ = (
 _late(
     globals(),
     {
-        "aiorts.sessions.client": "END TIMEOUT Client CutOff Silent Stream open_all",
+        "aiorts.sessions.async_client": "AsyncClient AsyncStream",
+        "aiorts.sessions.base_client": "END TIMEOUT CutOff",
+        "aiorts.sessions.client": "Client Silent Stream open_all",
         "aiorts.sessions.folder": (
             "FURTHER Carrier Claim Entry TakenError entries is_supported private_folder remove_left"
         ),
         "aiorts.sessions.many": "FEW",
         "aiorts.sessions.protocol": (
-            "BYE REQUESTS STALL_SECONDS WAITING Made agreed answer_in framed frames has_frame packed request_in"
+            "BYE REQUESTS STALL_SECONDS WAITING Made RightName agreed answer_in framed frames has_frame packed "
+            "request_in"
         ),
         "aiorts.sessions.session": "Call ClientSession",
         "aiorts.sessions.target": (

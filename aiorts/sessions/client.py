@@ -9,51 +9,45 @@ with Client.open(entry) as client:
 from __future__ import annotations
 
 import contextlib
-import errno
-import os
 import select
 import socket
-import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from threading import Condition, Thread
 from types import TracebackType
 from typing import Any, Final, Self
 
 from aiorts import errors
-from aiorts.errors import AiortsError, ControlError, NoAnswerError
+from aiorts.errors import AbsentError, AiortsError, NoAnswerError
 from aiorts.late import dataclass
+from aiorts.sessions.base_client import END, TIMEOUT, BaseClient, refusal
 from aiorts.sessions.folder import Entry, discard, is_served
-from aiorts.sessions.protocol import STALL_SECONDS
-from aiorts.sessions.session import ITEMS, Answer, Call, ClientSession
+from aiorts.sessions.protocol import RightName
+from aiorts.sessions.session import ITEMS, Answer, Call
 
-TIMEOUT: Final = 5.0
-"""Seconds that a call waits for its answer."""
 _CHUNK: Final = 1 << 18
 _JOIN: Final = 1.0
 """Seconds that the thread has which reads ahead, once the socket is shut down."""
 
 
-class Client:
+class Client(BaseClient):
     """A session with one kernel. It belongs to one thread.
 
-    Attributes:
-        entry: the kernel's entry; its epoch is that of the session.
-
     Args:
+        right: as `open`.
         later: whether the session is to begin with the first call.
     """
 
-    def __init__(self, entry: Entry, who: str = "", *, patience: float = TIMEOUT, later: bool = False) -> None:
-        self.entry = entry
-        self._session = ClientSession(entry.address, entry.epoch)
+    def __init__(
+        self, entry: Entry, who: str = "", *, right: RightName = "", patience: float = TIMEOUT, later: bool = False
+    ) -> None:
+        super().__init__(entry, who, right)
         self._news = Condition()
         """Held while something is done with the session; notified when something has come."""
         self._thread: Thread | None = None
         """The thread that reads ahead; None: none does."""
         self._deaf = False
         """Whether the kernel takes nothing any more; what it said last may still be read."""
-        self._who = who or _command()
         self._socket: socket.socket
         self.begun = False
         """Whether there is a session."""
@@ -69,15 +63,18 @@ class Client:
             self._socket.settimeout(TIMEOUT)
             self._connect(self.entry, time.monotonic() + patience)
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it has said why, which is read
-                self._socket.sendall(self._session.greeting(self._who, carried=self.entry.carried))
+                self._socket.sendall(self._greeting())
         except BaseException:
             self._socket.close()
             raise
         self.begun = True
 
     @classmethod
-    def open(cls, entry: Entry, *, timeout: float = TIMEOUT, who: str = "") -> Self:
+    def open(cls, entry: Entry, *, timeout: float = TIMEOUT, who: str = "", right: RightName = "") -> Self:
         """A session that is ready for calls.
+
+        Args:
+            right: the most that it may do: "view", "operate" or "code"; by default all that the kernel allows.
 
         Raises:
             NoAnswerError: the kernel does not answer within `timeout` seconds.
@@ -85,7 +82,7 @@ class Client:
             ControlError: it refuses the session, or speaks another protocol.
         """
         until = time.monotonic() + timeout
-        client = cls(entry, who, patience=timeout)
+        client = cls(entry, who, right=right, patience=timeout)
         try:
             while client._session.state != "open":
                 client._receive(until)
@@ -103,29 +100,13 @@ class Client:
                 if time.monotonic() >= until:
                     raise NoAnswerError(f"{entry.address}: no answer") from None
                 time.sleep(0.005)
+            except TimeoutError:
+                raise NoAnswerError(f"{entry.address}: no answer") from None
             except OSError as error:
-                if error.errno in (errno.ECONNREFUSED, errno.ENOENT):
+                why = refusal(entry, error)
+                if isinstance(why, AbsentError):
                     discard(entry)
-                    raise errors.AbsentError(f"{entry.address}: is gone; `aiorts ls` shows what runs") from None
-                if isinstance(error, TimeoutError):
-                    raise NoAnswerError(f"{entry.address}: no answer") from None
-                raise ControlError(f"{entry.address}: {entry.path}: {error.strerror}") from None
-
-    @property
-    def hello(self) -> Mapping[str, Any]:
-        """The name, address and pid that the kernel has said; empty before its hello."""
-        return self._session.hello
-
-    @property
-    def right(self) -> str:
-        """The right that the kernel gives this session: "view", "operate" or "code"."""
-        return str(self.hello.get("right", ""))
-
-    @property
-    def silence(self) -> str:
-        """The text for a kernel that does not answer."""
-        busy = self._session.busy
-        return f"no answer: its event loop has been busy for at least {busy:.1f} s" if busy else "no answer"
+                raise why from None
 
     def close(self) -> None:
         """End the session in order: what it began in the kernel ends with it. Idempotent."""
@@ -298,35 +279,18 @@ class Client:
             return
         if not data:
             if self._session.error is None:  # not by this end
-                self._end(self._why_ended())
+                served = not self._deaf and self.hello != {} and is_served(self.entry)
+                self._end(self._ended(served=served))
             return
         heard = self._session.decode(data)
         with self._news:
-            greets = self._session.state == "greeting"
-            self._session.hear(heard)
-            if greets and self.hello:
-                process, entry = self.hello.get("pid"), self.entry
-                process = process if type(process) is int else entry.pid
-                self.entry = Entry(entry.address, process, self._session.epoch, entry.path, entry.carried)
+            self._hear(heard)
             self._news.notify_all()
 
     def _end(self, error: AiortsError) -> None:
         with self._news:
             self._session.end(error)
             self._news.notify_all()
-
-    def _why_ended(self) -> errors.ClosedError:
-        """Why nothing comes any more."""
-        if not self._deaf and self.hello and is_served(self.entry):
-            return CutOff(
-                f"{self.entry.address}: runs on, and has cut off this process, which took nothing for "
-                f"{STALL_SECONDS:.0f} s; what it missed at the end is not counted"
-            )
-        return errors.ClosedError(f"{self.entry.address}: has ended")
-
-
-class CutOff(errors.ClosedError):
-    """The kernel runs on, and has ended the session of a client that took nothing."""
 
 
 class Stream:
@@ -398,10 +362,6 @@ class Stream:
         if not self.ended:
             self.ended = True
             self.client._cancel(self._call)
-
-
-END: Final = object()
-"""What a stream gives when it is over."""
 
 
 # -- several kernels ---------------------------------------------------------------------------------------------------
@@ -496,8 +456,3 @@ def _wait_all(pending: Mapping[int, tuple[Client, int]], *, timeout: float, grac
             del left[descriptor]
             patient_until = min(patient_until, time.monotonic() + grace)
     return results
-
-
-def _command() -> str:
-    words: Sequence[str] = sys.argv[:2]
-    return " ".join(os.path.basename(word) for word in words)[:60]

@@ -28,6 +28,8 @@ from aiorts.late import dataclass
 LONGEST_PATH: Final = 107
 """Bytes of a socket's path that the system takes."""
 FURTHER: Final = "AIORTS_FOLDERS"
+CLOSING_SECONDS: Final = 0.1
+"""In which a process that is killed closes its sockets, one after the other."""
 _PRIVATE: Final = 0o700
 _LARGEST_FILE: Final = 16 << 20
 _SUFFIXES: Final = (".json", ".part", ".sock")
@@ -127,6 +129,12 @@ def _entries(folder: Path) -> list[Entry]:
     return [entry for of in found.values() for entry in of or ()]
 
 
+def entry_at(path: str) -> Entry:
+    """The entry of a socket; where no file is beside it, or one that lists several, the socket says who it is."""
+    found = _read(Path(path).with_suffix(".json")) or ()
+    return found[0] if len(found) == 1 else Entry(path, 0, "", path)
+
+
 def discard(entry: Entry) -> None:
     """Remove an entry that no process listens at."""
     with contextlib.suppress(OSError, ControlError), _locked(Path(entry.path).parent):
@@ -136,13 +144,18 @@ def discard(entry: Entry) -> None:
 
 def is_served(entry: Entry) -> bool:
     """Whether the kernel of an entry, and no other, still listens at it."""
-    file = Path(entry.path).with_suffix(".json")
-    for wait in (0.0, 0.1):  # what is killed closes its sockets one after the other
-        time.sleep(wait)
-        said = {(one.address, one.epoch) for one in _read(file) or ()}
-        if (entry.address, entry.epoch) not in said or _is_dead(entry.path):
-            return False
-    return True
+    if not is_listed(entry):
+        return False
+    time.sleep(CLOSING_SECONDS)
+    return is_listed(entry)
+
+
+def is_listed(entry: Entry) -> bool:
+    """What `is_served` is, at one look: of a kernel that is ending it may be wrong."""
+    if not entry.path:
+        return False
+    said = {(one.address, one.epoch) for one in _read(Path(entry.path).with_suffix(".json")) or ()}
+    return (entry.address, entry.epoch) in said and not _is_dead(entry.path)
 
 
 def _read(file: Path) -> tuple[Entry, ...] | None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import Any, Final, cast
+from typing import Any, Final, Literal, cast
 
 import msgpack  # type: ignore[import-untyped]
 
@@ -34,6 +34,8 @@ WAITING: Final = 256
 """Calls of one client that may wait or run at a time, and items of a stream that wait to be sent."""
 STALL_SECONDS: Final = 30.0
 """After which a client that does not read what was sent, or does not end what it began to say, is cut off."""
+RightName = Literal["", "view", "operate", "code"]
+"""The most that a client wants to do, as hello says it; "": all that the kernel allows."""
 _LENGTH: Final = 4
 _BYTES: Final = "surrogateescape"
 """How texts are encoded and decoded: as Python has paths, whose bytes may be no UTF-8."""

@@ -19,6 +19,7 @@ from aiorts.sessions.protocol import (
     NEWEST,
     OLDEST,
     REQUESTS,
+    RightName,
     agreed,
     answer_in,
     error_in,
@@ -183,14 +184,17 @@ class ClientSession:
 
     # -- out -------------------------------------------------------------------------------------------------------
 
-    def greeting(self, who: str, *, carried: bool = False) -> bytes:
+    def greeting(self, who: str, right: RightName = "", *, carried: bool = False) -> bytes:
         """The first bytes of a session: hello.
 
         Args:
             who: this end, for the kernel's log.
+            right: the most that is wanted; "" is all that the kernel allows.
             carried: whether the socket carries sessions with several kernels; hello then says which is meant.
         """
         hello: dict[str, object] = {"oldest": OLDEST, "newest": NEWEST, "who": who}
+        if right:
+            hello["right"] = right
         if carried:
             hello["to"] = [self.address, self.epoch]
         return framed({"hello": hello})

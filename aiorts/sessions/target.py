@@ -17,7 +17,7 @@ from aiorts.errors import AbsentError, AiortsError, AmbiguousError, ClosedError,
 from aiorts.late import dataclass
 from aiorts.model.names import split_path
 from aiorts.sessions.client import Client, Silent, open_all
-from aiorts.sessions.folder import Entry, entries
+from aiorts.sessions.folder import Entry, entries, entry_at, is_listed
 from aiorts.sessions.many import said_by_many
 
 T = TypeVar("T")
@@ -253,12 +253,7 @@ class Kernels:
             known = [name for one in among for name in one.names["components"]]
         else:
             known, component = [one.name for one in self.running], ""
-        from difflib import get_close_matches
-
-        known = list(dict.fromkeys(known))
-        near = get_close_matches(component or kernel, known, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:_SHOWN]) or 'none'}"
-        raise AbsentError(f"{word}: nothing that runs has this name; {hint}")
+        raise _absent(word, component or kernel, known)
 
     def _of_other_kind(self, kernel: str, name: str, wanted: str) -> str:
         """What has a name of which nothing of the wanted kind is there, in words; "" where nothing has it."""
@@ -376,6 +371,38 @@ def the_one(word: str, found: Sequence[T], names: Sequence[str]) -> T:
             f"{word}: {len(found)} have this name: {', '.join(names[:_SHOWN])}{more}; write one of these"
         )
     return found[0]
+
+
+def entry_named(word: str = "") -> Entry:
+    """The entry of the kernel that a word means; no session is begun.
+
+    Args:
+        word: its name, "host/name" or the path of its socket; "" is the only one that runs.
+
+    Raises:
+        AbsentError: nothing has the name. AmbiguousError: several have; says which.
+    """
+    if word.startswith("/"):
+        return entry_at(word)
+    there = entries()
+    found = [one for one in there if not word or _matches(one, word)]
+    if len(found) > 1:  # those that were killed have left theirs
+        found = [one for one in found if is_listed(one)]
+    if not there or not (found or word):
+        raise AbsentError(f"{word and f'{word}: '}nothing runs that can be reached; start it with `aiorts run`")
+    if not found:
+        raise _absent(word, word, [one.name for one in there])
+    return the_one(word or "no kernel is named", found, [one.address for one in found])
+
+
+def _absent(word: str, name: str, known: Iterable[str]) -> AbsentError:
+    """Nothing has the name that a word has in it; says which is near, or which there are."""
+    from difflib import get_close_matches
+
+    known = list(dict.fromkeys(known))
+    near = get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:_SHOWN]) or 'none'}"
+    return AbsentError(f"{word}: nothing that runs has this name; {hint}")
 
 
 # -- completion --------------------------------------------------------------------------------------------------------

@@ -1,0 +1,431 @@
+"""The client on the running loop: calls and streams of one session at once, without a thread or a task of its own.
+
+async with AsyncClient.connect("robot") as client:
+    await client.call("activate", component="pid0")
+    async for item in client.stream("changes"):
+        ...
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import Any, Final, Self, cast
+
+from anyio import to_thread
+
+from aiorts.errors import AiortsError, ClosedError, NoAnswerError, WireError
+from aiorts.sessions.base_client import END, TIMEOUT, BaseClient, refusal
+from aiorts.sessions.folder import CLOSING_SECONDS, Entry, is_listed
+from aiorts.sessions.protocol import ANSWERS, RightName
+from aiorts.sessions.session import ITEMS, Answer, Call
+from aiorts.sessions.target import entry_named
+
+_LAST: Final = 1.0
+"""Seconds that a kernel has to take the last bytes of a session."""
+_RETRY: Final = 0.005
+
+
+class AsyncClient(BaseClient):
+    """A session with one kernel on the running loop. `connect` or `open` makes it.
+
+    Its surface is `connect`, `open`, `call`, `stream`, `close`, `aclose`, and `hello`, `right`, `entry`, `is_open`,
+    `silence`, `lost`. A stream has `async for`, `async with`, `open`, `next`, `close`, and the attributes of
+    `AsyncStream`.
+
+    Any number of calls and streams go on at once. A call that is cancelled, and a stream that is left, end in the
+    kernel, too. A stream that nobody reads is held up, and nothing else is. When the kernel ends, all calls and streams
+    raise ClosedError, once what had come before is taken; `CutOff` where the kernel runs on.
+
+    Attributes:
+        entry: the kernel's entry; its epoch is that of the session.
+        lost: called once when the session has ended, unless this end closed it.
+
+    Args:
+        entry, who, right: as `open`.
+        longest: bytes of a frame that are taken.
+    """
+
+    def __init__(self, entry: Entry, who: str = "", *, right: RightName = "", longest: int = ANSWERS) -> None:
+        super().__init__(entry, who, right, longest=longest)
+        self.lost: Callable[[], object] = _nothing
+        self._session.credit = ITEMS
+        self._wire = _Wire(self._heard, self._hung_up)
+        self._awaited: dict[Call | None, Callable[[], object]] = {}
+        """By call, what is done when something comes for it, or the session ends; None: the kernel's hello."""
+
+    @classmethod
+    @asynccontextmanager
+    async def connect(
+        cls, target: Entry | str = "", *, timeout: float = TIMEOUT, who: str = "", right: RightName = ""
+    ) -> AsyncIterator[Self]:
+        """A session for as long as the block takes; arguments and errors as `open`."""
+        client = await cls.open(target, timeout=timeout, who=who, right=right)
+        try:
+            yield client
+        finally:
+            await client.aclose()
+
+    @classmethod
+    async def open(
+        cls, target: Entry | str = "", *, timeout: float = TIMEOUT, who: str = "", right: RightName = ""
+    ) -> Self:
+        """A session that is ready for calls; `aclose` ends it.
+
+        Args:
+            target: the kernel's entry, name, address ("host/kernel") or the path of its socket; "" is the only one
+                that runs.
+            timeout: seconds within which it answers.
+            who: this end, for the kernel's log; the command by default.
+            right: the most that it may do: "view", "operate" or "code"; by default all that the kernel allows. `right`
+                of the session is what the kernel gave.
+
+        Raises:
+            NoAnswerError: the kernel does not answer within `timeout` seconds.
+            AbsentError: nothing that runs has this name, or it is gone.
+            AmbiguousError: several have it; says which.
+            ControlError: it refuses the session, or speaks another protocol.
+        """
+        until = asyncio.get_running_loop().time() + timeout
+        entry = target if isinstance(target, Entry) else await to_thread.run_sync(entry_named, target)
+        return await cls(entry, who, right=right)._begun(await _connected(entry, until), until)
+
+    async def _begun(self, connected: socket.socket, until: float) -> Self:
+        """Begin over a connected socket; AiortsError: the kernel refuses the session, or does not answer."""
+        loop = asyncio.get_running_loop()
+        try:
+            await loop.create_unix_connection(lambda: self._wire, sock=connected)
+        except BaseException:
+            connected.close()
+            raise
+        try:
+            self._write(self._greeting())
+            await self._until(None, lambda: bool(self.hello), until - loop.time())
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it can be asked."""
+        return self._session.error is None
+
+    # -- calls -----------------------------------------------------------------------------------------------------
+
+    async def call(self, operation: str, wait: float | None = TIMEOUT, /, **arguments: object) -> Any:
+        """The result of an operation, as plain data.
+
+        Args:
+            operation: its name in the table.
+            wait: seconds; None waits forever. Given by position, since an argument may have this name.
+            arguments: of the operation.
+
+        Raises:
+            NoAnswerError: there was none in time; the kernel carries the call out all the same.
+            ClosedError: the session has ended.
+            AiortsError: what the operation raised, by its code.
+        """
+        call = await self._begin(operation, wait, arguments)
+        try:
+            answer = await self._next(call, wait)
+        except asyncio.CancelledError:
+            self._cancel(call)
+            raise
+        finally:
+            self._session.leave(call)
+        return answer.result()
+
+    def stream(self, operation: str, wait: float | None = TIMEOUT, /, **arguments: object) -> AsyncStream:
+        """An operation that streams; it begins where it is first waited for. Arguments as `call`."""
+        return AsyncStream(self, operation, wait, arguments)
+
+    async def _begin(
+        self, operation: str, wait: float | None, arguments: Mapping[str, object], *, streams: bool = False
+    ) -> Call:
+        self._session.check()
+        if not self._wire.takes.is_set():
+            await self._in_time(self._wire.takes.wait(), wait, "does not take what is sent")
+        call, frame = self._session.begin(operation, arguments, streams=streams)
+        self._write(frame)
+        return call
+
+    async def _next(self, call: Call, wait: float | None) -> Answer:
+        """The next that comes for a call; what has come before the session ended comes before its error."""
+        if not call:
+            await self._until(call, lambda: bool(call), wait)
+        return call.take()
+
+    async def _until(self, call: Call | None, there: Callable[[], bool], wait: float | None) -> None:
+        await self._in_time(self._came(call, there), wait)
+
+    async def _came(self, call: Call | None, there: Callable[[], bool]) -> None:
+        while not there():
+            self._session.check()
+            if call in self._awaited:
+                raise RuntimeError("two tasks wait for the items of one stream")
+            news = asyncio.get_running_loop().create_future()
+            self._awaited[call] = partial(_tell, news)
+            try:
+                await news
+            finally:
+                self._awaited.pop(call, None)
+
+    async def _in_time(self, awaited: Any, wait: float | None, why: str = "") -> None:
+        """NoAnswerError: it is not so within `wait` seconds."""
+        try:
+            async with asyncio.timeout(wait) as limit:
+                await awaited
+        except TimeoutError:
+            if not limit.expired():
+                raise
+            raise NoAnswerError(f"{self.entry.address}: {why or self.silence}") from None
+
+    def _cancel(self, call: Call) -> None:
+        self._write(self._session.cancel(call))
+        if (wake := self._awaited.get(call)) is not None:
+            wake()
+
+    # -- the socket ------------------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """End the session in order, and do not wait: what it began in the kernel ends with it. Idempotent."""
+        self.lost = _nothing
+        if self.is_open:
+            bye = self._session.bye()
+            self._write(bye)
+        self._end()
+
+    async def aclose(self) -> None:
+        """End the session in order; its socket is closed afterwards. Idempotent."""
+        self.close()
+        await self._wire.wait_closed()
+
+    def _write(self, data: bytes) -> None:
+        if data and not self._wire.transport.is_closing():
+            self._wire.transport.write(data)
+
+    def _heard(self, data: bytes) -> None:
+        try:
+            for call in self._hear(self._session.decode(data)):
+                self._wake(call)
+            if self.hello:
+                self._wake(None)
+        except (LookupError, TypeError, ValueError) as fault:  # of who takes the items of a stream
+            self._session.end(WireError(f"{self.entry.address}: says what is no answer: {fault!r}"))
+        if not self.is_open:
+            self._end()
+
+    def _wake(self, call: Call | None) -> None:
+        if (wake := self._awaited.get(call)) is not None:
+            wake()
+
+    def _hung_up(self, error: Exception | None) -> None:
+        """The other end has closed, and maybe ends: what is killed closes its sockets one after the other."""
+        if self.is_open and error is None and self.hello and is_listed(self.entry):
+            asyncio.get_running_loop().call_later(CLOSING_SECONDS, self._look_again)
+        else:
+            self._end(self._ended(served=False))
+
+    def _look_again(self) -> None:
+        self._end(self._ended(served=is_listed(self.entry)))
+
+    def _end(self, error: AiortsError | None = None) -> None:
+        """End what waits; the first error says why."""
+        if error is not None:
+            self._session.end(error)
+        self._wire.close()
+        awaited, self._awaited = self._awaited, {}
+        for wake in awaited.values():
+            wake()
+        lost, self.lost = self.lost, _nothing
+        lost()
+
+
+class AsyncStream:
+    """The items of an operation that streams, in order; `async for` waits for the next.
+
+    It ends in the kernel where it is left: by `break`, an exception, `close()` or the end of `async with`.
+
+    Attributes:
+        began: what the operation said when it began.
+        missed: items that were dropped so far, in the kernel or here, since this end was too slow.
+        ended: whether it is over: no item comes any more.
+        result: what it said when it ended.
+    """
+
+    def __init__(
+        self, client: AsyncClient, operation: str, wait: float | None, arguments: Mapping[str, object]
+    ) -> None:
+        self.client = client
+        self.began: Any = None
+        self.missed = 0
+        self.result: Any = None
+        self.ended = False
+        self._asked = operation, wait, arguments
+        self._call: Call | None = None
+        self._loop = asyncio.get_running_loop()
+
+    async def open(self) -> Self:
+        """Begin it, if it has not begun; errors as `AsyncClient.call`."""
+        await self._open()
+        return self
+
+    async def _open(self) -> Call:
+        if self._call is not None:
+            return self._call
+        operation, wait, arguments = self._asked
+        call = self._call = await self.client._begin(operation, wait, arguments, streams=True)
+        try:
+            self.began = (await self.client._next(call, wait)).result()
+        except BaseException:
+            self.close()
+            raise
+        return call
+
+    async def __aenter__(self) -> Self:
+        return await self.open()
+
+    async def __aexit__(self, *_: object) -> None:
+        self.close()
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Any:
+        try:
+            item = await self.next()
+        except asyncio.CancelledError:
+            self.close()
+            raise
+        if item is END:
+            raise StopAsyncIteration
+        return item
+
+    async def next(self, timeout: float | None = None) -> Any:
+        """The next item; END when there are no more. It may be cancelled and asked for again: no item is lost by that.
+
+        Raises:
+            NoAnswerError: none came within `timeout` seconds.
+            ClosedError: the session has ended.
+        """
+        if self.ended:
+            return END
+        call = await self._open()
+        try:
+            answer = await self.client._next(call, timeout)
+        except ClosedError:
+            if self.ended:  # by `close`, meanwhile
+                return END
+            self.missed += call.missed_last()
+            raise
+        self.missed += answer.missed
+        if answer.said == "item":
+            return answer.value
+        self.close()
+        self.result = answer.result()
+        return END
+
+    def close(self) -> None:
+        """End the operation; idempotent."""
+        if not self.ended:
+            self.ended = True
+            if self._call is not None:
+                self.client._cancel(self._call)
+
+    def __del__(self) -> None:
+        if self.ended or self._call is None or self._loop.is_closed():
+            return
+        try:
+            here = asyncio.get_running_loop() is self._loop
+        except RuntimeError:
+            here = False
+        if here:
+            self.close()
+        else:  # another thread has collected it
+            self._loop.call_soon_threadsafe(self.client._cancel, self._call)
+
+
+class _Wire(asyncio.Protocol):
+    """The socket of a session.
+
+    Args:
+        heard: takes the bytes that come.
+        over: called once when nothing comes any more, with why.
+    """
+
+    def __init__(self, heard: Callable[[bytes], None], over: Callable[[Exception | None], None]) -> None:
+        self.transport: asyncio.WriteTransport
+        self.takes = asyncio.Event()
+        """Whether the other end takes what is sent."""
+        self.takes.set()
+        self._heard, self._over = heard, over
+        self._closed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._abort: asyncio.TimerHandle | None = None
+
+    def close(self) -> None:
+        """Close it once all is sent, in `_LAST` seconds at the latest."""
+        if self._abort is None and not self._closed.done():
+            self._abort = self._closed.get_loop().call_later(_LAST, self.transport.abort)
+            self.transport.close()
+
+    async def wait_closed(self) -> None:
+        """Wait until it is closed; who is cancelled meanwhile closes it at once."""
+        try:
+            if not self._closed.done():
+                await asyncio.wait([self._closed])
+        except asyncio.CancelledError:
+            self.transport.abort()
+            raise
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport = cast("asyncio.WriteTransport", transport)
+
+    def data_received(self, data: bytes) -> None:
+        self._heard(data)
+
+    def pause_writing(self) -> None:
+        self.takes.clear()
+
+    def resume_writing(self) -> None:
+        self.takes.set()
+
+    def connection_lost(self, error: Exception | None) -> None:
+        if self._abort is not None:
+            self._abort.cancel()
+        self._closed.set_result(None)
+        self.takes.set()
+        self._over(error)
+
+
+async def _connected(entry: Entry, until: float) -> socket.socket:
+    """A connection with the kernel of an entry; errors as `AsyncClient.open`."""
+    loop = asyncio.get_running_loop()
+    connected = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    connected.setblocking(False)
+    try:
+        while True:
+            try:
+                connected.connect(entry.path)
+                return connected
+            except BlockingIOError:  # more wait to be let in than the system keeps
+                if loop.time() >= until:
+                    raise NoAnswerError(f"{entry.address}: no answer") from None
+                await asyncio.sleep(_RETRY)
+            except OSError as error:
+                raise refusal(entry, error) from None
+    except BaseException:
+        connected.close()
+        raise
+
+
+def _tell(news: asyncio.Future[None]) -> None:
+    if not news.done():
+        news.set_result(None)
+
+
+def _nothing() -> None:
+    """Nobody is to be told."""
