@@ -64,7 +64,7 @@ class Schemas:
 
     Args:
         place: where the gathered ones are to stand in the document, as references begin.
-        given: whether the values are given by a client, which may leave out what has a default.
+        defaults: whether what has a default may be left out.
         simple: schemas of simple types that differ from the usual.
 
     Attributes:
@@ -72,11 +72,11 @@ class Schemas:
     """
 
     def __init__(
-        self, place: str = "#/$defs/", *, given: bool = False, simple: Mapping[Any, Schema] = MappingProxyType({})
+        self, place: str = "#/$defs/", *, defaults: bool = False, simple: Mapping[Any, Schema] = MappingProxyType({})
     ) -> None:
         self.definitions: dict[str, Schema] = {}
         self._place = place
-        self._given = given
+        self._defaults = defaults
         self._simple = {**_SIMPLE, **simple}
         self._names: dict[Any, str] = {}
 
@@ -123,13 +123,13 @@ class Schemas:
             "type": "object",
             "description": (kind.__doc__ or "").split("\n\n")[0].strip(),
             "properties": {name: self._field(hints[name], every[name]) for name in _names(kind)},
-            "required": [name for name in _names(kind) if not self._given or not has_default(every[name])],
+            "required": [name for name in _names(kind) if not self._defaults or not has_default(every[name])],
             "additionalProperties": False,
         }
 
     def _field(self, hint: Any, field: Field[Any]) -> Schema:
         schema = self.of(hint)
-        if not self._given or field.default is MISSING or "$ref" in schema:
+        if not self._defaults or field.default is MISSING or "$ref" in schema:
             return schema
         return {**schema, "default": plain(field.default)}
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
 from typing import Any, Final, Literal, TypeVar
 
 from anyio import to_thread
@@ -15,7 +15,7 @@ from anyio import to_thread
 from aiorts.control import Right
 from aiorts.errors import AbsentError, AmbiguousError, ClosedError
 from aiorts.late import dataclass
-from aiorts.sessions import AsyncClient, Entry, entries
+from aiorts.sessions import END, AsyncClient, AsyncStream, Entry, entries
 from aiorts_studio.codes import Holder
 from aiorts_studio.limits import Bucket
 
@@ -147,5 +147,32 @@ class Visitor:
                 await opening.result().aclose()
 
 
+async def _at_once() -> None:
+    """For who takes every item at once."""
+
+
 def _is_open(opening: asyncio.Task[AsyncClient]) -> bool:
     return not opening.cancelled() and opening.exception() is None and opening.result().is_open
+
+
+async def lines_of(
+    stream: AsyncStream, credit: Callable[[], Awaitable[object]] = _at_once
+) -> AsyncIterator[Mapping[str, Any]]:
+    """What a stream that has begun says, as clients are told: that it began, each item, its end.
+
+    Args:
+        credit: waits until the client takes an item.
+
+    Raises:
+        AiortsError: its kernel ended, or failed.
+    """
+    yield {"began": stream.began}
+    told = 0
+    while True:
+        await credit()
+        item = await stream.next()
+        missed, told = stream.missed - told, stream.missed
+        if item is END:
+            yield {"end": stream.result, "missed": missed}
+            return
+        yield {"item": item, "missed": missed}
