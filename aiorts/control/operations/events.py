@@ -12,7 +12,7 @@ from aiorts.control.session import Session, Stream
 from aiorts.errors import ControlError, format_error
 from aiorts.kernel.loop.bus import Event
 from aiorts.late import dataclass
-from aiorts.observe import Change, Changes, SystemProfile, system_profile
+from aiorts.observe import Change, Changes, ProfileSnapshot, SystemProfile, ToldChange, ToldProfile, system_profile
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,16 +35,6 @@ class Happened:
     monotonic_ns: int
     event: Mapping[str, Any] = field(default_factory=dict)
     """Its fields."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Snapshot:
-    """As `ProfileSnapshot.to_plain` has it, made plain in the thread that sends it."""
-
-    sequence: int
-    profile: SystemProfile
-    kind: str = "ProfileSnapshot"
-    missed: int = 0
 
 
 def _events(session: Session, given: Kinds, stream: Stream) -> int:
@@ -83,7 +73,7 @@ def _fields(event: Event) -> Mapping[str, Any]:
     return told
 
 
-def _changes(session: Session, _: Nothing, stream: Stream) -> _Snapshot:
+def _changes(session: Session, _: Nothing, stream: Stream) -> ToldProfile:
     """Send each change from now on; returns the profile that the first belongs to."""
     behind = 0
 
@@ -93,7 +83,7 @@ def _changes(session: Session, _: Nothing, stream: Stream) -> _Snapshot:
             behind += 1
         elif behind:  # a new profile takes the place of what there was no room for
             profile = system_profile(session.kernel)
-            stream.send(_Snapshot(profile.sequence, profile, missed=behind + 1))
+            stream.send(_told(profile, behind + 1))
             behind = 0
         else:
             stream.send(change.to_plain())
@@ -101,10 +91,23 @@ def _changes(session: Session, _: Nothing, stream: Stream) -> _Snapshot:
     changes = Changes(session.kernel, 0, take)
     stream.on_close(changes.close)
     profile = system_profile(session.kernel)
-    return _Snapshot(profile.sequence, profile)
+    return _told(profile)
+
+
+def _told(profile: SystemProfile, missed: int = 0) -> ToldProfile:
+    """The snapshot, made plain in the thread that sends it."""
+    return ToldProfile(profile.sequence, profile, ProfileSnapshot.__name__, missed)
 
 
 ROWS: Final = (
-    Operation("changes", "Stream changes of the profile.", Nothing, _Snapshot, Right.VIEW, _changes, streams=True),
-    Operation("events", "Stream what happens.", Kinds, int, Right.VIEW, _events, streams=True),
+    Operation(
+        "changes",
+        "Stream changes of the profile.",
+        Nothing,
+        ToldProfile,
+        Right.VIEW,
+        _changes,
+        item=ToldChange | ToldProfile,
+    ),
+    Operation("events", "Stream what happens.", Kinds, int, Right.VIEW, _events, item=Happened),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
@@ -16,14 +16,19 @@ from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.late import dataclass
 from aiorts.model.wanted.applied import Applied
 from aiorts.model.wanted.carried import received
+from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry
+from aiorts.model.wanted.steps import Places
 from aiorts.sessions import Made
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.model.wanted.entries import Wanted
     from aiorts.model.wanted.plan import Plan
-    from aiorts.model.wanted.steps import Places
 
+_Entry: TypeAlias = (
+    ComponentEntry | ConnectionEntry | ContextEntry | Places | tuple[Mapping[str, Any], ...] | bool | None
+)
+"""What a step changes."""
 _DECIDED: Final = 120.0
 """Seconds that a change waits for the decision, while others change theirs; then it is taken back."""
 _open: Final[WeakKeyDictionary[Session, tuple[asyncio.Future[str], asyncio.Task[Applied]]]] = WeakKeyDictionary()
@@ -57,11 +62,31 @@ class Decision:
 
 
 @dataclass(frozen=True, slots=True)
+class PlannedStep:
+    """One step of a plan: what it does, and of what; `aiorts.model.wanted.steps` has each kind."""
+
+    step: str
+    """The kind."""
+    sign: Literal["+", "-", "~"]
+    """+ for what comes, - for what goes, ~ for what changes."""
+    text: str
+    """What it does, in one line."""
+    name: str = ""
+    """Of a connector."""
+    component: ComponentEntry | None = None
+    connection: ConnectionEntry | None = None
+    context: ContextEntry | str | None = None
+    before: _Entry = None
+    """Of what changes."""
+    after: _Entry = None
+
+
+@dataclass(frozen=True, slots=True)
 class Planned:
     """The steps that make a wanted system of the one that runs."""
 
-    steps: tuple[Mapping[str, Any], ...]
-    """In order: `step` is the kind, `sign` + for what comes and - for what goes, `text` what it does, in one line."""
+    steps: tuple[PlannedStep, ...]
+    """In order."""
     refused: tuple[str, ...]
     """What differs and cannot be changed while a system runs."""
 
@@ -70,7 +95,7 @@ class Planned:
 class Changed:
     """What has become of a plan."""
 
-    steps: tuple[Mapping[str, Any], ...]
+    steps: tuple[PlannedStep, ...]
     """As in a plan."""
     refused: tuple[str, ...]
     """Empty."""

@@ -142,7 +142,8 @@ ROWS: Final = (
         Done,
         Right.OPERATE,
         _goal,
-        streams=True,
+        item=Any,
+        end=GoalEnd,
         changes=_provider,
     ),
 )

@@ -9,9 +9,11 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Iterable, Iterator, Mapping
+from dataclasses import field
 from functools import partial
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Final, TypedDict, TypeVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right
@@ -25,8 +27,11 @@ from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.late import dataclass
+from aiorts.model.lifecycle import OverdueHook
 from aiorts.model.options import MAX_LENGTH
-from aiorts.observe import Monitor, calls, thread_writes
+from aiorts.model.profile import ThreadWriteStatistics
+from aiorts.model.service_profile import ServiceStatistics
+from aiorts.observe import Monitor, Reading, calls, thread_writes
 from aiorts.wire import MsgpackCodec
 
 if TYPE_CHECKING:
@@ -38,6 +43,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _HOLD_SECONDS: Final = 0.001
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+_Made: TypeAlias = dict[str, Any]
+"""`Counters` as dicts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +60,39 @@ class Chosen:
     """Connectors with `measure` whose latency and age are wanted: putting the spans in order takes time."""
 
 
-class Counters(TypedDict):
+@dataclass(frozen=True, slots=True)
+class ContextCounters:
+    """What a context has done, as `ContextStatistics` counts it."""
+
+    rate: float | None
+    """Hz; None where it has none."""
+    running: bool
+    cycles: int
+    skipped: int
+    overruns: int
+    lateness_p50_ns: int
+    lateness_p99_ns: int
+    lateness_max_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentCounters:
+    """How a component is, and what its ports have counted."""
+
+    states: Mapping[str, str]
+    """Lifecycle state by context."""
+    failed: bool
+    """Whether it has failed, and was neither reset nor activated since."""
+    overdue: Mapping[str, OverdueHook] = field(default_factory=lambda: _NOTHING)
+    """The hook that runs longer than its deadline, by context."""
+    calls: Mapping[str, ServiceStatistics] = field(default_factory=lambda: _NOTHING)
+    """Through each interface, as `ComponentReport.calls` has them."""
+    thread_writes: Mapping[str, ThreadWriteStatistics] = field(default_factory=lambda: _NOTHING)
+    """Of each out-port where a thread wrote."""
+
+
+@dataclass(frozen=True, slots=True)
+class Counters:
     """The counters at one moment, by name."""
 
     time_ns: int
@@ -60,19 +100,19 @@ class Counters(TypedDict):
     at_ns: int
     """The kernel's clock, monotonic: what rates are counted by."""
     simulated: bool
-    connectors: dict[str, tuple[int, int, int, Mapping[str, int], int]]
+    connectors: Mapping[str, tuple[int, int, int, Mapping[str, int], int]]
     """Written, delivered, buffered, dropped by reason, and the option `measure`."""
-    timed: dict[str, dict[str, tuple[int, ...]]]
+    timed: Mapping[str, Mapping[str, tuple[int, ...]]]
     """"latency" and "age": how many, p50, p99 and maximum in nanoseconds; "within": how far the age may be off that
     is by the stamps of another machine."""
-    contexts: dict[str, dict[str, Any]]
-    components: dict[str, dict[str, Any]]
+    contexts: Mapping[str, ContextCounters]
+    components: Mapping[str, ComponentCounters]
 
 
-def _statistics(session: Session, given: Chosen) -> Counters | Awaitable[Counters]:
+def _statistics(session: Session, given: Chosen) -> _Made | Awaitable[_Made]:
     """Connectors are counted at one moment; where the rest takes long, the loop has its turns in between."""
     kernel, clock = session.kernel, session.kernel.clock
-    made: Counters = {
+    made: _Made = {
         "time_ns": clock.time_ns(),
         "at_ns": clock.monotonic_ns(),
         "simulated": isinstance(clock, SimulatedClock),
@@ -89,7 +129,7 @@ def _statistics(session: Session, given: Chosen) -> Counters | Awaitable[Counter
     return made
 
 
-async def _in_turns(steps: Iterator[None], made: Counters) -> Counters:
+async def _in_turns(steps: Iterator[None], made: _Made) -> _Made:
     until = 0.0
     for _ in steps:
         if perf_counter() >= until:
@@ -98,7 +138,7 @@ async def _in_turns(steps: Iterator[None], made: Counters) -> Counters:
     return made
 
 
-def _rest(kernel: Microkernel, given: Chosen, made: Counters) -> Iterator[None]:
+def _rest(kernel: Microkernel, given: Chosen, made: _Made) -> Iterator[None]:
     """Put in what need not be of one moment, one thing at each step."""
     for name, wire in tuple(_chosen(kernel.connectors, given.timed)):
         if found := _timed(wire):
@@ -220,12 +260,15 @@ class Wires:
     connectors: tuple[str, ...]
 
 
-def _sizes(session: Session, given: Wires) -> dict[str, tuple[int | None, str]]:
-    """Bytes of the sample that was written last, encoded; without any, None and why."""
+Size: TypeAlias = tuple[int | None, str]
+"""Bytes of the sample that was written last, encoded; without any, None and why."""
+
+
+def _sizes(session: Session, given: Wires) -> Mapping[str, Size]:
     return {name: _size(one) for name, one in _chosen(session.kernel.connectors, given.connectors)}
 
 
-def _size(connector: Connector) -> tuple[int | None, str]:
+def _size(connector: Connector) -> Size:
     sample = last_written(connector.out)
     if sample is NOTHING:
         return None, "nothing was written yet"
@@ -262,7 +305,7 @@ def _monitor(session: Session, given: Watched, stream: Stream) -> Done:
 
 ROWS: Final = (
     Operation("measure", "Measure connectors for the session.", Measured, tuple[str, ...], Right.OPERATE, _measure),
-    Operation("monitor", "Stream chosen values at a rate.", Watched, Done, Right.VIEW, _monitor, streams=True),
-    Operation("sizes", "Encoded size of samples.", Wires, dict[str, Any], Right.VIEW, _sizes, idempotent=True),
+    Operation("monitor", "Stream chosen values at a rate.", Watched, Done, Right.VIEW, _monitor, item=Reading),
+    Operation("sizes", "Encoded size of samples.", Wires, Mapping[str, Size], Right.VIEW, _sizes, idempotent=True),
     Operation("statistics", "The counters.", Chosen, Counters, Right.VIEW, _statistics, idempotent=True),
 )
