@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         ModeReport,
         SystemProfile,
     )
-    from aiorts.observe.profiling import context_report, system_profile
+    from aiorts.observe.profiling import context_report, system_profile, visible
     from aiorts.observe.reading import ToldChange, ToldProfile, profile_from_plain, profile_to_plain
     from aiorts.observe.samples import Samples, out_port_of, when_removed
     from aiorts.observe.schema import profile_schema
@@ -48,7 +48,7 @@ _late(
         "aiorts.observe.profiles": (
             "ComponentReport CompositeReport ConnectorReport ContextReport MachineReport ModeReport SystemProfile"
         ),
-        "aiorts.observe.profiling": "context_report system_profile",
+        "aiorts.observe.profiling": "context_report system_profile visible",
         "aiorts.observe.reading": "ToldChange ToldProfile profile_from_plain profile_to_plain",
         "aiorts.observe.samples": "Samples out_port_of when_removed",
         "aiorts.observe.schema": "profile_schema",

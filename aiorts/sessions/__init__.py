@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         Found,
         Kernels,
         Running,
+        fitting,
         is_file,
         is_glob,
         kernels,
@@ -97,6 +98,7 @@ __all__ = (
     "is_glob",
     "is_supported",
     "kernels",
+    "fitting",
     "likely",
     "open_all",
     "outlines",
@@ -124,7 +126,7 @@ _late(
         ),
         "aiorts.sessions.session": "Call ClientSession",
         "aiorts.sessions.target": (
-            "FILES PATIENCE Found Kernels Running is_file is_glob kernels likely outlines sharing the_one"
+            "FILES PATIENCE Found Kernels Running is_file is_glob fitting kernels likely outlines sharing the_one"
         ),
         "aiorts.sessions.together": "Outcome change_all",
     },

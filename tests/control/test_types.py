@@ -117,6 +117,7 @@ CALLS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("part", {"components": ["counter0"]}),
     ("connectors", {}),
     ("contexts", {}),
+    ("fits", {"port": "counter0.out"}),
     ("configuration", {"component": "counter0"}),
     ("dump_configuration", {}),
     ("log_levels", {}),

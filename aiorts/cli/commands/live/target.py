@@ -13,6 +13,7 @@ from aiorts.sessions import (
     Found,
     Kernels,
     Running,
+    fitting,
     is_file,
     is_glob,
     kernels,
@@ -29,6 +30,7 @@ __all__ = (
     "Running",
     "complete",
     "complete_changes",
+    "complete_fitting",
     "complete_kernels",
     "complete_systems",
     "is_file",
@@ -42,6 +44,12 @@ __all__ = (
 def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
     """Completes what runs: components, their ports after a dot, kernels with a slash."""
     return _items(likely(incomplete), incomplete)
+
+
+def complete_fitting(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """Completes the ports that fit the one that stands before; where none does, those of other kernels may."""
+    before = [word for word in ctx.params.get(param.name or "") or () if "=" not in word]
+    return _items((before and fitting(before[0], incomplete)) or likely(incomplete), incomplete)
 
 
 def complete_kernels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
