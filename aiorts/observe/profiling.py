@@ -107,9 +107,7 @@ def visible(kernel: Microkernel, component: Component) -> bool:
 
 def component_report(component: Component) -> ComponentReport:
     """A component at this moment."""
-    kind = _KNOWN.get(type(component))
-    if kind is None:
-        kind = _KNOWN[type(component)] = _Kind(type(component))
+    kind = _kind_of(type(component))
     error = standing_error(component)
     params, here = component.params, cell(component)
     ports, state = here.ports, here.configuration
@@ -131,6 +129,11 @@ def component_report(component: Component) -> ComponentReport:
     )
 
 
+def declared_params(cls: type[Component]) -> dict[str, ParameterReport]:
+    """The parameters that a class declares, with their defaults as values."""
+    return {name: ParameterReport(rest[0], *rest) for name, rest in _kind_of(cls).params.items()}
+
+
 def connector_report(connector: Connector) -> ConnectorReport:
     """A connector at this moment."""
     return ConnectorReport(connector.out.path, connector.in_.path, connector.profile, connector.statistics)
@@ -145,6 +148,13 @@ def context_report(context: Context) -> ContextReport:
     """A context at this moment."""
     members = tuple(member.component.name for member in context.runner.members)
     return ContextReport(context.kind, context.rate, members, context.statistics)
+
+
+def _kind_of(cls: type[Component]) -> _Kind:
+    kind = _KNOWN.get(cls)
+    if kind is None:
+        kind = _KNOWN[cls] = _Kind(cls)
+    return kind
 
 
 def _rest(kind: _Kind, params: Mapping[str, Any], name: str) -> tuple[Any, ...]:

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         is_glob,
         kernels,
         likely,
+        offered,
         outlines,
         sharing,
         the_one,
@@ -100,6 +101,7 @@ __all__ = (
     "kernels",
     "fitting",
     "likely",
+    "offered",
     "open_all",
     "outlines",
     "packed",
@@ -126,7 +128,8 @@ _late(
         ),
         "aiorts.sessions.session": "Call ClientSession",
         "aiorts.sessions.target": (
-            "FILES PATIENCE Found Kernels Running is_file is_glob fitting kernels likely outlines sharing the_one"
+            "FILES PATIENCE Found Kernels Running fitting is_file is_glob kernels likely offered outlines sharing "
+            "the_one"
         ),
         "aiorts.sessions.together": "Outcome change_all",
     },

@@ -437,6 +437,17 @@ def fitting(word: str, incomplete: str) -> list[str]:
     return [path for one in fits if (path := f"{kernel}{one}").startswith(incomplete)]
 
 
+def offered() -> dict[str, list[str]]:
+    """The types of components that can be created in what runs: by name the parameters, as far as they are known."""
+    with kernels(PATIENCE) as found:
+        types: dict[str, list[str]] = {}
+        for one in found.running:
+            with suppress(AiortsError):
+                for name, described in one.client.call("catalogue", PATIENCE)["components"].items():
+                    types.setdefault(name, []).extend(described["params"])
+    return types
+
+
 def outlines(found: Kernels, word: str) -> list[Any]:
     """What the components that a word means are made of; nothing where no answer comes at once."""
     try:

@@ -116,6 +116,7 @@ CALLS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("outline", {}),
     ("part", {"components": ["counter0"]}),
     ("connectors", {}),
+    ("catalogue", {"components": ["FlexiAdd"], "contexts": ["periodic"]}),
     ("contexts", {}),
     ("fits", {"port": "counter0.out"}),
     ("configuration", {"component": "counter0"}),
