@@ -240,6 +240,8 @@ class SystemProfile:
     service_connectors: Mapping[str, ServiceConnectorReport] = field(default_factory=lambda: _NOTHING)
     services: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
     """What services attached to the kernel say of themselves, by name."""
+    assembled: bool | None = None
+    """Whether all that the run was to begin with is there; None: its program makes it, and does not say."""
     schema: int = PROFILE_VERSION
 
     def to_plain(self) -> dict[str, Any]:
