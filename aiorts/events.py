@@ -125,7 +125,8 @@ _late(
         "aiorts.kernel.loop.bus": (
             "Assembled CallFailed ComponentAdded ComponentRemoved Connected ConnectorChanged ContextStarted "
             "ContextStopped ConversionFailed Disconnected Event HookAfter HookBefore HookFailed MemberAdded "
-            "MemberRemoved Overrun ParametersChanged PortAdded PortRemoved RateChanged ServiceCalled StateChanged ThreadsExhausted"
+            "MemberRemoved Overrun ParametersChanged PortAdded PortRemoved RateChanged ServiceCalled "
+            "StateChanged ThreadsExhausted"
         ),
         "aiorts.kernel.quality": "WriterBack WriterSilent",
         "aiorts.composites": "CompositeChanged",

@@ -36,6 +36,8 @@ class Names:
     """What is to be seen of it at once, such as that others reach it without certificates."""
     risks: tuple[str, ...] = ()
     """Risks of its settings, for `aiorts doctor`, each with its remedy behind "; "."""
+    lasting: str = ""
+    """The name by which it is known again after a restart, as the profile has it."""
     assembled: bool | None = None
     """As the profile has it."""
     pid: int = 0

@@ -83,6 +83,8 @@ class Registry:
         """By the component's name: what a system file says of it where its class may say otherwise; "" is nothing."""
         self.assembled: bool | None = None
         """Whether all that the run was to begin with is there; None: the program that makes it does not say."""
+        self.lasting = ""
+        """The name by which clients know the kernel again after a restart, as its profile has it."""
         self.composing = asyncio.Lock()
         """Held while a composite changes: one at a time."""
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +15,9 @@ import pytest
 from aiorts import Kernel
 from aiorts.events import Change, ProfileSnapshot
 from aiorts.observe import SystemProfile, profile_from_plain
-from aiorts.sessions import Client
+from aiorts.sessions import Client, Entry, entries
 from aiorts.system import build, load
-from control_parts import WAIT, controlled, entry_of, with_client
+from control_parts import WAIT, controlled, entry_of, until, with_client
 
 SLOW = """
 import asyncio
@@ -64,6 +68,40 @@ async def test_the_profile_and_a_change_say_when_all_of_a_system_file_is_there(t
             assert (await asyncio.to_thread(client.call, "names"))["assembled"] is True
         await building
         assert profile.structure() == profile_from_plain(SystemProfile, kernel.profile().to_plain()).structure()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("named", [False, True])
+def test_a_kernel_is_known_again_after_a_restart(tmp_path: Path, named: bool) -> None:
+    (tmp_path / "slow_part.py").write_text(SLOW)
+    (tmp_path / "go").touch()
+    (tmp_path / "system.toml").write_text(SYSTEM)
+    seen: list[tuple[str, str, Any]] = []
+    for _ in range(2):
+        words = ["--name", "robot"] if named else []
+        with started(tmp_path / "system.toml", *words) as entry, Client.open(entry, timeout=WAIT) as client:
+            names, profile = client.call("names", WAIT), client.call("profile", WAIT)
+            assert names["lasting"] == profile["lasting"] == client.hello["lasting"]
+            seen.append((entry.address, client.hello["lasting"], client.hello["epoch"]))
+    (address, lasting, epoch), (other, again, later) = seen
+    assert lasting == again
+    assert epoch != later
+    if named:
+        assert lasting == address == other
+    else:
+        assert address != other
+        assert lasting == f"{address.partition('/')[0]}/{tmp_path.name}:{tmp_path / 'system.toml'}"
+
+
+@contextmanager
+def started(file: Path, *words: str) -> Iterator[Entry]:
+    """`aiorts run FILE` in a process of its own, by its entry; it is killed at the end."""
+    process = subprocess.Popen([sys.executable, "-m", "aiorts", "run", str(file), *words], stdout=subprocess.DEVNULL)
+    try:
+        yield until(lambda: next((one for one in entries() if one.pid == process.pid), None))
+    finally:
+        process.kill()
+        process.wait(WAIT)
 
 
 @pytest.mark.anyio
