@@ -34,19 +34,28 @@ class Operation:
     arguments: type[Any]
     """A frozen dataclass of what is in `args`."""
     result: Any
-    """The type of the result; of an operation that streams, of what it says when it begins."""
+    """The type of the result; of an operation that streams, of what it says when it begins. Of an answer, a field that
+    has a default may be left out."""
     right: Right
     run: Callable[..., Any]
     """Carries it out on the kernel's loop: `run(session, arguments)`, and the stream as a third where it streams.
     Returns the result, or an awaitable of it. What looks and changes nothing returns without waiting."""
     idempotent: bool = False
     """Whether calling it twice is as good as once."""
-    streams: bool = False
+    item: Any = None
+    """The type of the items of a stream; None of an operation that does not stream."""
+    end: Any = None
+    """The type of what a stream says at its end; None where it says nothing."""
     demands: Callable[[Any], Right] | None = None
     """The right that these very arguments need, where it is more than `right`."""
     changes: Callable[[Any, Any], Iterable[str]] | None = None
     """The components of which the client is the operator afterwards, by the arguments and the result; that is None as
     long as it is under way."""
+
+    @property
+    def streams(self) -> bool:
+        """Whether it goes on with items after its result."""
+        return self.item is not None
 
     def needed(self, arguments: Any) -> Right:
         """The right that a call with these arguments needs."""

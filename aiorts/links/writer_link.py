@@ -103,6 +103,10 @@ class WriterLink(LinkSide[WriterEnd]):
                 left -= taken
         return found
 
+    @property
+    def round_trip_ns(self) -> int | None:
+        return self.end.round_trip_ns
+
     def pump(self) -> None:
         """Take from the connector what the window has room for, and send."""
         now = self._now()

@@ -1,4 +1,4 @@
-"""Frozen values to what JSON can carry, and the JSON Schema of a class of frozen values; neither reads nor writes.
+"""Frozen values to what JSON can carry, and the JSON Schemas of these forms; it neither reads nor writes.
 
 Schema and text come from the same annotations, so one cannot forget what the other has.
 """
@@ -7,22 +7,29 @@ from __future__ import annotations
 
 import math
 import typing
-from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
-from types import NoneType, UnionType
+from types import MappingProxyType, NoneType, UnionType
 from typing import Any, Final, cast
 from weakref import WeakKeyDictionary
 
+Schema = dict[str, Any]
+
 NUMBER_SCHEMA: Final = {"anyOf": [{"type": "number"}, {"enum": ["NaN", "Infinity", "-Infinity"]}]}
-_SIMPLE: Final[Mapping[Any, dict[str, Any]]] = {
-    str: {"type": "string"},
-    bool: {"type": "boolean"},
-    int: {"type": "integer"},
-    float: NUMBER_SCHEMA,
-    NoneType: {"type": "null"},
-    Any: {},
-}
+_SIMPLE: Final[Mapping[Any, Schema]] = MappingProxyType(
+    {
+        str: {"type": "string"},
+        bool: {"type": "boolean"},
+        int: {"type": "integer"},
+        float: NUMBER_SCHEMA,
+        bytes: {"type": "string", "contentEncoding": "base64"},
+        NoneType: {"type": "null"},
+        Any: {},
+        object: {},
+    }
+)
+_LISTS: Final = (tuple, list, set, frozenset, Sequence, Set)
 _FIELDS: Final[WeakKeyDictionary[Any, tuple[str, ...]]] = WeakKeyDictionary()
 """Names of the fields of each dataclass met so far."""
 
@@ -52,35 +59,84 @@ def plain(value: object) -> Any:
     return str(value)
 
 
-def schema_of(kind: type[Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    """The JSON Schema of a dataclass's `plain` form; those of the classes it mentions go into `definitions`."""
-    if kind.__name__ not in definitions:
-        definitions[kind.__name__] = {}  # it may mention itself
+class Schemas:
+    """The schemas of annotations; those of the dataclasses that they mention are gathered.
+
+    Args:
+        place: where the gathered ones are to stand in the document, as references begin.
+        defaults: whether what has a default may be left out.
+        simple: schemas of simple types that differ from the usual.
+
+    Attributes:
+        definitions: the schemas of dataclasses by name; of two with the same name the second has its module's before.
+    """
+
+    def __init__(
+        self, place: str = "#/$defs/", *, defaults: bool = False, simple: Mapping[Any, Schema] = MappingProxyType({})
+    ) -> None:
+        self.definitions: dict[str, Schema] = {}
+        self._place = place
+        self._defaults = defaults
+        self._simple = {**_SIMPLE, **simple}
+        self._names: dict[Any, str] = {}
+
+    def of(self, hint: Any) -> Schema:
+        """The schema of an annotation.
+
+        Raises:
+            TypeError: values of it have no form in JSON that is known.
+        """
+        if hint in self._simple:
+            return self._simple[hint]
+        origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+        if origin in (typing.Union, UnionType):
+            return {"anyOf": [self.of(argument) for argument in arguments]}
+        if origin is typing.Literal:
+            return {"enum": list(arguments)}
+        if origin is tuple and arguments[1:] != (...,):
+            items = [self.of(argument) for argument in arguments]
+            return {"type": "array", "prefixItems": items, "minItems": len(items), "maxItems": len(items)}
+        if origin in _LISTS:
+            return {"type": "array", "items": self.of(arguments[0])}
+        if origin in (dict, Mapping):
+            return {"type": "object", "additionalProperties": self.of(arguments[1])}
+        if isinstance(hint, type) and issubclass(hint, Enum):
+            return {"enum": [plain(member) for member in hint]}
+        if isinstance(hint, type) and is_dataclass(hint):
+            return {"$ref": f"{self._place}{self._named(hint)}"}
+        raise TypeError(f"{hint!r}: has no JSON Schema")
+
+    def _named(self, kind: type[Any]) -> str:
+        if kind not in self._names:
+            name = kind.__name__.lstrip("_")
+            if name in self.definitions:
+                name = f"{kind.__module__.rpartition('.')[2]}.{name}"
+            self._names[kind] = name
+            self.definitions[name] = {}  # it may mention itself
+            self.definitions[name] = self._record(kind)
+        return self._names[kind]
+
+    def _record(self, kind: type[Any]) -> Schema:
         hints = typing.get_type_hints(kind)
-        names = _names(kind)
-        definitions[kind.__name__] = {
+        every = {one.name: one for one in fields(kind)}
+        return {
             "type": "object",
             "description": (kind.__doc__ or "").split("\n\n")[0].strip(),
-            "properties": {name: _schema(hints[name], definitions) for name in names},
-            "required": list(names),
+            "properties": {name: self._field(hints[name], every[name]) for name in _names(kind)},
+            "required": [name for name in _names(kind) if not self._defaults or not has_default(every[name])],
             "additionalProperties": False,
         }
-    return {"$ref": f"#/$defs/{kind.__name__}"}
+
+    def _field(self, hint: Any, field: Field[Any]) -> Schema:
+        schema = self.of(hint)
+        if not self._defaults or field.default is MISSING or "$ref" in schema:
+            return schema
+        return {**schema, "default": plain(field.default)}
 
 
-def _schema(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
-    if hint in _SIMPLE:
-        return _SIMPLE[hint]
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (typing.Union, UnionType):
-        return {"anyOf": [_schema(argument, definitions) for argument in arguments]}
-    if origin is tuple:
-        return {"type": "array", "items": _schema(arguments[0], definitions)}
-    if origin is not None:
-        return {"type": "object", "additionalProperties": _schema(arguments[1], definitions)}
-    if issubclass(hint, Enum):
-        return {"enum": [plain(member) for member in hint]}
-    return schema_of(hint, definitions)
+def has_default(field: Field[Any]) -> bool:
+    """Whether a field may be left out."""
+    return field.default is not MISSING or field.default_factory is not MISSING
 
 
 def _names(kind: Any) -> tuple[str, ...]:

@@ -106,6 +106,9 @@ class ConnectorStatistics(Counted):
     lost there is told soon after the next acknowledgement. Else None."""
     in_flight: int = 0
     """At the writer's end of a link: samples that were sent and are not acknowledged yet."""
+    round_trip_ns: int | None = field(default=None, compare=False, repr=False)
+    """At the writer's end of a link: from a sample's sending to its acknowledgement, smoothed over some ten; the
+    reader's end may keep that back for up to 50 ms. None where no trip has ended yet."""
     counted: ClassVar[str] = "written"
 
     @property

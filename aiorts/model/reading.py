@@ -10,7 +10,7 @@ import math
 import types
 import typing
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
 from types import MappingProxyType, NoneType
@@ -18,6 +18,7 @@ from typing import Any, Final, TypeVar, cast
 
 from aiorts.errors import DeclarationError, LimitError, RecordError, RecordTypeError
 from aiorts.late import dataclass
+from aiorts.model.plain import has_default
 from aiorts.model.values import shown
 
 T = TypeVar("T")
@@ -326,7 +327,7 @@ def _taken(hint: Any) -> Iterable[type]:
 def _fit(kind: Any, value: Mapping[Any, Any]) -> tuple[int, int]:
     """How well keys go with a class: few that it requires are missing, then many that it knows."""
     known = fields(kind)
-    missing = sum(_is_required(one) and one.name not in value for one in known)
+    missing = sum(not has_default(one) and one.name not in value for one in known)
     return -missing, sum(one.name in value for one in known)
 
 
@@ -364,13 +365,9 @@ def _record(kind: Any, made: dict[Any, _Reader]) -> _Reader:
         if not field.init:
             raise DeclarationError(f"{kind.__qualname__}.{field.name}: is not read, since __init__ does not take it")
         readers[field.name] = _made(hints[field.name], made)
-        if _is_required(field):
+        if not has_default(field):
             required.append(field.name)
     return read
-
-
-def _is_required(field: Field[Any]) -> bool:
-    return field.default is MISSING and field.default_factory is MISSING
 
 
 # -- messages ----------------------------------------------------------------------------------------------------------

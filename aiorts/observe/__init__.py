@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from aiorts.observe.html import html_of, kernel_html
     from aiorts.observe.introspection import Introspection
     from aiorts.observe.listening import ConnectorEvent, ConnectorEventKind, Listening
-    from aiorts.observe.monitor import Monitor
+    from aiorts.observe.monitor import Monitor, Reading
     from aiorts.observe.part import SystemPart, system_part
     from aiorts.observe.profiles import (
         ComponentReport,
@@ -25,10 +25,11 @@ if TYPE_CHECKING:
         ContextReport,
         MachineReport,
         ModeReport,
+        ParameterReport,
         SystemProfile,
     )
-    from aiorts.observe.profiling import context_report, system_profile
-    from aiorts.observe.reading import profile_from_plain, profile_to_plain
+    from aiorts.observe.profiling import context_report, declared_params, system_profile, visible
+    from aiorts.observe.reading import ToldChange, ToldSnapshot, profile_from_plain, profile_to_plain
     from aiorts.observe.samples import Samples, out_port_of, when_removed
     from aiorts.observe.schema import profile_schema
     from aiorts.observe.special_reports import calls, thread_writes
@@ -43,13 +44,14 @@ _late(
         "aiorts.observe.html": "html_of kernel_html",
         "aiorts.observe.introspection": "Introspection",
         "aiorts.observe.listening": "ConnectorEvent ConnectorEventKind Listening",
-        "aiorts.observe.monitor": "Monitor",
+        "aiorts.observe.monitor": "Monitor Reading",
         "aiorts.observe.part": "SystemPart system_part",
         "aiorts.observe.profiles": (
-            "ComponentReport CompositeReport ConnectorReport ContextReport MachineReport ModeReport SystemProfile"
+            "ComponentReport CompositeReport ConnectorReport ContextReport MachineReport ModeReport ParameterReport "
+            "SystemProfile"
         ),
-        "aiorts.observe.profiling": "context_report system_profile",
-        "aiorts.observe.reading": "profile_from_plain profile_to_plain",
+        "aiorts.observe.profiling": "context_report declared_params system_profile visible",
+        "aiorts.observe.reading": "ToldChange ToldSnapshot profile_from_plain profile_to_plain",
         "aiorts.observe.samples": "Samples out_port_of when_removed",
         "aiorts.observe.schema": "profile_schema",
         "aiorts.observe.special_reports": "calls thread_writes",

@@ -20,6 +20,18 @@ _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
+class ProcessReport:
+    """The process of a component that has its own, as the profile has it under `services.isolation`."""
+
+    pid: int
+    runs: bool
+    busy: float
+    """Seconds for which a hook has held it."""
+    unprinted: int
+    """Lines that it wrote and that were not printed."""
+
+
+@dataclass(frozen=True, slots=True)
 class SystemPart:
     """The reports of a part of the system, as the whole profile has them."""
 
@@ -29,7 +41,7 @@ class SystemPart:
     contexts: Mapping[str, ContextReport] = field(default_factory=lambda: _NOTHING)
     links: Mapping[str, str] = field(default_factory=lambda: _NOTHING)
     """How far each link into another kernel is, by the name of its connector."""
-    processes: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    processes: Mapping[str, ProcessReport] = field(default_factory=lambda: _NOTHING)
     """Of components that run in processes of their own, what is known of these."""
 
 

@@ -54,10 +54,10 @@ def profile_from_plain(
             )
     read: Any
     if kind is Change:
-        told = _read(_Told, kind, data, limits, unknown)
+        told = _read(ToldChange, kind, data, limits, unknown)
         read = Change(told.sequence, PastEvent(told.kind, told.event), tuple(map(_typed, told.parts)))
     elif kind is ProfileSnapshot:
-        whole = _read(_Whole, kind, data, limits, unknown)
+        whole = _read(ToldSnapshot, kind, data, limits, unknown)
         if whole.kind != "ProfileSnapshot":
             raise RecordError("kind: expected ProfileSnapshot, got a Change; ask for that")
         read = ProfileSnapshot(whole.sequence, _typed(whole.profile), whole.missed)
@@ -71,23 +71,29 @@ _OWN: Final = (SystemProfile, Change, ProfileSnapshot)
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
-    """A change in its plain form."""
+class ToldChange:
+    """A change as JSON has it."""
 
     sequence: int
+    """Number of the event on the bus."""
     kind: str
+    """The name of the event's class."""
     event: Mapping[str, Any]
+    """The fields of the event."""
     parts: tuple[Part, ...]
+    """Every part of the profile that is different since."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Whole:
-    """A snapshot in its plain form."""
+class ToldSnapshot:
+    """A snapshot as JSON has it."""
 
     sequence: int
-    kind: str
     profile: SystemProfile
+    kind: str
+    """"ProfileSnapshot": a change has the name of its event here."""
     missed: int = 0
+    """Changes that this stands for."""
 
 
 def _read(form: type[T], kind: type, data: object, limits: PlainLimits, unknown: dict[str, Any] | None) -> T:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from aiorts.model.plain import schema_of
+from aiorts.model.plain import Schemas
 from aiorts.observe.profiles import PROFILE_VERSION, SystemProfile
 
 
 def profile_schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of `Kernel.profile().to_json()`."""
-    definitions: dict[str, Any] = {}
-    reference = schema_of(SystemProfile, definitions)
+    schemas = Schemas()
+    reference, definitions = schemas.of(SystemProfile), schemas.definitions
     definitions["SystemProfile"]["properties"]["schema"] = {"const": PROFILE_VERSION}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -158,7 +158,7 @@ class _Follower(logging.Handler):
 
 
 ROWS: Final = (
-    Operation("log", "The last lines, and a stream.", Lines, tuple[Line, ...], Right.VIEW, _lines, streams=True),
+    Operation("log", "The last lines, and a stream.", Lines, tuple[Line, ...], Right.VIEW, _lines, item=Line),
     Operation("log_level", "Set the level of components' logs.", Level, Done, Right.OPERATE, _level, idempotent=True),
     Operation("log_levels", "The level of each log.", Lines, dict[str, Logged], Right.VIEW, _levels, idempotent=True),
 )

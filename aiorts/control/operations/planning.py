@@ -1,11 +1,12 @@
-"""The operations that compare a kernel's system with a wanted one, and make that of it."""
+"""The operations that say a kernel's system as a file, compare it with a wanted one, and make that of it."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
@@ -16,14 +17,20 @@ from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.late import dataclass
 from aiorts.model.wanted.applied import Applied
 from aiorts.model.wanted.carried import received
+from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry
+from aiorts.model.wanted.steps import Places
+from aiorts.model.wanted.system_text import Saved
 from aiorts.sessions import Made
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.model.wanted.entries import Wanted
     from aiorts.model.wanted.plan import Plan
-    from aiorts.model.wanted.steps import Places
 
+_Entry: TypeAlias = (
+    ComponentEntry | ConnectionEntry | ContextEntry | Places | tuple[Mapping[str, Any], ...] | bool | None
+)
+"""What a step changes."""
 _DECIDED: Final = 120.0
 """Seconds that a change waits for the decision, while others change theirs; then it is taken back."""
 _open: Final[WeakKeyDictionary[Session, tuple[asyncio.Future[str], asyncio.Task[Applied]]]] = WeakKeyDictionary()
@@ -57,11 +64,31 @@ class Decision:
 
 
 @dataclass(frozen=True, slots=True)
+class PlannedStep:
+    """One step of a plan: what it does, and of what; `aiorts.model.wanted.steps` has each kind."""
+
+    step: str
+    """The kind."""
+    sign: Literal["+", "-", "~"]
+    """+ for what comes, - for what goes, ~ for what changes."""
+    text: str
+    """What it does, in one line."""
+    name: str = ""
+    """Of a connector."""
+    component: ComponentEntry | None = None
+    connection: ConnectionEntry | None = None
+    context: ContextEntry | str | None = None
+    before: _Entry = None
+    """Of what changes."""
+    after: _Entry = None
+
+
+@dataclass(frozen=True, slots=True)
 class Planned:
     """The steps that make a wanted system of the one that runs."""
 
-    steps: tuple[Mapping[str, Any], ...]
-    """In order: `step` is the kind, `sign` + for what comes and - for what goes, `text` what it does, in one line."""
+    steps: tuple[PlannedStep, ...]
+    """In order."""
     refused: tuple[str, ...]
     """What differs and cannot be changed while a system runs."""
 
@@ -70,7 +97,7 @@ class Planned:
 class Changed:
     """What has become of a plan."""
 
-    steps: tuple[Mapping[str, Any], ...]
+    steps: tuple[PlannedStep, ...]
     """As in a plan."""
     refused: tuple[str, ...]
     """Empty."""
@@ -80,6 +107,14 @@ class Changed:
     """The figure that the system was taken back for; "" when it was kept."""
     notes: tuple[str, ...]
     """What could not be as the plan, or its reverse, says."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the file is going to lie."""
+
+    folder: str
+    """Files and plugins below it are named as counted from there."""
 
 
 class _Answer(Made):
@@ -185,6 +220,15 @@ def _come(before: Places, after: Places) -> Iterator[str]:
             yield from (member.rpartition("/")[2] for member in come)
 
 
+def _save(session: Session, given: Place) -> Saved | Awaitable[Saved]:
+    from aiorts.planning import Planning  # late: few ask for it
+
+    planning, folder = session.kernel.service(Planning), Path(given.folder)
+    if isinstance(session.kernel.clock, SimulatedClock):
+        return planning.text(folder)  # a task would be one more that is ready at this instant
+    return planning.text_aside(folder)
+
+
 def _settle(decided: asyncio.Future[str], why: str) -> None:
     if not decided.done():
         decided.set_result(why)
@@ -234,7 +278,14 @@ async def _read_aside(parts: tuple[str, ...]) -> Wanted:
 
 ROWS: Final = (
     Operation("apply", "Change the system that runs into a wanted one.", Application, Changed, Right.OPERATE, _apply),
-    Operation("change", "The same, until this session decides.", Target, Changed, Right.OPERATE, _change),
+    Operation(
+        "change",
+        "Change the system that runs into a wanted one, until this session decides.",
+        Target,
+        Changed,
+        Right.OPERATE,
+        _change,
+    ),
     Operation("decide", "Keep what was changed, or take it back.", Decision, Changed, Right.OPERATE, _decide),
     Operation(
         "plan",
@@ -245,4 +296,5 @@ ROWS: Final = (
         _plan,
         idempotent=True,
     ),
+    Operation("save", "The system as the text of a system file.", Place, Saved, Right.VIEW, _save, idempotent=True),
 )

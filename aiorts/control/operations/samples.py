@@ -58,6 +58,19 @@ class Tap:
 
 
 @dataclass(frozen=True, slots=True)
+class Tapping:
+    """A sample that came over a tap, and as what it was asked for, or why it cannot be sent."""
+
+    time_ns: int
+    """When it was taken: the kernel's clock, since the epoch."""
+    tm: int | None = None
+    """Its stamp in nanoseconds; None where its type has none."""
+    data: Any = None
+    frame: bytes | None = None
+    error: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class TypeNamed:
     """A type of samples."""
 
@@ -269,5 +282,5 @@ ROWS: Final = (
     Operation(
         "schema", "What explains the frames of a type.", TypeNamed, TypeSchema, Right.VIEW, _schema, idempotent=True
     ),
-    Operation("tap", "Stream the samples of an out-port.", Tapped, Tap, Right.VIEW, _tap, streams=True),
+    Operation("tap", "Stream the samples of an out-port.", Tapped, Tap, Right.VIEW, _tap, item=Tapping, end=str | None),
 )

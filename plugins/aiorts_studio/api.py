@@ -1,0 +1,255 @@
+"""The answers: operations of kernels, the kernels that run, tokens, and the description of all this."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import asdict
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.control import Operation, Right
+from aiorts.errors import AiortsError, ClosedError, RecordError
+from aiorts.sessions import Entry
+from aiorts_studio.codes import Codes, Holder
+from aiorts_studio.guard import EXCHANGE, App, Guard, Receive, Scope, Send, answer
+from aiorts_studio.kernels import Visitor, entry_of, lines_of, running
+from aiorts_studio.limits import UnderWay
+from aiorts_studio.offered import LARGE, operation_of, patience
+from aiorts_studio.openapi import document, document_of, page
+from aiorts_studio.problems import HttpError, problem_of, status_of
+from aiorts_studio.values import json_in, json_out
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+JSON: Final = "application/json"
+LINES: Final = "application/x-ndjson"
+_STYLE: Final = """
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem }
+:root { color-scheme: light dark }
+pre { overflow-x: auto; padding: .5rem; border: 1px solid }
+h2 { font-size: 1.1rem; margin-top: 2rem }
+"""
+_HOME: Final = """
+<p>This serves the running systems of one user to pages and programs that have a token.
+The page that shows them is not there yet.</p>
+<p><a href="/docs">The API</a>, and <a href="/openapi.json">its description</a> (OpenAPI 3.1).</p>
+"""
+
+
+class Api:
+    """What one server answers.
+
+    Args:
+        scheme, ours: as `Guard` takes them.
+        right: what tokens allow.
+        say: takes lines for who started the server.
+        exchanged: is called when a code was exchanged.
+    """
+
+    def __init__(
+        self,
+        scheme: str,
+        ours: Collection[str],
+        right: Right,
+        say: Callable[[str], None],
+        exchanged: Callable[[], object],
+    ) -> None:
+        self.right = right
+        self.codes = Codes(self._ended)
+        self.under_way = UnderWay()
+        self._say, self._exchanged = say, exchanged
+        self._visitors: dict[Holder, Visitor] = {}
+        self._endings: set[asyncio.Task[None]] = set()
+        self._described = document(right, f"{scheme}://{min(ours)}")
+        self.app: App = Guard(self._routed(), scheme, ours, _is_large)
+
+    def _routed(self) -> App:
+        from starlette.applications import Starlette
+        from starlette.exceptions import HTTPException
+        from starlette.responses import HTMLResponse, Response
+        from starlette.routing import Route, WebSocketRoute
+
+        from aiorts_studio.socket import Sockets
+
+        def fixed(answer: Callable[[], Response]) -> Callable[[Request], Response]:
+            return lambda request: answer()
+
+        home, docs = document_of("aiorts studio", _HOME), page(self._described)
+        app: Any = Starlette(
+            routes=[
+                Route("/", fixed(lambda: HTMLResponse(home))),
+                Route("/docs", fixed(lambda: HTMLResponse(docs))),
+                Route("/studio.css", fixed(lambda: Response(_STYLE, media_type="text/css"))),
+                Route("/openapi.json", fixed(lambda: _json(self._described))),
+                Route(EXCHANGE, self._exchange, methods=["POST"]),
+                Route(EXCHANGE, self._end_token, methods=["DELETE"]),
+                Route("/api/kernels", self._kernels),
+                Route("/api/kernels/{kernel:path}/{operation}", self._operate, methods=["POST"]),
+                WebSocketRoute("/api/socket", Sockets(self).attend),
+            ],
+            exception_handlers={AiortsError: _problem, HTTPException: _http_problem},
+        )
+        app.router.redirect_slashes = False
+        return app  # type: ignore[no-any-return]
+
+    # -- tokens ----------------------------------------------------------------------------------------------------
+
+    def visitor(self, token: str) -> Visitor:
+        """The client with this token; HttpError: it is none, or asks too often."""
+        now = time.monotonic()
+        holder = self.codes.holder(token, now) if token else None
+        if holder is None:
+            text = "the token is none, or has ended" if token else "the header `Authorization: Bearer TOKEN` is missing"
+            raise HttpError(401, "E-DENIED", text, {"www-authenticate": "Bearer"})
+        visitor = self._visitors.setdefault(holder, Visitor(holder, self.right))
+        visitor.requests.fill(now)
+        return visitor
+
+    async def _exchange(self, request: Request) -> Response:
+        given = await _object(request)
+        if given.keys() != {"code"} or not isinstance(given["code"], str):
+            raise RecordError('expected {"code": "..."}')
+        token = self.codes.exchange(given["code"], time.monotonic())
+        self._exchanged()
+        return _json({"token": token, "right": self.right.value})
+
+    async def _end_token(self, request: Request) -> Response:
+        from starlette.responses import Response
+
+        self.codes.end(self.visitor(_token(request)).holder, "its client has said so")
+        return Response(status_code=204)
+
+    def _ended(self, holder: Holder, why: str) -> None:
+        self._say(f"client {holder.number}: its token has ended: {why}")
+        visitor = self._visitors.pop(holder, None)
+        if visitor is not None:
+            ending = asyncio.ensure_future(visitor.close())
+            self._endings.add(ending)
+            ending.add_done_callback(self._endings.discard)
+
+    async def close(self) -> None:
+        """End all tokens, and what their clients have under way."""
+        self.codes.end_all("the server ends")
+        if self._endings:
+            await asyncio.wait(self._endings)
+
+    # -- kernels ---------------------------------------------------------------------------------------------------
+
+    async def _kernels(self, request: Request) -> Response:
+        self.visitor(_token(request))
+        return _json([asdict(one) for one in await running()])
+
+    async def _operate(self, request: Request) -> Answer:
+        visitor = self.visitor(_token(request))
+        operation = operation_of(request.path_params["operation"], self.right)
+        arguments = await _object(request)
+        entry = await entry_of(request.path_params["kernel"])
+        return Answer(self, visitor, entry, operation, arguments)
+
+
+class Answer:
+    """The answer of a kernel: one document, or lines for as long as the client takes them."""
+
+    def __init__(
+        self, api: Api, visitor: Visitor, entry: Entry, operation: Operation, arguments: Mapping[str, Any]
+    ) -> None:
+        self._api, self._visitor = api, visitor
+        self._entry, self._operation, self._arguments = entry, operation, arguments
+        self._began = False
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send it; it ends when the client goes."""
+        with self._api.under_way.one(self._visitor.holder.number, self._entry.address):
+            work = self._stream(send) if self._operation.streams else self._call(send)
+            await self._visitor.work(work, partial(_gone, receive))
+        if self._visitor.closed:
+            error = HttpError(401, "E-DENIED", "the token has ended")
+            await (_end(send, error) if self._began else answer(send, error))
+
+    async def _call(self, send: Send) -> None:
+        client = await self._visitor.session(self._entry)
+        wait = patience(self._operation, self._arguments)
+        value = await client.call(self._operation.name, wait, **self._arguments)
+        await _json(value)({"type": "http"}, _nothing, send)
+
+    async def _stream(self, send: Send) -> None:
+        client = await self._visitor.session(self._entry)
+        wait = patience(self._operation, self._arguments)
+        async with client.stream(self._operation.name, wait, **self._arguments) as stream:
+            headers = [(b"content-type", LINES.encode())]
+            await send({"type": "http.response.start", "status": 200, "headers": headers})
+            self._began = True
+            try:
+                async for said in lines_of(stream):
+                    await _line(send, said, more="end" not in said)
+            except AiortsError as error:
+                await _end(send, error)
+
+
+async def _line(send: Send, value: Mapping[str, Any], *, more: bool = True) -> None:
+    await send({"type": "http.response.body", "body": json_out(value) + b"\n", "more_body": more})
+
+
+async def _end(send: Send, error: AiortsError) -> None:
+    """The last line of a stream that ends otherwise than by itself."""
+    await _line(send, {"problem": problem_of(error)}, more=False)
+
+
+async def _gone(receive: Receive) -> None:
+    """Wait until the client has gone."""
+    while (await receive())["type"] != "http.disconnect":
+        pass
+
+
+async def _nothing() -> dict[str, Any]:
+    raise ClosedError("nothing more is taken")
+
+
+async def _object(request: Request) -> dict[str, Any]:
+    """The object that a client sends; none is an empty one."""
+    body = await request.body()
+    if not body:
+        return {}
+    if request.headers.get("content-type", "").partition(";")[0].strip().lower() != JSON:
+        raise HttpError(415, "E-RECORD", f"expected {JSON}")
+    value = json_in(body)
+    if not isinstance(value, dict):
+        raise RecordError("expected an object")
+    return value
+
+
+def _token(request: Request) -> str:
+    """The token that a request has; "" where it has none."""
+    scheme, _, token = request.headers.get("authorization", "").partition(" ")
+    return token.strip() if scheme.lower() == "bearer" else ""
+
+
+def _json(value: Any, status: int = 200, kind: str = JSON, headers: Mapping[str, str] | None = None) -> Response:
+    from starlette.responses import Response
+
+    return Response(json_out(value), status, headers, kind)
+
+
+async def _problem(request: Request, error: Exception) -> Response:
+    if not isinstance(error, AiortsError):
+        raise error
+    headers = dict(error.headers) if isinstance(error, HttpError) else None
+    return _json(problem_of(error), status_of(error), "application/problem+json", headers)
+
+
+async def _http_problem(request: Request, error: Exception) -> Response:
+    from starlette.exceptions import HTTPException
+
+    if not isinstance(error, HTTPException):
+        raise error
+    code = "E-ABSENT" if error.status_code == 404 else "E-RECORD"
+    text = f"{request.method} {request.url.path[:80]}: {error.detail}"
+    return await _problem(request, HttpError(error.status_code, code, text, error.headers or {}))
+
+
+def _is_large(path: str) -> bool:
+    return path.rpartition("/")[2] in LARGE

@@ -1,0 +1,151 @@
+"""Codes, and the tokens for which clients exchange them. It decides; the clock is passed in, and nothing waits.
+
+A code is read by a person or from a file, so it is good once and for a minute. Whoever uses it a second time may have
+stolen it, or may have been robbed of it: the token that it gave ends.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Mapping
+from enum import Enum
+from hmac import compare_digest
+from types import MappingProxyType
+from typing import Final
+
+from aiorts.errors import DeniedError
+
+CODE_SECONDS: Final = 60.0
+"""For which a code is good."""
+TRIES: Final = 10
+"""Wrong codes after which the one that is good is none any more."""
+TOKENS: Final = 16
+"""At a time; beyond that the one that was used longest ago ends. A kernel takes as many sessions of a viewer."""
+_BYTES: Final = 20
+"""Of a code and of a token: 160 bits."""
+
+
+class Fault(Enum):
+    """Why a code is not taken."""
+
+    WRONG = "wrong"
+    LATE = "late"
+    USED = "used"
+    SPENT = "spent"
+
+
+TEXTS: Final[Mapping[Fault, str]] = MappingProxyType(
+    {
+        Fault.WRONG: "the code is wrong",
+        Fault.LATE: f"the code is older than {CODE_SECONDS:.0f} s",
+        Fault.USED: "the code was used before; the token that it gave has ended",
+        Fault.SPENT: f"there were {TRIES} wrong codes",
+    }
+)
+
+
+class CodeError(DeniedError):
+    """A code is not taken.
+
+    Attributes:
+        fault: why.
+    """
+
+    def __init__(self, fault: Fault) -> None:
+        super().__init__(f"{TEXTS[fault]}; `aiorts studio --url` gives a new one")
+        self.fault = fault
+
+
+class Holder:
+    """A client that holds a token.
+
+    Attributes:
+        number: of the client, for lines that must not show its token.
+        used_at: when it asked for something last.
+    """
+
+    def __init__(self, number: int, token: str, code: str, now: float) -> None:
+        self.number = number
+        self.used_at = now
+        self._token, self._code = token, code
+
+
+class Codes:
+    """The codes of one server, and the tokens that they gave.
+
+    Args:
+        ended: is told of each token that has ended, and why.
+    """
+
+    def __init__(self, ended: Callable[[Holder, str], None]) -> None:
+        self._ended = ended
+        self._code = ""
+        """The one that is good; "": none is."""
+        self._until = 0.0
+        self._tries = 0
+        self._holders: list[Holder] = []
+        self._count = 0
+
+    @property
+    def holders(self) -> tuple[Holder, ...]:
+        """The clients whose tokens are good."""
+        return tuple(self._holders)
+
+    def issue(self, now: float) -> str:
+        """A new code, which takes the place of the one before."""
+        self._code, self._until, self._tries = secrets.token_urlsafe(_BYTES), now + CODE_SECONDS, 0
+        return self._code
+
+    def exchange(self, code: str, now: float) -> str:
+        """The token for a code.
+
+        Raises:
+            CodeError: the code is wrong, late or used, or there were too many wrong ones.
+        """
+        used = [one for one in self._holders if _equal(one._code, code)]
+        good = _equal(self._code, code) and self._code != ""
+        for one in used:
+            self.end(one, TEXTS[Fault.USED])
+        if used:
+            raise CodeError(self._count_try(Fault.USED))
+        if self._tries >= TRIES:
+            raise CodeError(Fault.SPENT)
+        if not good:
+            raise CodeError(self._count_try(Fault.WRONG))
+        self._code = ""
+        if now > self._until:
+            raise CodeError(Fault.LATE)
+        if len(self._holders) >= TOKENS:
+            self.end(min(self._holders, key=lambda one: one.used_at), f"{TOKENS} clients came after it")
+        self._count += 1
+        token = secrets.token_urlsafe(_BYTES)
+        self._holders.append(Holder(self._count, token, code, now))
+        return token
+
+    def holder(self, token: str, now: float) -> Holder | None:
+        """The client that holds a token; None where the token is none."""
+        found = [one for one in self._holders if _equal(one._token, token)]
+        for one in found:
+            one.used_at = now
+        return found[0] if found else None
+
+    def end(self, holder: Holder, why: str) -> None:
+        """End the token of a client. Idempotent."""
+        if holder in self._holders:
+            self._holders.remove(holder)
+            self._ended(holder, why)
+
+    def end_all(self, why: str) -> None:
+        """End all tokens, and the code."""
+        self._code = ""
+        for one in self.holders:
+            self.end(one, why)
+
+    def _count_try(self, fault: Fault) -> Fault:
+        self._tries += 1
+        return fault
+
+
+def _equal(one: str, other: str) -> bool:
+    """Whether they are equal; how long that takes says nothing of where they differ."""
+    return compare_digest(one.encode("utf-8", "surrogatepass"), other.encode("utf-8", "surrogatepass"))

@@ -1,0 +1,101 @@
+"""Connections of the server, bounded: in number, and in the time that a client may need to ask and to read.
+
+They are those of uvicorn, which waits for a request, and for a client that does not read, as long as the client likes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, Final
+
+import h11
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+REQUEST_SECONDS: Final = 10.0
+"""Within which the head of a request has to be there."""
+STALL_SECONDS: Final = 30.0
+"""After which a client is cut off that does not take what is sent."""
+WAITING: Final = 128
+"""Connections without a request; of more the one that came first gives way."""
+
+
+class _Reading:
+    """Mixed in: a client that does not read is cut off."""
+
+    transport: Any
+    loop: Any
+    _stalled: asyncio.TimerHandle | None = None
+
+    def pause_writing(self) -> None:
+        """The client does not take what is sent."""
+        super().pause_writing()  # type: ignore[misc]
+        self._stalled = self.loop.call_later(STALL_SECONDS, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """It takes it again."""
+        super().resume_writing()  # type: ignore[misc]
+        self._forget()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It has gone."""
+        self._forget()
+        super().connection_lost(exc)  # type: ignore[misc]
+
+    def _forget(self) -> None:
+        if self._stalled is not None:
+            self._stalled.cancel()
+            self._stalled = None
+
+
+class Socket(_Reading, WebSocketsSansIOProtocol):
+    """A WebSocket."""
+
+
+class Connection(_Reading, H11Protocol):
+    """A connection that takes one request after the other.
+
+    Args:
+        waiting: those of this server that have no request.
+    """
+
+    def __init__(self, *args: Any, waiting: dict[Connection, None], **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._waiting = waiting
+        self._late: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """It waits for its first request."""
+        super().connection_made(transport)
+        self._look()
+        if len(self._waiting) > WAITING:
+            next(iter(self._waiting)).transport.abort()
+
+    def data_received(self, data: bytes) -> None:
+        """Something of a request has come."""
+        super().data_received(data)
+        self._look()
+
+    def on_response_complete(self) -> None:
+        """It waits for the next request."""
+        super().on_response_complete()
+        self._look()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It has gone."""
+        self._wait_no_more()
+        super().connection_lost(exc)
+
+    def _look(self) -> None:
+        """See whether it waits for a request."""
+        if self.conn.their_state is not h11.IDLE or self.transport.get_protocol() is not self:
+            self._wait_no_more()
+        elif self._late is None and not self.transport.is_closing():
+            self._late = self.loop.call_later(REQUEST_SECONDS, self.transport.abort)
+            self._waiting[self] = None
+
+    def _wait_no_more(self) -> None:
+        self._waiting.pop(self, None)
+        if self._late is not None:
+            self._late.cancel()
+            self._late = None

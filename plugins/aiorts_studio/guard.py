@@ -1,0 +1,166 @@
+"""What every request must look like, and the headers that every answer has: a layer of ASGI around all that is served.
+
+Any page of a browser may send requests to this machine. Its Origin says which page it is; the Host says by which name
+it came, which is another than this machine's when a page has its own name lead here (DNS rebinding).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Collection, Mapping, MutableMapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final
+
+from aiorts_studio.problems import HttpError, problem_of, status_of
+from aiorts_studio.values import json_out
+
+Message = MutableMapping[str, Any]
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+HEADERS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "content-security-policy": (
+            "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' blob:; "
+            "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        ),
+        "x-content-type-options": "nosniff",
+        "referrer-policy": "no-referrer",
+        "cross-origin-resource-policy": "same-origin",
+        "cross-origin-opener-policy": "same-origin",
+        "cache-control": "no-store",
+    }
+)
+"""Of every answer."""
+BODY: Final = 64 << 10
+"""Bytes of a request."""
+LARGE_BODY: Final = 512 << 10
+"""Bytes of a request that has the text of a file in it."""
+BODY_SECONDS: Final = 10.0
+"""Within which a request has to be there whole."""
+EXCHANGE: Final = "/api/token"
+"""Where a code is exchanged for a token."""
+_CLOSED: Final = 1008
+"""The status of a WebSocket that is refused: it breaks a policy."""
+
+
+def refusal(
+    hosts: Sequence[str], origins: Sequence[str], ours: Collection[str], scheme: str, *, needs_origin: bool
+) -> str:
+    """Why a request with these headers is not answered; "" for one that is.
+
+    Args:
+        hosts: the values of all headers `Host`.
+        origins: the values of all headers `Origin`.
+        ours: the values of `Host` that name this server.
+        scheme: "http" or "https".
+        needs_origin: whether the Origin may not be absent.
+    """
+    if len(hosts) != 1 or hosts[0] not in ours:
+        return f"Host: expected {' or '.join(sorted(ours))}"
+    if not origins and not needs_origin:
+        return ""
+    if len(origins) != 1 or origins[0] != f"{scheme}://{hosts[0]}":
+        return f"Origin: expected {scheme}://{hosts[0]}"
+    return ""
+
+
+class Guard:
+    """Refuses what no page or program of this server sends, before anything else sees it.
+
+    Args:
+        app: what is served.
+        scheme: "http" or "https".
+        ours: the values of the header `Host` that name this server.
+        large: whether a request to this path may be a large one.
+    """
+
+    def __init__(self, app: App, scheme: str, ours: Collection[str], large: Callable[[str], bool]) -> None:
+        self._app = app
+        self._scheme, self._ours, self._large = scheme, ours, large
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request, or have the application answer it."""
+        socket = scope["type"] == "websocket"
+        try:
+            self._check(scope, socket=socket)
+            if not socket:
+                body = await self._body(scope, receive)
+                receive = _again(body, receive)
+        except HttpError as error:
+            if socket:
+                await receive()
+                await send({"type": "websocket.close", "code": _CLOSED, "reason": str(error)[:100]})
+            else:
+                await answer(_with_headers(send), error)
+            return
+        await self._app(scope, receive, send if socket else _with_headers(send))
+
+    def _check(self, scope: Scope, *, socket: bool) -> None:
+        headers: Sequence[tuple[bytes, bytes]] = scope["headers"]
+        hosts = [value.decode("latin-1") for name, value in headers if name == b"host"]
+        origins = [value.decode("latin-1") for name, value in headers if name == b"origin"]
+        needs_origin = socket or scope["path"] == EXCHANGE
+        if why := refusal(hosts, origins, self._ours, self._scheme, needs_origin=needs_origin):
+            raise HttpError(403, "E-DENIED", why)
+        if scope["query_string"]:
+            text = "a request has no query here; a token goes into the header `Authorization`, and into no address"
+            raise HttpError(400, "E-RECORD", text)
+
+    async def _body(self, scope: Scope, receive: Receive) -> bytes:
+        """The whole body of a request; HttpError where it is too large, or does not come."""
+        most = LARGE_BODY if self._large(scope["path"]) else BODY
+        said = [value for name, value in scope["headers"] if name == b"content-length"]
+        if any(not one.isdigit() or int(one[:20]) > most for one in said):
+            raise _too_large(most)
+        body = bytearray()
+        try:
+            async with asyncio.timeout(BODY_SECONDS):
+                while True:
+                    message = await receive()
+                    body += message.get("body", b"")
+                    if len(body) > most:
+                        raise _too_large(most)
+                    if not message.get("more_body"):
+                        return bytes(body)
+        except TimeoutError:
+            raise HttpError(408, "E-NO-ANSWER", f"the request was not whole after {BODY_SECONDS:.0f} s") from None
+
+
+async def answer(send: Send, error: HttpError) -> None:
+    """Answer a request with an error, and take no other over its connection."""
+    headers = {"content-type": "application/problem+json", "connection": "close", **error.headers}
+    encoded = [(name.encode(), value.encode()) for name, value in headers.items()]
+    await send({"type": "http.response.start", "status": status_of(error), "headers": encoded})
+    await send({"type": "http.response.body", "body": json_out(problem_of(error))})
+
+
+def _too_large(most: int) -> HttpError:
+    return HttpError(413, "E-TOO-LARGE", f"the request is longer than {most >> 10} KiB")
+
+
+def _again(body: bytes, receive: Receive) -> Receive:
+    """Gives the body that was taken, then what comes after it."""
+    taken = False
+
+    async def again() -> Message:
+        nonlocal taken
+        if taken:
+            return await receive()
+        taken = True
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    return again
+
+
+def _with_headers(send: Send) -> Send:
+    added = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
+
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message = {**message, "headers": [*message.get("headers", ()), *added]}
+        await send(message)
+
+    return sending

@@ -1,0 +1,48 @@
+"""The operations of a kernel that are offered over HTTP: those of its table that need no right to give it code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from typing import Any, Final
+
+from aiorts.control import OPERATIONS, Operation, Right
+from aiorts_studio.problems import HttpError
+
+LARGE: Final = frozenset(("apply", "change", "load_configuration", "plan"))
+"""Those whose arguments are the text of a file."""
+_LOOK: Final = 10.0
+"""Seconds that an operation may take which only looks."""
+_CHANGE: Final = 60.0
+"""And one that changes something; its `timeout`, where it has one, is added."""
+_LONGEST: Final = 3_600.0
+"""Seconds that any call is waited for."""
+
+
+def offered(right: Right) -> Mapping[str, Operation]:
+    """The operations that clients with this right may call, by name."""
+    return {name: one for name, one in OPERATIONS.items() if one.right is not Right.CODE and right.allows(one.right)}
+
+
+def operation_of(name: str, right: Right) -> Operation:
+    """The operation of this name; HttpError: there is none, or it needs more than this right."""
+    operation = OPERATIONS.get(name)
+    if operation is None:
+        raise HttpError(404, "E-ABSENT", f"{name:.80}: no such operation; /openapi.json has all of them")
+    if operation.right is Right.CODE:
+        raise HttpError(403, "E-DENIED", f"{name}: gives the kernel code, and is not offered over HTTP")
+    if not right.allows(operation.right):
+        text = f"{name}: needs the right {operation.right.value!r}, and this server gives {right.value!r}; see --edit"
+        raise HttpError(403, "E-DENIED", text)
+    return operation
+
+
+def patience(operation: Operation, arguments: Mapping[str, Any]) -> float:
+    """Seconds that the answer to a call is waited for."""
+    usual = _LOOK if operation.right is Right.VIEW else _CHANGE
+    default = {one.name: one.default for one in fields(operation.arguments)}.get("timeout", MISSING)
+    asked = arguments.get("timeout", default)
+    if asked is None:
+        return _LONGEST
+    asked = asked if type(asked) in (int, float) and asked > 0 else 0.0
+    return float(min(usual + asked, _LONGEST))

@@ -1,0 +1,112 @@
+"""The server: it listens, and answers until it is told to end."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import ssl
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.errors import ConfigurationError
+from aiorts_studio.guard import BODY, App
+
+if TYPE_CHECKING:
+    import uvicorn
+
+HOST: Final = "127.0.0.1"
+_LAST: Final = 1
+"""Seconds that answers under way have at the end."""
+_HEAD: Final = 16 << 10
+"""Bytes of the head of a request."""
+_PING: Final = 20.0
+
+
+def bound(host: str, port: int) -> socket.socket:
+    """A socket that listens there once it is served.
+
+    Raises:
+        ConfigurationError: the port is taken, or the address is none of this machine.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    bound = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind((host, port))
+    except OSError as error:
+        bound.close()
+        raise ConfigurationError(f"{host}, --port {port}: {error.strerror or error}") from None
+    return bound
+
+
+@asynccontextmanager
+async def served(listening: socket.socket, app: App, secured: ssl.SSLContext | None = None) -> AsyncIterator[None]:
+    """Serve an application for as long as the block takes.
+
+    Args:
+        listening: bound; it is closed at the end.
+        secured: the certificate of the server, for TLS.
+    """
+    import uvicorn
+
+    from aiorts_studio.connections import Connection, Socket
+
+    _log()
+    waiting: dict[Connection, None] = {}
+    config = uvicorn.Config(
+        app,
+        http=partial(Connection, waiting=waiting),  # type: ignore[arg-type] # made as the class is
+        ws=Socket,
+        ws_max_size=BODY,
+        ws_max_queue=8,
+        ws_ping_interval=_PING,
+        ws_ping_timeout=_PING,
+        ws_per_message_deflate=False,
+        lifespan="off",
+        log_config=None,
+        access_log=False,
+        proxy_headers=False,
+        server_header=False,
+        date_header=False,
+        timeout_graceful_shutdown=_LAST,
+        h11_max_incomplete_event_size=_HEAD,
+        ssl_context_factory=None if secured is None else lambda *_: secured,
+    )
+    server = _server(config)
+    serving = asyncio.create_task(server.serve([listening]), name="studio server")
+    try:
+        await server.begun.wait()
+        yield
+    finally:
+        server.over.set()
+        await serving
+        listening.close()
+
+
+def _server(config: uvicorn.Config) -> Any:
+    import uvicorn
+
+    class Server(uvicorn.Server):
+        """Waits for its end, where uvicorn looks ten times a second, and leaves signals to who started it."""
+
+        def __init__(self, config: uvicorn.Config) -> None:
+            super().__init__(config)
+            self.begun, self.over = asyncio.Event(), asyncio.Event()
+
+        @contextmanager
+        def capture_signals(self) -> Iterator[None]:
+            yield
+
+        async def main_loop(self) -> None:
+            self.begun.set()
+            await self.over.wait()
+
+    return Server(config)
+
+
+def _log() -> None:
+    """Show what goes wrong in this server, and not what clients do wrong."""
+    logging.getLogger("uvicorn.error").setLevel(logging.ERROR)

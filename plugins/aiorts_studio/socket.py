@@ -1,0 +1,204 @@
+"""One WebSocket for each client: many streams at once, each with a credit of items that the client takes.
+
+The client says `{"token": ...}` first, then `{"subscribe": id, "kernel": ..., "operation": ..., "arguments": {...},
+"credit": n}`, `{"credit": id, "items": n}` and `{"unsubscribe": id}`. The server says `{"right": ...}`, and of each
+stream, with its id, what the lines of one over HTTP say.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.control import Operation
+from aiorts.errors import AiortsError, RecordError
+from aiorts_studio.kernels import Visitor, entry_of, lines_of
+from aiorts_studio.offered import operation_of, patience
+from aiorts_studio.problems import HttpError, problem_of
+from aiorts_studio.values import LARGEST, json_in, json_out
+
+if TYPE_CHECKING:
+    from starlette.websockets import WebSocket
+
+    from aiorts_studio.api import Api
+
+GREETING_SECONDS: Final = 5.0
+"""Within which a client has to say its token."""
+STRANGERS: Final = 32
+"""WebSockets that have said none; of more the one that came first gives way."""
+CREDIT: Final = 4_096
+"""Items that a stream may be ahead of its client."""
+_REFUSED: Final = 1008
+_OVER: Final = 1001
+
+
+class Sockets:
+    """The WebSockets of one server."""
+
+    def __init__(self, api: Api) -> None:
+        self._api = api
+        self._strangers: dict[asyncio.Task[Any], None] = {}
+        self._by_client: dict[int, asyncio.Event] = {}
+
+    async def attend(self, socket: WebSocket) -> None:
+        """Carry one until it ends."""
+        await socket.accept()
+        try:
+            visitor = await self._greeted(socket)
+        except AiortsError as error:
+            await _close(socket, _REFUSED, str(error))
+            return
+        if visitor is not None:
+            await self._carry(socket, visitor)
+
+    async def _greeted(self, socket: WebSocket) -> Visitor | None:
+        """The client that says its token; None: it has gone. HttpError: it says none."""
+        asking = asyncio.create_task(socket.receive())
+        self._strangers[asking] = None
+        try:
+            if len(self._strangers) > STRANGERS:
+                next(iter(self._strangers)).cancel()
+            await asyncio.wait((asking,), timeout=GREETING_SECONDS)
+        finally:
+            del self._strangers[asking]
+            gives_way = asking.cancelled()
+            asking.cancel()
+        if gives_way or not asking.done():
+            raise HttpError(
+                401, "E-DENIED", "said no token" if not gives_way else "gave way to those that came after it"
+            )
+        message = asking.result()
+        if message["type"] == "websocket.disconnect":
+            return None
+        said = _object(message)
+        token = said.get("token")
+        return self._api.visitor(token if isinstance(token, str) else "")
+
+    async def _carry(self, socket: WebSocket, visitor: Visitor) -> None:
+        number, replaced = visitor.holder.number, asyncio.Event()
+        if (before := self._by_client.get(number)) is not None:
+            before.set()  # one that went without a word, or a page that was opened twice
+        self._by_client[number] = replaced
+        try:
+            await visitor.work(_Carrier(self._api, socket, visitor).carry(), replaced.wait)
+        finally:
+            if self._by_client.get(number) is replaced:
+                del self._by_client[number]
+        await _close(socket, _OVER, "the token has ended" if visitor.closed else "another has come in its place")
+
+
+class _Credit:
+    """The items that a client takes."""
+
+    def __init__(self, items: int) -> None:
+        self._left = items
+        self._more = asyncio.Event()
+
+    def add(self, items: int) -> None:
+        """It takes so many more."""
+        self._left = min(self._left + items, CREDIT)
+        self._more.set()
+
+    async def take(self) -> None:
+        """Wait until it takes one."""
+        while not self._left:
+            self._more.clear()
+            await self._more.wait()
+        self._left -= 1
+
+
+class _Carrier:
+    """The streams of one WebSocket."""
+
+    def __init__(self, api: Api, socket: WebSocket, visitor: Visitor) -> None:
+        self._api, self._socket, self._visitor = api, socket, visitor
+        self._streams: dict[int, tuple[asyncio.Task[None], _Credit]] = {}
+
+    async def carry(self) -> None:
+        """Do what the client says until it goes."""
+        await self._say({"right": self._api.right.value})
+        async with asyncio.TaskGroup() as group:
+            try:
+                while (message := await self._socket.receive())["type"] != "websocket.disconnect":
+                    try:
+                        self._visitor.requests.fill(time.monotonic())
+                        self._do(group, _object(message))
+                    except AiortsError as error:
+                        await self._say({"problem": problem_of(error)})
+            finally:
+                for task, _ in self._streams.values():
+                    task.cancel()
+
+    def _do(self, group: asyncio.TaskGroup, said: Mapping[str, Any]) -> None:
+        """Do what a message says; AiortsError: it says nothing that is known."""
+        if "subscribe" in said:
+            number = _whole(said, "subscribe")
+            if number in self._streams:
+                raise HttpError(409, "E-BUSY", f"a stream has the id {number} already")
+            kernel, name, arguments = said.get("kernel"), said.get("operation"), said.get("arguments", {})
+            if not (isinstance(kernel, str) and isinstance(name, str) and isinstance(arguments, dict)):
+                raise RecordError("subscribe: expected kernel and operation, and arguments as an object")
+            operation = operation_of(name, self._api.right)
+            if not operation.streams:
+                raise RecordError(f"{name}: does not stream; ask for it with POST")
+            credit = _Credit(min(_whole(said, "credit"), CREDIT))
+            running = group.create_task(self._stream(number, kernel, operation, arguments, credit))
+            self._streams[number] = running, credit
+        elif "unsubscribe" in said:
+            self._stream_of(_whole(said, "unsubscribe"))[0].cancel()
+        elif "credit" in said:
+            self._stream_of(_whole(said, "credit"))[1].add(_whole(said, "items"))
+        else:
+            raise RecordError("expected subscribe, unsubscribe or credit")
+
+    def _stream_of(self, number: int) -> tuple[asyncio.Task[None], _Credit]:
+        if number not in self._streams:
+            raise HttpError(404, "E-ABSENT", f"{number}: no such stream; it may have ended")
+        return self._streams[number]
+
+    async def _stream(
+        self, number: int, kernel: str, operation: Operation, arguments: Mapping[str, Any], credit: _Credit
+    ) -> None:
+        try:
+            entry = await entry_of(kernel)
+            with self._api.under_way.one(self._visitor.holder.number, entry.address):
+                client = await self._visitor.session(entry)
+                wait = patience(operation, arguments)
+                async with client.stream(operation.name, wait, **arguments) as stream:
+                    async for said in lines_of(stream, credit.take):
+                        await self._say({"id": number, **said})
+        except AiortsError as error:
+            await self._say({"id": number, "problem": problem_of(error)})
+        finally:
+            del self._streams[number]
+
+    async def _say(self, message: Mapping[str, Any]) -> None:
+        from starlette.websockets import WebSocketDisconnect
+
+        with suppress(WebSocketDisconnect):  # who reads notices
+            await self._socket.send_text(json_out(message).decode())
+
+
+def _object(message: Mapping[str, Any]) -> dict[str, Any]:
+    text = message.get("text")
+    value = json_in(text) if text is not None else None
+    if not isinstance(value, dict):
+        raise RecordError("expected an object, as text")
+    return value
+
+
+def _whole(said: Mapping[str, Any], name: str) -> int:
+    value = said.get(name)
+    if type(value) is not int or not 0 <= value <= LARGEST:
+        raise RecordError(f"{name}: expected a whole number")
+    return value
+
+
+async def _close(socket: WebSocket, code: int, why: str) -> None:
+    from starlette.websockets import WebSocketDisconnect
+
+    with suppress(WebSocketDisconnect, RuntimeError):  # it is closed already
+        await socket.close(code, why[:100])

@@ -1,0 +1,43 @@
+"""Which requests are answered, by their headers."""
+
+from __future__ import annotations
+
+import pytest
+
+from aiorts_studio.guard import refusal
+
+OURS = frozenset({"127.0.0.1:8080", "localhost:8080"})
+
+
+@pytest.mark.parametrize("host", sorted(OURS))
+def test_a_request_by_a_name_of_the_server_and_from_its_own_page_is_answered(host: str) -> None:
+    assert refusal([host], [], OURS, "http", needs_origin=False) == ""
+    for needs_origin in (False, True):
+        assert refusal([host], [f"http://{host}"], OURS, "http", needs_origin=needs_origin) == ""
+
+
+@pytest.mark.parametrize(
+    "hosts",
+    [
+        *([], [""], ["127.0.0.1"], ["127.0.0.1:80800"], ["127.0.0.1:8081"], ["evil.example:8080"], ["LOCALHOST:8080"]),
+        *(["127.0.0.1:8080", "127.0.0.1:8080"], ["localhost:8080.evil.example"], ["0.0.0.0:8080"], ["[::1]:8080"]),
+    ],
+)
+def test_a_name_that_leads_here_is_refused(hosts: list[str]) -> None:
+    assert "Host" in refusal(hosts, [], OURS, "http", needs_origin=False)
+
+
+@pytest.mark.parametrize(
+    "origins",
+    [
+        *(["http://evil.example"], ["null"], [""], ["http://127.0.0.1:8081"], ["http://127.0.0.1"], ["file://"]),
+        *(["https://127.0.0.1:8080"], ["http://localhost:8080"], ["http://127.0.0.1:8080.evil.example"]),
+        *(["http://127.0.0.1:8080/"], ["http://127.0.0.1:8080", "http://127.0.0.1:8080"]),
+    ],
+)
+def test_every_other_page_is_refused(origins: list[str]) -> None:
+    assert "Origin" in refusal(["127.0.0.1:8080"], origins, OURS, "http", needs_origin=False)
+
+
+def test_an_origin_that_is_needed_may_not_be_absent() -> None:
+    assert "Origin" in refusal(["127.0.0.1:8080"], [], OURS, "http", needs_origin=True)
