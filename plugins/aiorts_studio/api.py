@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -47,24 +47,20 @@ class Api:
         scheme, ours: as `Guard` takes them.
         right: what tokens allow.
         say: takes lines for who started the server.
+
+    Attributes:
         exchanged: is called when a code was exchanged.
     """
 
-    def __init__(
-        self,
-        scheme: str,
-        ours: Collection[str],
-        right: Right,
-        say: Callable[[str], None],
-        exchanged: Callable[[], object],
-    ) -> None:
+    def __init__(self, scheme: str, ours: Sequence[str], right: Right, say: Callable[[str], None]) -> None:
         self.right = right
         self.codes = Codes(self._ended)
         self.under_way = UnderWay()
-        self._say, self._exchanged = say, exchanged
+        self.exchanged: Callable[[], object] = _at_once
+        self._say = say
         self._visitors: dict[Holder, Visitor] = {}
         self._endings: set[asyncio.Task[None]] = set()
-        self._described = document(right, f"{scheme}://{min(ours)}")
+        self._described = document(right, f"{scheme}://{ours[0]}")
         self.app: App = Guard(self._routed(), scheme, ours, _is_large)
 
     def _routed(self) -> App:
@@ -114,17 +110,18 @@ class Api:
         if given.keys() != {"code"} or not isinstance(given["code"], str):
             raise RecordError('expected {"code": "..."}')
         token = self.codes.exchange(given["code"], time.monotonic())
-        self._exchanged()
+        self.exchanged()
         return _json({"token": token, "right": self.right.value})
 
     async def _end_token(self, request: Request) -> Response:
         from starlette.responses import Response
 
-        self.codes.end(self.visitor(_token(request)).holder, "its client has said so")
+        self.codes.end(self.visitor(_token(request)).holder)
         return Response(status_code=204)
 
     def _ended(self, holder: Holder, why: str) -> None:
-        self._say(f"client {holder.number}: its token has ended: {why}")
+        if why:
+            self._say(f"client {holder.number}: its token has ended: {why}")
         visitor = self._visitors.pop(holder, None)
         if visitor is not None:
             ending = asyncio.ensure_future(visitor.close())
@@ -133,7 +130,7 @@ class Api:
 
     async def close(self) -> None:
         """End all tokens, and what their clients have under way."""
-        self.codes.end_all("the server ends")
+        self.codes.end_all()
         if self._endings:
             await asyncio.wait(self._endings)
 
@@ -249,6 +246,10 @@ async def _http_problem(request: Request, error: Exception) -> Response:
     code = "E-ABSENT" if error.status_code == 404 else "E-RECORD"
     text = f"{request.method} {request.url.path[:80]}: {error.detail}"
     return await _problem(request, HttpError(error.status_code, code, text, error.headers or {}))
+
+
+def _at_once() -> None:
+    """Where nobody is to be told."""
 
 
 def _is_large(path: str) -> bool:
