@@ -115,11 +115,11 @@ class Session:
 
     # -- calls -----------------------------------------------------------------------------------------------------
 
-    def begin(self, number: int, operation: Operation, arguments: Any) -> None:
-        """Carry out a call, and send its answer."""
+    def begin(self, number: int, operation: Operation, arguments: Any, credit: int | None = None) -> None:
+        """Carry out a call, and send its answer; of a stream, as many items as there is `credit` for, or all."""
         if self.ended:
             return
-        stream = Stream(self, number) if operation.streams else None
+        stream = Stream(self, number, credit) if operation.streams else None
         try:
             value = operation.run(self, arguments) if stream is None else operation.run(self, arguments, stream)
             if not inspect.isawaitable(value):
@@ -170,6 +170,11 @@ class Session:
         elif (cancel := self._running.get(number)) is not None:
             cancel()
 
+    def credit(self, number: int, count: int) -> None:
+        """The client takes so many items more of a stream."""
+        if (stream := self._streams.get(number)) is not None:
+            stream.add_credit(count)
+
     def _succeed(self, number: int, operation: Operation, arguments: Any, value: Any, stream: Stream | None) -> None:
         self._audit(operation, arguments, "done")
         if operation.changes is not None and not self.ended:
@@ -219,9 +224,11 @@ class Stream:
         ended: whether nothing is sent any more.
     """
 
-    def __init__(self, session: Session, number: int) -> None:
+    def __init__(self, session: Session, number: int, credit: int | None = None) -> None:
         self.session = session
         self.ended = False
+        self._credit = credit
+        """Items that the client takes; None: it says nothing of that."""
         self._number = number
         self._made = 0
         self._gone = 0
@@ -235,7 +242,12 @@ class Stream:
     @property
     def has_room(self) -> bool:
         """Whether an item that is sent now is not dropped."""
-        return self._made - self._gone < WAITING and self.session._has_room()
+        return self._credit != 0 and self._made - self._gone < WAITING and self.session._has_room()
+
+    def add_credit(self, count: int) -> None:
+        """The client takes so many items more, where it says how many it takes."""
+        if self._credit is not None:
+            self._credit += count
 
     def on_close(self, closer: Callable[[], object]) -> None:
         """Call `closer` once when the stream ends, whoever ends it."""
@@ -246,7 +258,8 @@ class Stream:
         self._finish = flush
 
     def send(self, item: Any) -> bool:
-        """Send an item; False when it was dropped, since `WAITING` items wait: the next that goes says how many."""
+        """Send an item; False when it was dropped, since `WAITING` items wait or the client takes none: the next that
+        goes says how many."""
         if self.ended:
             return False
         if not self.has_room:
@@ -254,6 +267,8 @@ class Stream:
             return False
         missed, self._missed = self._missed, 0
         self._made += 1
+        if self._credit is not None:
+            self._credit -= 1
         self._pass({"id": self._number, "item": item, "missed": missed})
         return True
 

@@ -73,7 +73,7 @@ async def opened(kernel: Microkernel, where: Path, path: str, patience: float = 
     until = kernel.loop.time() + patience
     connected, address = await _connected(kernel, where, path, until)
     try:
-        session = await KernelSession.open(connected, address, f"kernel {kernel.service(Links).reached_as}")
+        session = await KernelSession.over(connected, address, f"kernel {kernel.service(Links).reached_as}")
     except (ClosedError, NoAnswerError) as error:
         why = "is lost" if isinstance(error, ClosedError) else "does not answer"
         raise LinkError(f"{path}: its kernel {where.kernel} {why}") from None

@@ -20,7 +20,7 @@ from anyio import to_thread
 from aiorts.errors import AiortsError, ClosedError, NoAnswerError, WireError
 from aiorts.sessions.base_client import END, TIMEOUT, BaseClient, refusal
 from aiorts.sessions.folder import CLOSING_SECONDS, Entry, is_listed
-from aiorts.sessions.protocol import ANSWERS, RightName
+from aiorts.sessions.protocol import ANSWERS, WAITING, RightName
 from aiorts.sessions.session import ITEMS, Answer, Call
 from aiorts.sessions.target import entry_named
 
@@ -89,12 +89,14 @@ class AsyncClient(BaseClient):
             AmbiguousError: several have it; says which.
             ControlError: it refuses the session, or speaks another protocol.
         """
-        until = asyncio.get_running_loop().time() + timeout
+        loop = asyncio.get_running_loop()
+        until = loop.time() + timeout
         entry = target if isinstance(target, Entry) else await to_thread.run_sync(entry_named, target)
-        return await cls(entry, who, right=right)._begun(await _connected(entry, until), until)
+        connected = await _connected(entry, until)
+        return await cls(entry, who, right=right).begin(connected, until - loop.time())
 
-    async def _begun(self, connected: socket.socket, until: float) -> Self:
-        """Begin over a connected socket; AiortsError: the kernel refuses the session, or does not answer."""
+    async def begin(self, connected: socket.socket, timeout: float) -> Self:
+        """Begin over a connected socket, which it owns from then on; errors as `open`."""
         loop = asyncio.get_running_loop()
         try:
             await loop.create_unix_connection(lambda: self._wire, sock=connected)
@@ -103,7 +105,7 @@ class AsyncClient(BaseClient):
             raise
         try:
             self._write(self._greeting())
-            await self._until(None, lambda: bool(self.hello), until - loop.time())
+            await self._until(None, lambda: bool(self.hello), timeout)
         except BaseException:
             self.close()
             raise
@@ -143,13 +145,41 @@ class AsyncClient(BaseClient):
         """An operation that streams; it begins where it is first waited for. Arguments as `call`."""
         return AsyncStream(self, operation, wait, arguments)
 
+    async def follow(self, operation: str, take: Callable[[Any], object], /, **arguments: object) -> None:
+        """Begin an operation that streams, and have `take` called with each item as it comes, until the session ends.
+
+        Raises as `call`. The session ends where `take` raises LookupError, TypeError or ValueError: it is no item.
+        """
+        call = await self._begin(operation, TIMEOUT, arguments, streams=True)
+        try:
+            (await self._next(call, TIMEOUT)).result()
+        except BaseException:
+            self._cancel(call)
+            raise
+        self._awaited[call] = partial(self._pass_on, call, take)
+        self._pass_on(call, take)
+
+    def _pass_on(self, call: Call, take: Callable[[Any], object]) -> None:
+        while call:
+            if (answer := call.take()).said == "item":
+                take(answer.value)
+            else:
+                self._session.leave(call)
+                self._awaited.pop(call, None)
+
     async def _begin(
-        self, operation: str, wait: float | None, arguments: Mapping[str, object], *, streams: bool = False
+        self,
+        operation: str,
+        wait: float | None,
+        arguments: Mapping[str, object],
+        *,
+        streams: bool = False,
+        window: int = 0,
     ) -> Call:
         self._session.check()
         if not self._wire.takes.is_set():
             await self._in_time(self._wire.takes.wait(), wait, "does not take what is sent")
-        call, frame = self._session.begin(operation, arguments, streams=streams)
+        call, frame = self._session.begin(operation, arguments, streams=streams, window=window)
         self._write(frame)
         return call
 
@@ -157,7 +187,9 @@ class AsyncClient(BaseClient):
         """The next that comes for a call; what has come before the session ended comes before its error."""
         if not call:
             await self._until(call, lambda: bool(call), wait)
-        return call.take()
+        answer, credit = self._session.take(call)
+        self._write(credit)
+        return answer
 
     async def _until(self, call: Call | None, there: Callable[[], bool], wait: float | None) -> None:
         await self._in_time(self._came(call, there), wait)
@@ -278,7 +310,7 @@ class AsyncStream:
         if self._call is not None:
             return self._call
         operation, wait, arguments = self._asked
-        call = self._call = await self.client._begin(operation, wait, arguments, streams=True)
+        call = self._call = await self.client._begin(operation, wait, arguments, streams=True, window=WAITING)
         try:
             self.began = (await self.client._next(call, wait)).result()
         except BaseException:

@@ -376,7 +376,13 @@ class Silent:
 
 
 def open_all(
-    found: Iterable[Entry], operation: str, *, timeout: float = 1.0, grace: float = 0.25, **arguments: object
+    found: Iterable[Entry],
+    operation: str,
+    *,
+    timeout: float = 1.0,
+    grace: float = 0.25,
+    right: RightName = "",
+    **arguments: object,
 ) -> tuple[list[tuple[Client, Any]], list[Silent]]:
     """Open a session with each kernel and make one call in each, all at the same time.
 
@@ -386,6 +392,7 @@ def open_all(
     Args:
         timeout: seconds to wait when none has answered, and for those that have said hello.
         grace: seconds to wait for the others once one has answered.
+        right: of `Client.open`.
 
     Returns:
         The sessions with the result of the call, in the order given; and who did not answer.
@@ -396,7 +403,7 @@ def open_all(
     until = time.monotonic() + grace
     for entry in found:
         try:
-            client = Client(entry, patience=until - time.monotonic())
+            client = Client(entry, right=right, patience=until - time.monotonic())
             number = client.begin(operation, **arguments)
         except errors.AbsentError:
             continue

@@ -1,13 +1,17 @@
 """The frames between a client and a kernel: four bytes of length, then one msgpack map.
 
-A client begins with hello: `{"hello": {"oldest": 1, "newest": 1, "who": "aiorts ls"}}`; the kernel answers with the
-protocol that both speak, its address and its epoch. Then calls go `{"id": 1, "op": "profile", "epoch": "...", "args":
-{...}}`, answered by one `{"id": 1, "ok": value}` or `{"id": 1, "error": {"code": ..., "text": ...}}`. An operation that
-streams goes on after its "ok" with `{"id": 1, "item": value, "missed": 0}` until `{"id": 1, "end": value}`, or until
-the client sends `{"id": 1, "cancel": true}`. Each call has one answer that is its last: an "error", an "end", or the
-"ok" of an operation that does not stream; one that is cancelled too. While the kernel's event loop is held up,
-`{"busy": seconds}` says so, before its hello, too. A client that ends its session in order says `{"bye": true}` before
-it closes. Keys that are not known are passed over, and so are answers to calls that have ended.
+A client begins with hello: `{"hello": {"oldest": 1, "newest": 1, "who": "aiorts ls", "right": "view"}}`, where `right`
+is the most that it wants to do ("view", "operate", "code"; all that the kernel allows where it says nothing); the
+kernel answers with the protocol that both speak, its address, its epoch, and the right that it gives: what is wanted,
+as far as it allows that. Then calls go `{"id": 1, "op": "profile", "epoch": "...", "args": {...}}`, answered by one
+`{"id": 1, "ok": value}` or `{"id": 1, "error": {"code": ..., "text": ...}}`. An operation that streams goes on after
+its "ok" with `{"id": 1, "item": value, "missed": 0}` until `{"id": 1, "end": value}`, or until the client sends
+`{"id": 1, "cancel": true}`. Its call may have `"credit": 256`: so many items are sent before the client says `{"id":
+1, "credit": 128}` for so many more, which a kernel takes whose hello has `"credits": true`; other items are missed.
+Each call has one answer that is its last: an "error", an "end", or the "ok" of an operation that does not stream; one
+that is cancelled too. While the kernel's event loop is held up, `{"busy": seconds}` says so, before its hello, too. A
+client that ends its session in order says `{"bye": true}` before it closes. Keys that are not known are passed over,
+and so are answers to calls that have ended.
 """
 
 from __future__ import annotations

@@ -106,10 +106,12 @@ class Heard:
 class Call:
     """One call: its state, and its answers that are not taken yet. One thread may take while another keeps."""
 
-    __slots__ = ("_came", "_kept", "_missed", "_taken", "number", "state", "streams")
+    __slots__ = ("_came", "_kept", "_missed", "_taken", "due", "number", "state", "streams", "window")
 
-    def __init__(self, number: int, *, streams: bool) -> None:
-        self.number, self.streams = number, streams
+    def __init__(self, number: int, *, streams: bool, window: int = 0) -> None:
+        self.number, self.streams, self.window = number, streams, window
+        self.due = 0
+        """Items that were taken, and for which the kernel has no new credit yet."""
         self.state: CallState = "opening"
         self._kept: deque[Answer] = deque()
         self._came = self._taken = 0
@@ -199,8 +201,13 @@ class ClientSession:
             hello["to"] = [self.address, self.epoch]
         return framed({"hello": hello})
 
-    def begin(self, operation: str, arguments: Mapping[str, object], *, streams: bool = False) -> tuple[Call, bytes]:
+    def begin(
+        self, operation: str, arguments: Mapping[str, object], *, streams: bool = False, window: int = 0
+    ) -> tuple[Call, bytes]:
         """A call that is under way once the bytes are sent.
+
+        Args:
+            window: items of a stream that the kernel may send before `take` gives it new credit; 0: all.
 
         Raises:
             LimitError: it is larger than a kernel takes; the session goes on.
@@ -208,12 +215,23 @@ class ClientSession:
         """
         self.check()
         number = self.last + 1
-        frame = framed({"id": number, "op": operation, "epoch": self.epoch, "args": arguments})
+        message = {"id": number, "op": operation, "epoch": self.epoch, "args": arguments}
+        frame = framed(message | {"credit": window} if window else message)
         if len(frame) > REQUESTS.frame:
             raise LimitError(f"a call of {len(frame)} bytes; at most {REQUESTS.frame} are allowed")
         self.last = number
-        call = self.calls[number] = Call(number, streams=streams)
+        call = self.calls[number] = Call(number, streams=streams, window=window)
         return call, frame
+
+    def take(self, call: Call) -> tuple[Answer, bytes]:
+        """The next answer of a call, as `Call.take`, and the bytes that give the kernel credit for more items."""
+        answer = call.take()
+        if call.window and answer.said == "item" and self.hello.get("credits"):
+            call.due += 1
+            if call.due * 2 >= call.window and call.state == "open" and self.error is None:
+                credit, call.due = call.due, 0
+                return answer, framed({"id": call.number, "credit": credit})
+        return answer, b""
 
     def cancel(self, call: Call) -> bytes:
         """Give a call up and have the kernel end it; the bytes for the kernel, or none where it has ended."""

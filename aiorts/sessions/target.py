@@ -19,6 +19,7 @@ from aiorts.model.names import split_path
 from aiorts.sessions.client import Client, Silent, open_all
 from aiorts.sessions.folder import Entry, entries, entry_at, is_listed
 from aiorts.sessions.many import said_by_many
+from aiorts.sessions.protocol import RightName
 
 T = TypeVar("T")
 FILES: Final = (".toml", ".xml", ".yaml", ".yml", ".mcap")
@@ -273,7 +274,11 @@ class Kernels:
 
 @contextmanager
 def kernels(
-    timeout: float = 1.0, select: Callable[[Entry], bool] | None = None, *, changing: bool = False
+    timeout: float = 1.0,
+    select: Callable[[Entry], bool] | None = None,
+    *,
+    changing: bool = False,
+    right: RightName = "",
 ) -> Iterator[Kernels]:
     """Open a session with each kernel of this user that runs.
 
@@ -281,13 +286,15 @@ def kernels(
         timeout: seconds to wait for the first answer.
         select: which kernels; all by default.
         changing: of `Kernels`.
+        right: the most that is to be done; by default "operate" where something is to be changed, else "view".
     """
     if _shared:
         yield from _anew(_shared[-1], select, changing=changing)
         return
     wanted = [one for one in entries() if select is None or select(one)]
-    running, asked = _told(wanted)
-    opened, silent = open_all(asked, "names", timeout=timeout)
+    right = right or ("operate" if changing else "view")
+    running, asked = _told(wanted, right)
+    opened, silent = open_all(asked, "names", timeout=timeout, right=right)
     running += [Running(client, names) for client, names in opened]
     running.sort(key=lambda one: one.client.entry.address)
     found = Kernels(running, silent, changing=changing)
@@ -299,7 +306,7 @@ def kernels(
         found.close()
 
 
-def _told(wanted: Sequence[Entry]) -> tuple[list[Running], list[Entry]]:
+def _told(wanted: Sequence[Entry], right: RightName) -> tuple[list[Running], list[Entry]]:
     """The kernels that are known without a session, which begins when it is wanted; and all others."""
     said = said_by_many(wanted, "names")
     running, others = [], []
@@ -308,8 +315,8 @@ def _told(wanted: Sequence[Entry]) -> tuple[list[Running], list[Entry]]:
         if names is None:
             others.append(one)
         else:
-            process = names.get("pid") or one.pid
-            running.append(Running(Client(Entry(one.address, process, one.epoch, one.path, True), later=True), names))
+            entry = Entry(one.address, names.get("pid") or one.pid, one.epoch, one.path, True)
+            running.append(Running(Client(entry, right=right, later=True), names))
     return running, others
 
 
@@ -318,8 +325,8 @@ _shared: Final[list[Kernels]] = []
 
 @contextmanager
 def sharing() -> Iterator[None]:
-    """Have all commands until the end of the block use the sessions that are open now."""
-    with kernels() as found:
+    """Have all commands until the end of the block, whatever they need, use the sessions that are open now."""
+    with kernels(right="code") as found:
         _shared.append(found)
         try:
             yield

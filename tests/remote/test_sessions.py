@@ -25,7 +25,7 @@ async def test_it_ends_and_says_so(message: dict[str, Any]) -> None:
     with theirs:
         loop = asyncio.get_running_loop()
         await loop.sock_sendall(theirs, framed({"hello": {"protocol": NEWEST, "epoch": "1", "right": "operate"}}))
-        session = await KernelSession.open(ours, "pc/left", "me")
+        session = await KernelSession.over(ours, "pc/left", "me")
         lost: list[int] = []
         session.lost = lambda: lost.append(1)
         following = asyncio.ensure_future(session.follow("events", lambda item: item["event"].get("component")))

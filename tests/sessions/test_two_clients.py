@@ -93,7 +93,7 @@ def of_blocking(client: Client) -> list[str]:
 async def of_loop(connected: socket.socket) -> list[str]:
     connected.setblocking(False)
     try:
-        session = await KernelSession.open(connected, "pc/k", "me")
+        session = await KernelSession.over(connected, "pc/k", "me")
     except AiortsError as error:
         return [error.code] * 3
     try:
@@ -220,7 +220,7 @@ async def test_a_call_that_is_too_large_harms_no_other() -> None:
         with socket.socket(socket.AF_UNIX) as connected:
             connected.connect(entry_of("large").path)
             connected.setblocking(False)
-            session = await KernelSession.open(connected, "pc/large", "me")
+            session = await KernelSession.over(connected, "pc/large", "me")
             with pytest.raises(LimitError, match="at most 524288"):
                 await session.call("part", components=["x" * 600_000])
             assert (await session.call("names"))["state"] == "open"
@@ -241,7 +241,7 @@ async def test_why_a_session_has_ended_is_what_a_call_raises(said: dict[str, Any
     ours.setblocking(False)
     with theirs:
         theirs.sendall(HELLO)
-        session = await KernelSession.open(ours, "pc/k", "me")
+        session = await KernelSession.over(ours, "pc/k", "me")
         lost: list[int] = []
         session.lost = lambda: lost.append(1)
         asked = asyncio.ensure_future(session.call("names"))
@@ -261,7 +261,7 @@ async def test_frames_of_a_newer_kernel_are_passed_over() -> None:
     ours.setblocking(False)
     with theirs:
         theirs.sendall(HELLO)
-        session = await KernelSession.open(ours, "pc/k", "me")
+        session = await KernelSession.over(ours, "pc/k", "me")
         asked = asyncio.ensure_future(session.call("names"))
         await asyncio.sleep(0)
         theirs.sendall(b"".join(framed(one) for one in (*newer, {"id": 1, "ok": "it"})))
@@ -278,7 +278,7 @@ async def test_a_kernel_of_another_protocol_has_no_members_here() -> None:
     with theirs:
         theirs.sendall(framed({"hello": {"protocol": 3, "epoch": "ab", "right": "code"}}))
         with fail_after(WAIT), pytest.raises(AiortsError, match="pc/k speaks protocol 3, this speaks 1"):
-            await KernelSession.open(ours, "pc/k", "me")
+            await KernelSession.over(ours, "pc/k", "me")
 
 
 def test_a_thread_that_reads_ahead_ends_with_its_client(tmp_path: Path) -> None:

@@ -67,7 +67,7 @@ def apply(
         return _together(pairs, choices, timeout, as_json=as_json)
     ((live, file),) = pairs
     parts = parts_of(wanted_of(file, changes, choices))
-    with kernels(changing=not dry_run) as found:
+    with kernels(changing=not dry_run, right="code") as found:
         client = found.kernel(live.rstrip("/")).client
         planned = client.call("plan", timeout, wanted=parts)
         check_steps(planned["steps"], file, changes, choices)
@@ -104,7 +104,7 @@ def _together(pairs: list[tuple[str, Path]], choices: Choices, timeout: float, *
     if unnamed := [str(file) for kernel, file in pairs if not kernel]:
         raise click.UsageError(f"{unnamed[0]}: of several files each needs its kernel: KERNEL={unnamed[0]}")
     wanted = [(kernel, file, parts_of(wanted_of(file, (), choices))) for kernel, file in pairs]
-    with kernels(changing=True) as found:
+    with kernels(changing=True, right="code") as found:
         meant = [(found.kernel(kernel.rstrip("/")), parts) for kernel, _, parts in wanted]
         if len({id(one) for one, _ in meant}) < len(meant):
             raise click.UsageError("a kernel is named twice")

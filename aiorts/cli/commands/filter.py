@@ -271,7 +271,7 @@ def _tap(word: str | None) -> Stream | None:
         if not one.component or not one.port:
             raise AbsentError(f"--connect {word}: name an out-port, as in COMPONENT.PORT; `aiorts ls -R` has all")
         entry = one.client.entry
-    client = Client.open(entry)
+    client = Client.open(entry, right="view")
     try:
         stream = client.stream("tap", port=one.path, frames=True)
         client.read_ahead()

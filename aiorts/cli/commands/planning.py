@@ -53,7 +53,7 @@ def plan_command(
     if live is not None and new is None:
         file = old
         parts = parts_of(wanted_of(file, changes, choices))
-        with kernels() as running:
+        with kernels(right="code") as running:
             found = running.kernel(live.rstrip("/")).client.call("plan", timeout, wanted=parts)
     elif live is None and new is not None:
         file = new

@@ -70,6 +70,7 @@ class Connection:
         self.carried = carried
         """Whether another carrier has let it in."""
         self.right = client.right
+        """What it may do: as much as it wants of what the kernel allows."""
         self.since = time.monotonic()
         self.session: Session | None = None
         self.closed = False
@@ -177,6 +178,14 @@ class Connection:
             if number in self._open:
                 self._listener.hand_over(Call(self, number, lambda: session.cancel(number), view=False))
             return
+        credit = request.get("credit")
+        if credit is not None and (type(credit) is not int or not 0 < credit < 2**31):
+            self.refuse(WireError(f"a call with a credit that is none: {credit!r:.50}"))
+            return
+        if credit is not None and "op" not in request:
+            if number in self._open:
+                self._listener.hand_over(Call(self, number, lambda: session.credit(number, credit), view=False))
+            return
         try:
             operation, arguments = self._checked(number, request)
         except AiortsError as error:
@@ -191,7 +200,7 @@ class Connection:
 
         def begin() -> None:
             with acting(access):
-                session.begin(number, operation, arguments)
+                session.begin(number, operation, arguments, credit)
 
         self._listener.hand_over(Call(self, number, begin, view=view))
 
@@ -206,9 +215,11 @@ class Connection:
         except ControlError as error:
             self._listener.warn(str(error))
             raise
+        self.right = _least(self.right, hello.get("right"))
         self.session = self._listener.greeted(self, who)
         self._over_at.pop("hello", None)
-        self._answer({"hello": {"protocol": protocol, **self._listener.hello, "right": self.right.value}})
+        own = {"protocol": protocol, "credits": True, "right": self.right.value}
+        self._answer({"hello": {**self._listener.hello, **own}})
 
     def _checked(self, number: int, request: dict[Any, Any]) -> tuple[Operation, Any]:
         """What is called, and with what; raises when it may not be."""
@@ -224,19 +235,27 @@ class Connection:
         arguments = from_plain(operation.arguments, request.get("args", {}), unknown=unknown)
         if unknown:
             raise ControlError(f"{name}: no argument {', '.join(unknown)[:200]}; this kernel is of another release")
-        needed, right = operation.needed(arguments), self.right
-        if not right.allows(needed):
-            text = f"{name}: needs the right {needed.value!r}, and this kernel allows {right.value!r}"
-            why = " to this client: over a network it takes --allow-control, and a name that may operate"
-            if needed is Right.CODE:
-                why = " to this client: code is never taken over a network"
-            raise DeniedError(f"{text}{why}" if self.carried else text)
+        needed = operation.needed(arguments)
+        if not self.right.allows(needed):
+            raise DeniedError(f"{name}: needs the right {needed.value!r}, and {self._why_not(needed)}")
         if number in self._open:
             raise BusyError(f"{name}: a call with the number {number} runs already")
         if len(self._open) >= WAITING:
             raise BusyError(f"{name}: {WAITING} calls of this client wait already; wait for their answers")
         self.client.check_calls(operation.name)
         return operation, arguments
+
+    def _why_not(self, needed: Right) -> str:
+        """Why the client may not do what needs a right, and how it might."""
+        allowed = self.client.right
+        if allowed.allows(needed):
+            return f"this client asked for {self.right.value!r}; its hello is to ask for {needed.value!r}"
+        said = f"this kernel allows {allowed.value!r}"
+        if not self.carried:
+            return f"{said}; start it with --control on"
+        if needed is Right.CODE:
+            return f"{said} to this client: code is never taken over a network"
+        return f"{said} to this client: over a network it takes --allow-control, and a name that may operate"
 
     def refuse(self, error: AiortsError) -> None:
         """Say what is wrong, and end the session."""
@@ -321,6 +340,16 @@ class Connection:
         self.unsent = 0
         while self._out:
             self._out.popleft()[1]()
+
+
+def _least(allowed: Right, wanted: object) -> Right:
+    """What a client may do that wants this right; who says nothing of it wants all that the kernel allows."""
+    if wanted is None:
+        return allowed
+    for right in Right:
+        if right.value == wanted:
+            return right if allowed.allows(right) else allowed
+    raise ControlError(f"hello: right: expected {', '.join(one.value for one in Right)}, got {wanted!r:.50}")
 
 
 def turn_away(connected: socket.socket, error: AiortsError) -> None:

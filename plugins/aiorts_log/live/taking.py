@@ -129,7 +129,7 @@ class Taking:
 
     def _stream(self, path: str) -> Stream:
         if self._opened >= _TAPS * len(self._clients):
-            self._clients.append(Client.open(self._client.entry))
+            self._clients.append(Client.open(self._client.entry, right="view"))
         self._opened += 1
         return self._clients[-1].stream("tap", port=path, frames=True)
 

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+from typing import Final
+
 import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.showing import json_option, say_done, timeout_option
 from aiorts.cli.commands.live.target import complete, kernels
 from aiorts.cli.console.output import say, say_json
+from aiorts.control.operation import is_code
+from aiorts.sessions import RightName
+
+_NO_TEXT: Final = re.compile(r"[-+0-9.,e_\s\[\]()]*|true|false|yes|no|on|off|none|null|[-+]?(nan|inf)", re.IGNORECASE)
 
 
 @click.group(short_help="Create and remove components; members of composites.")
@@ -34,10 +42,11 @@ def create(
     if "=" in name:
         name, params = "", (name, *params)
     kernel, slash, bare = name.rpartition("/")
-    with kernels(changing=True) as found:
+    values = pairs(params)
+    with kernels(changing=True, right=right_for(values.values(), code=is_code(type_))) as found:
         running = found.kernel(kernel if slash else "")
         done = running.client.call(
-            "create", 30.0 + 2 * timeout, type=absolute(type_), name=bare, params=pairs(params), context=context,
+            "create", 30.0 + 2 * timeout, type=absolute(type_), name=bare, params=values, context=context,
             activate=activate, timeout=timeout,
         )  # fmt: skip
         if as_json:
@@ -96,6 +105,15 @@ def absolute(kind: str) -> str:
     from os.path import abspath, expanduser
 
     return f"{abspath(expanduser(file))}:{name}" if sign else abspath(expanduser(file))
+
+
+def right_for(values: Iterable[str], *, code: bool = False) -> RightName:
+    """The right that setting parameters needs: "code" where a value is a text, since that may name a file.
+
+    Args:
+        code: whether code is named anyway.
+    """
+    return "code" if code or not all(map(_NO_TEXT.fullmatch, values)) else "operate"
 
 
 def pairs(words: tuple[str, ...]) -> dict[str, str]:

@@ -9,6 +9,7 @@ from typing import Any, Final
 import click
 
 from aiorts import exits
+from aiorts.cli.commands.live.components import right_for
 from aiorts.cli.commands.live.showing import json_option, say_done, timeout_option
 from aiorts.cli.commands.live.target import Found, Kernels, complete, complete_changes, kernels
 from aiorts.cli.console.output import say, say_json, table
@@ -54,7 +55,9 @@ def conf(
     changing = bool(values or activate or add or remove)
     if (dump is not None) + (load is not None) + changing > 1:
         raise click.UsageError("--dump, --load and changes each need a command of their own")
-    with kernels(changing=changing or load is not None) as found:
+    texts = (value for of_set in values.values() for value in of_set.values())
+    right = right_for(texts, code=load is not None) if changing or load is not None else "view"
+    with kernels(changing=right != "view", right=right) as found:
         if dump is not None or load is not None:
             return _file(found, name, dump, load, timeout, as_json=as_json)
         if not name:

@@ -13,6 +13,7 @@ from aiorts.cli.commands.live.ledger import ledger_text
 from aiorts.cli.commands.live.showing import json_option, say_done, say_kernels, timeout_option
 from aiorts.cli.commands.live.target import Found, Kernels, Running, complete, kernels, the_one
 from aiorts.cli.console.output import counted, say, say_json
+from aiorts.control.operation import converters_read
 from aiorts.errors import ControlError
 from aiorts.model.options import OWN_KEYS
 
@@ -60,7 +61,7 @@ def connect(
         raise click.UsageError("--both-ends is for listing: name one port, component or kernel, or none")
     if "convert" in options:
         options["convert"] = absolute(options["convert"])
-    with kernels(changing=len(paths) > 1) as found:
+    with kernels(changing=len(paths) > 1, right="code" if converters_read(options) else "") as found:
         if len(paths) < 2:
             return _list(found, paths, wait, both_ends=both_ends, as_json=as_json)
         ports = [port_of(found, path) for path in paths]

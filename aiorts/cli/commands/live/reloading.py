@@ -38,7 +38,7 @@ def reload(what: str, kernel: str, cycles: int, seconds: float, window: float, t
     parameters stay. It returns when the new code has done its first cycles; when it fails in them, or before, all is
     as it was. With --window also when overruns or drops are more than before, or rates lower: the figure is named.
     """
-    with kernels(changing=True) as found:
+    with kernels(changing=True, right="code") as found:
         client, meant = _meant(found, what, kernel)
         done = client.call("reload", 60.0 + 4 * timeout + seconds + 2 * window, type=meant, cycles=cycles,
                            seconds=seconds, timeout=timeout, window=window)  # fmt: skip

@@ -17,6 +17,7 @@ from aiorts.cli.commands.live.target import Running, kernels
 from aiorts.cli.console.output import say_line, say_now
 from aiorts.cli.console.report import say
 from aiorts.errors import ClosedError
+from aiorts.sessions import RightName
 
 Show = Callable[[Counters], bool]
 """Prints what a reading says; False where it says nothing yet."""
@@ -51,9 +52,10 @@ def _follow(
     begin: Callable[[Running, tuple[Edge, ...]], Show],
     *,
     timed: bool = False,
+    right: RightName = "view",
 ) -> int:
     """Read the counters of what a name means until it is enough, or the kernel ends."""
-    with kernels(timeout) as found:
+    with kernels(timeout, right=right) as found:
         running, meant = find_edges(found, name)
         show = begin(running, meant)
         names = [edge.name for edge in meant]
@@ -168,7 +170,7 @@ def delay(name: str, interval: float, duration: float | None, count: int | None,
 
         return show
 
-    return _follow(name, interval, duration, count, timeout, begin, timed=True)
+    return _follow(name, interval, duration, count, timeout, begin, timed=True, right="operate")
 
 
 _TIMED: Final = ("latency", "age")
