@@ -8,12 +8,12 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, TypeVar
 
 from anyio import to_thread
 
 from aiorts.control import Right
-from aiorts.errors import AbsentError, AmbiguousError, ClosedError
+from aiorts.errors import AbsentError, AmbiguousError, ClosedError, DeniedError
 from aiorts.late import dataclass
 from aiorts.sessions import END, AsyncClient, AsyncStream, Entry, entries
 from aiorts_studio.codes import Holder
@@ -101,12 +101,15 @@ class Visitor:
         return await asyncio.shield(opening)
 
     async def _open(self, entry: Entry) -> AsyncClient:
-        right: Literal["view", "operate", "code"] = self._right.value
-        client = await AsyncClient.open(entry, timeout=_OPEN, who=f"aiorts studio {self.holder.number}", right=right)
+        who = f"aiorts studio, client {self.holder.number}"
+        client = await AsyncClient.open(entry, timeout=_OPEN, who=who, right=self._right.value)
+        given = Right(client.right)
+        if not self.closed and self._right.allows(given):
+            return client
+        await client.aclose()
         if self.closed:
-            await client.aclose()
             raise ClosedError("the token has ended")
-        return client
+        raise DeniedError(f"{entry.address}: is of a release that gives {given.value!r} whatever is asked; not used")
 
     async def work(self, work: Coroutine[Any, Any, T], gone: Callable[[], Awaitable[object]]) -> T | None:
         """Carry something out for as long as its client is there; None: it has gone, or its token has ended.
