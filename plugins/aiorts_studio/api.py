@@ -7,7 +7,11 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
+from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
+
+from anyio import to_thread
 
 from aiorts.control import Operation, Right
 from aiorts.errors import AiortsError, ClosedError, RecordError
@@ -27,6 +31,17 @@ if TYPE_CHECKING:
 
 JSON: Final = "application/json"
 LINES: Final = "application/x-ndjson"
+PAGES: Final = MappingProxyType(
+    {
+        ".css": "text/css",
+        ".html": "text/html",
+        ".js": "text/javascript",
+        ".json": JSON,
+        ".png": "image/png",
+        ".svg": "image/svg+xml",
+    }
+)
+"""Of the files that pages are made of: what each is, by the ending of its name."""
 _STYLE: Final = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem }
 :root { color-scheme: light dark }
@@ -47,13 +62,22 @@ class Api:
         scheme, ours: as `Guard` takes them.
         right: what tokens allow.
         say: takes lines for who started the server.
+        pages: files of the user's own pages, by their names in the address.
 
     Attributes:
         exchanged: is called when a code was exchanged.
     """
 
-    def __init__(self, scheme: str, ours: Sequence[str], right: Right, say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        scheme: str,
+        ours: Sequence[str],
+        right: Right,
+        say: Callable[[str], None],
+        pages: Mapping[str, Path] = MappingProxyType({}),
+    ) -> None:
         self.right = right
+        self._pages = pages
         self.codes = Codes(self._ended)
         self.under_way = UnderWay()
         self.exchanged: Callable[[], object] = _at_once
@@ -81,6 +105,7 @@ class Api:
                 Route("/docs", fixed(lambda: HTMLResponse(docs))),
                 Route("/studio.css", fixed(lambda: Response(_STYLE, media_type="text/css"))),
                 Route("/openapi.json", fixed(lambda: _json(self._described))),
+                Route("/pages/{name}", self._page),
                 Route(EXCHANGE, self._exchange, methods=["POST"]),
                 Route(EXCHANGE, self._end_token, methods=["DELETE"]),
                 Route("/api/kernels", self._kernels),
@@ -91,6 +116,19 @@ class Api:
         )
         app.router.redirect_slashes = False
         return app  # type: ignore[no-any-return]
+
+    async def _page(self, request: Request) -> Response:
+        from starlette.responses import Response
+
+        name = request.path_params["name"]
+        if name not in self._pages:
+            raise HttpError(404, "E-ABSENT", f"/pages/{name:.80}: there is none")
+        path = self._pages[name]
+        try:
+            content = await to_thread.run_sync(path.read_bytes)
+        except OSError as error:
+            raise HttpError(404, "E-ABSENT", f"/pages/{name}: {error.strerror}") from None
+        return Response(content, media_type=PAGES[path.suffix])
 
     # -- tokens ----------------------------------------------------------------------------------------------------
 

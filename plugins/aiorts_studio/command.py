@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import signal
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -14,6 +15,9 @@ from aiorts import exits
 from aiorts.control import Right
 from aiorts.errors import ConfigurationError, MissingExtra
 from aiorts_studio.entrance import Entrance, Invitation, invitations
+
+if TYPE_CHECKING:
+    from ssl import SSLContext
 
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -24,6 +28,12 @@ _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 @click.option("--port", type=click.IntRange(0, 65_535), default=0, help="Listen there; 0 is any that is free.")
 @click.option("--edit", is_flag=True, help="Clients may change what runs; else they only look.")
 @click.option("--open", "opens", is_flag=True, help="Open the browser.")
+@click.option(
+    "--pages",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    metavar="FOLDER",
+    help="Serve pages of yours at /pages/NAME: the files that are in FOLDER now.",
+)
 @click.option("--bind", metavar="ADDRESS", help="Listen at this address, for other machines; needs --certs.")
 @click.option(
     "--certs",
@@ -39,6 +49,7 @@ def studio(
     port: int,
     edit: bool,
     opens: bool,
+    pages: Path | None,
     bind: str | None,
     certificates: Path | None,
     name: str,
@@ -61,24 +72,30 @@ def studio(
     for needed in ("starlette", "uvicorn", "websockets"):
         if find_spec(needed) is None:
             raise MissingExtra("aiorts studio", needed, "studio")
-    return asyncio.run(_serve(port, Right.OPERATE if edit else Right.VIEW, bind, certificates, name, opens=opens))
+    from aiorts_studio.api import PAGES
+    from aiorts_studio.serving import HOST, secured
+
+    tls, names = (None, (HOST, "localhost")) if certificates is None else secured(certificates, name, bind or HOST)
+    right = Right.OPERATE if edit else Right.VIEW
+    files = () if pages is None else sorted(pages.iterdir())
+    shown = {one.name: one for one in files if one.suffix in PAGES and one.is_file()}
+    return asyncio.run(_serve(names, port, tls, right, shown, opens=opens))
 
 
 async def _serve(
-    port: int, right: Right, bind: str | None, certificates: Path | None, name: str, *, opens: bool
+    names: Sequence[str], port: int, tls: SSLContext | None, right: Right, pages: Mapping[str, Path], *, opens: bool
 ) -> int:
     from aiorts_studio.api import Api
-    from aiorts_studio.serving import HOST, bound, secured, served
+    from aiorts_studio.serving import bound, served
 
     loop, over = asyncio.get_running_loop(), asyncio.Event()
     for number in _SIGNALS:
         loop.add_signal_handler(number, over.set)
-    tls, names = (None, (HOST, "localhost")) if certificates is None else secured(certificates, name, bind or HOST)
-    listening = bound(bind or HOST, port)
+    listening = bound(names[0], port)
     hosts = [f"[{one}]" if ":" in one else one for one in names]
     ours = [f"{one}:{listening.getsockname()[1]}" for one in hosts]
     scheme = "http" if tls is None else "https"
-    api = Api(scheme, ours, right, _say)
+    api = Api(scheme, ours, right, _say, pages)
     entrance = Entrance(f"{scheme}://{ours[0]}", api.codes)
     api.exchanged = entrance.remove_redirect
     async with entrance.open(), served(listening, api.app, tls):
