@@ -10,18 +10,18 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.control.operation import Operation, Right
+    from aiorts.control.operation import Operation, Right, converters_read, is_code
     from aiorts.control.operations import OPERATIONS
     from aiorts.control.server.service import Control
     from aiorts.control.session import Session
     from aiorts.model.plain import Schemas
 
-__all__ = ("OPERATIONS", "Control", "Operation", "Right", "Schemas", "Session")
+__all__ = ("OPERATIONS", "Control", "Operation", "Right", "Schemas", "Session", "converters_read", "is_code")
 
 _late(
     globals(),
     {
-        "aiorts.control.operation": "Operation Right",
+        "aiorts.control.operation": "Operation Right converters_read is_code",
         "aiorts.control.operations": "OPERATIONS",
         "aiorts.control.server.service": "Control",
         "aiorts.control.session": "Session",

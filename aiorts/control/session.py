@@ -171,7 +171,7 @@ class Session:
             cancel()
 
     def credit(self, number: int, count: int) -> None:
-        """The client takes so many items more of a stream."""
+        """The client takes so many items more of a stream. In the thread of the socket."""
         if (stream := self._streams.get(number)) is not None:
             stream.add_credit(count)
 
@@ -228,7 +228,7 @@ class Stream:
         self.session = session
         self.ended = False
         self._credit = credit
-        """Items that the client takes; None: it says nothing of that."""
+        """How many items the client takes in all, counted by the thread of the socket; None: it does not say."""
         self._number = number
         self._made = 0
         self._gone = 0
@@ -242,7 +242,8 @@ class Stream:
     @property
     def has_room(self) -> bool:
         """Whether an item that is sent now is not dropped."""
-        return self._credit != 0 and self._made - self._gone < WAITING and self.session._has_room()
+        taken = self._credit is None or self._made < self._credit
+        return taken and self._made - self._gone < WAITING and self.session._has_room()
 
     def add_credit(self, count: int) -> None:
         """The client takes so many items more, where it says how many it takes."""
@@ -267,8 +268,6 @@ class Stream:
             return False
         missed, self._missed = self._missed, 0
         self._made += 1
-        if self._credit is not None:
-            self._credit -= 1
         self._pass({"id": self._number, "item": item, "missed": missed})
         return True
 

@@ -20,8 +20,8 @@ from anyio import to_thread
 from aiorts.errors import AiortsError, ClosedError, NoAnswerError, WireError
 from aiorts.sessions.base_client import END, TIMEOUT, BaseClient, refusal
 from aiorts.sessions.folder import CLOSING_SECONDS, Entry, is_listed
-from aiorts.sessions.protocol import ANSWERS, WAITING, RightName
-from aiorts.sessions.session import ITEMS, Answer, Call
+from aiorts.sessions.protocol import ANSWERS, RightName
+from aiorts.sessions.session import ITEMS, WINDOW, Answer, Call
 from aiorts.sessions.target import entry_named
 
 _LAST: Final = 1.0
@@ -184,9 +184,15 @@ class AsyncClient(BaseClient):
         return call
 
     async def _next(self, call: Call, wait: float | None) -> Answer:
-        """The next that comes for a call; what has come before the session ended comes before its error."""
+        """The next that comes for a call; what has come before the session ended comes before its error.
+
+        Raises:
+            ClosedError: the call was given up meanwhile, or the session has ended.
+        """
         if not call:
-            await self._until(call, lambda: bool(call), wait)
+            await self._until(call, lambda: bool(call) or call.given_up, wait)
+        if not call:
+            raise ClosedError(f"{self.entry.address}: the stream was closed")
         answer, credit = self._session.take(call)
         self._write(credit)
         return answer
@@ -218,8 +224,7 @@ class AsyncClient(BaseClient):
 
     def _cancel(self, call: Call) -> None:
         self._write(self._session.cancel(call))
-        if (wake := self._awaited.get(call)) is not None:
-            wake()
+        self._wake(call)
 
     # -- the socket ------------------------------------------------------------------------------------------------
 
@@ -280,7 +285,8 @@ class AsyncClient(BaseClient):
 class AsyncStream:
     """The items of an operation that streams, in order; `async for` waits for the next.
 
-    It ends in the kernel where it is left: by `break`, an exception, `close()` or the end of `async with`.
+    It ends in the kernel by `close()`, at the end of `async with`, and where nothing refers to it any more: as after
+    `break`, or an exception, in `async for item in client.stream(...)`.
 
     Attributes:
         began: what the operation said when it began.
@@ -310,7 +316,7 @@ class AsyncStream:
         if self._call is not None:
             return self._call
         operation, wait, arguments = self._asked
-        call = self._call = await self.client._begin(operation, wait, arguments, streams=True, window=WAITING)
+        call = self._call = await self.client._begin(operation, wait, arguments, streams=True, window=WINDOW)
         try:
             self.began = (await self.client._next(call, wait)).result()
         except BaseException:

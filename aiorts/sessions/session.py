@@ -1,7 +1,7 @@
 """A client's session with a kernel, without its socket: bytes in; answers, and bytes out.
 
-It has no socket, thread, loop or time: the blocking `Client` and `aiorts.remote.session`, on an event loop, drive the
-same one. Two tables say what it does: `SESSION` with each frame that comes, `CALL` with each answer to a call.
+It has no socket, thread, loop or time: the blocking `Client` and the `AsyncClient` of an event loop drive the same one.
+Two tables say what it does: `SESSION` with each frame that comes, `CALL` with each answer to a call.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ from aiorts.sessions.protocol import (
 
 ITEMS: Final = 4_096
 """Items of a stream that are kept for a taker that is behind, where its credit is limited."""
+WINDOW: Final = 1_024
+"""Items of a stream that a kernel may send to a taker on a loop before more are taken: of half of them it hears in
+time, also while it holds calls back for half a second."""
 BYTES: Final = 32 << 20
 """Bytes of them, as they came; one alone may be larger."""
 
@@ -106,10 +109,12 @@ class Heard:
 class Call:
     """One call: its state, and its answers that are not taken yet. One thread may take while another keeps."""
 
-    __slots__ = ("_came", "_kept", "_missed", "_taken", "due", "number", "state", "streams", "window")
+    __slots__ = ("_came", "_kept", "_missed", "_taken", "due", "given_up", "number", "state", "streams", "window")
 
     def __init__(self, number: int, *, streams: bool, window: int = 0) -> None:
         self.number, self.streams, self.window = number, streams, window
+        self.given_up = False
+        """Whether this end wants nothing of it any more."""
         self.due = 0
         """Items that were taken, and for which the kernel has no new credit yet."""
         self.state: CallState = "opening"
@@ -149,8 +154,9 @@ class Call:
         missed, self._missed = self._missed, 0
         return missed
 
-    def clear(self) -> None:
-        """Drop the answers that are kept."""
+    def give_up(self) -> None:
+        """Want nothing of it any more: the answers that are kept are dropped."""
+        self.given_up = True
         self._kept.clear()
 
 
@@ -245,7 +251,7 @@ class ClientSession:
     def _step(self, call: Call, said: Said) -> Do:
         call.state, do = CALL[call.state][said]
         if said == "cancel" or said == "leave":
-            call.clear()
+            call.give_up()
         if do == "forget":
             self.calls.pop(call.number, None)
         return do

@@ -286,13 +286,12 @@ def kernels(
         timeout: seconds to wait for the first answer.
         select: which kernels; all by default.
         changing: of `Kernels`.
-        right: the most that is to be done; by default "operate" where something is to be changed, else "view".
+        right: of `Client.open`.
     """
     if _shared:
         yield from _anew(_shared[-1], select, changing=changing)
         return
     wanted = [one for one in entries() if select is None or select(one)]
-    right = right or ("operate" if changing else "view")
     running, asked = _told(wanted, right)
     opened, silent = open_all(asked, "names", timeout=timeout, right=right)
     running += [Running(client, names) for client, names in opened]
@@ -326,7 +325,7 @@ _shared: Final[list[Kernels]] = []
 @contextmanager
 def sharing() -> Iterator[None]:
     """Have all commands until the end of the block, whatever they need, use the sessions that are open now."""
-    with kernels(right="code") as found:
+    with kernels() as found:
         _shared.append(found)
         try:
             yield
@@ -420,7 +419,7 @@ PATIENCE: Final = 0.05
 
 def likely(incomplete: str) -> list[str]:
     """The words that the beginning of one may mean: components, their ports after a dot, kernels with a slash."""
-    with kernels(PATIENCE) as found:
+    with kernels(PATIENCE, right="view") as found:
         head, dot, _ = incomplete.rpartition(".")
         if dot:
             words = [f"{head}.{port}" for one in outlines(found, head) for port in one["ports"]]

@@ -9,7 +9,7 @@ import click
 
 from aiorts import exits, import_types
 from aiorts.errors import AbsentError, AmbiguousError, ClosedError, NoAnswerError
-from aiorts.sessions import Client, entries, kernels
+from aiorts.sessions import AsyncClient, entries
 from aiorts_foxglove.admission import ORIGINS
 from aiorts_foxglove.serving import Serving, goodbye
 
@@ -66,12 +66,12 @@ async def _serve(kernel: str, port: int, origins: frozenset[str], *, wait: bool)
             _say(f"{client.entry.name}: is there again")
 
 
-async def _found(word: str, *, wait: bool) -> Client:
+async def _found(word: str, *, wait: bool) -> AsyncClient:
     """A session with the kernel that a word means; AiortsError where there is none, unless it is waited for."""
     said = False
     while True:
         try:
-            return await asyncio.to_thread(_opened, word)
+            return await AsyncClient.open(word, right="view")
         except AmbiguousError:
             raise
         except (AbsentError, NoAnswerError, ClosedError) as error:
@@ -81,12 +81,6 @@ async def _found(word: str, *, wait: bool) -> Client:
                 said = True
                 _say(f"{error}; waiting for it")
         await asyncio.sleep(_POLL)
-
-
-def _opened(word: str) -> Client:
-    with kernels() as found:
-        entry = found.kernel(word).client.entry
-    return Client.open(entry)
 
 
 def _say(text: str) -> None:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Collection, Mapping
-from contextlib import suppress
+from contextlib import aclosing, suppress
 from http import HTTPStatus
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import ConfigurationError, MissingExtra, WireError
-from aiorts.sessions import Client
+from aiorts.sessions import AsyncClient
 from aiorts_foxglove import protocol
 from aiorts_foxglove.admission import VIEWERS, refusal
 from aiorts_foxglove.channels import Channel, Kind
-from aiorts_foxglove.source import Batch, Source
+from aiorts_foxglove.source import Source
 from aiorts_foxglove.viewer import Viewer
 
 if TYPE_CHECKING:
@@ -47,25 +47,21 @@ class Serving:
         self._troubles: dict[str, tuple[int, str]] = {}
         """What is said to every viewer, by key."""
         self._source: Source | None = None
-        self._over: asyncio.Future[str] | None = None
 
     # -- the kernel ------------------------------------------------------------------------------------------------
 
-    async def show(self, client: Client) -> str:
-        """Show a kernel until it ends; returns why it has."""
-        loop = asyncio.get_running_loop()
-        self._over = loop.create_future()
-        self._session = client.entry.name, client.entry.epoch
-        self._trouble("kernel", "")
-        self._source = source = Source(client, self, loop.call_soon_threadsafe)
-        self._show()
-        source.start()
-        try:
-            return await self._over
-        finally:
-            source.close()
-            self._source = None
-            self.ports({})
+    async def show(self, client: AsyncClient) -> str:
+        """Show a kernel until it ends, with a session that ends then, too; returns why it has."""
+        async with aclosing(client):
+            self._session = client.entry.name, client.entry.epoch
+            self._trouble("kernel", "")
+            self._source = source = Source(client, self)
+            self._show()
+            try:
+                return await source.run()
+            finally:
+                self._source = None
+                self.ports({})
 
     def gone(self, text: str) -> None:
         """Say to all viewers, also those that come, that the kernel is not there."""
@@ -87,22 +83,20 @@ class Serving:
             self._show()
             self._watch()
 
-    def samples(self, batch: Batch) -> None:
+    def sample(self, port: str, time_ns: int, payload: bytes) -> None:
         """See `Audience`."""
-        for port, time_ns, payload in batch.samples:
-            if (channel := self._by_port.get(port)) is not None:
-                for viewer in self._viewers:
-                    if channel.number in viewer.wanted:
-                        viewer.offer(channel.number, time_ns, payload)
-        for port, missed in batch.missed.items():
-            if (channel := self._by_port.get(port)) is not None:
-                for viewer in self._viewers:
-                    if channel.number in viewer.wanted:
-                        viewer.lose(missed)
-        for port, text in batch.unfit.items():
-            self._trouble(f"port {port}", f"{port}: samples that cannot be shown: {text}")
-        if batch.samples:
-            self.time(max(time_ns for _, time_ns, _ in batch.samples))
+        if (channel := self._by_port.get(port)) is not None:
+            for viewer in self._viewers:
+                if channel.number in viewer.wanted:
+                    viewer.offer(channel.number, time_ns, payload)
+        self.time(time_ns)
+
+    def lost(self, port: str, count: int) -> None:
+        """See `Audience`."""
+        if (channel := self._by_port.get(port)) is not None:
+            for viewer in self._viewers:
+                if channel.number in viewer.wanted:
+                    viewer.lose(count)
 
     def time(self, time_ns: int) -> None:
         """See `Audience`."""
@@ -113,11 +107,6 @@ class Serving:
         """See `Audience`."""
         name = about or self._session[0]
         self._trouble(f"port {about}" if about else "kernel", text and f"{name}: {text.removeprefix(f'{name}: ')}")
-
-    def ended(self, why: str) -> None:
-        """See `Audience`."""
-        if self._over is not None and not self._over.done():
-            self._over.set_result(why)
 
     def _trouble(self, key: str, text: str, level: int = protocol.WARNING) -> None:
         if self._troubles.get(key) == (level, text):

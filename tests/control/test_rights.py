@@ -53,7 +53,7 @@ async def test_the_kernel_gives_the_smaller_of_what_is_wanted_and_what_it_allows
         refused = await refusals(client)
     assert refused.keys() == {right for right in CALLS if not given.allows(right)}
     for right, text in refused.items():
-        asked = f"this client asked for {wanted!r}; its hello is to ask for {right.value!r}"
+        asked = f"this client asked for {wanted!r}; begin the session with right={right.value!r}"
         why = asked if allowed.allows(right) else f"this kernel allows {mode!r}; start it with --control on"
         assert text == f"{CALLS[right][0]}: needs the right {right.value!r}, and {why}"
 

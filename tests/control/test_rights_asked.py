@@ -68,6 +68,7 @@ def heard(patch: pytest.MonkeyPatch) -> Iterator[list[tuple[Right, str, Right]]]
         yield calls
 
 
+@pytest.mark.slow(kept_by="first")
 @pytest.mark.anyio
 @pytest.mark.parametrize(("line", "right"), CASES)
 async def test_a_command_asks_for_what_its_calls_need(

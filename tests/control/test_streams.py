@@ -8,8 +8,8 @@ import logging
 import pytest
 
 from aiorts import Kernel
-from aiorts.errors import AbsentError, ConfigurationError
-from aiorts.sessions import Client
+from aiorts.errors import AbsentError, ConfigurationError, WireError
+from aiorts.sessions import AsyncClient, Client, framed
 from control_parts import WAIT, Counter, controlled, entry_of, with_client
 
 pytestmark = pytest.mark.anyio
@@ -144,3 +144,18 @@ async def test_streams_end_with_the_kernel() -> None:
         stream = await asyncio.to_thread(client.stream, "events", WAIT)
         await kernel.aclose()
         assert await asyncio.to_thread(lambda: list(stream)) == []
+
+
+@pytest.mark.parametrize("credit", ["x", 0, -1, True, 2**31])
+async def test_credit_that_is_none_ends_the_session(credit: object) -> None:
+    async with controlled("credit"), AsyncClient.connect("credit", timeout=WAIT) as client:
+        stream = await client.stream("log", WAIT, follow=True).open()
+        client._write(framed({"id": 1, "credit": credit}))
+        with pytest.raises(WireError, match="a call with a credit that is none"):
+            await stream.next(WAIT)
+
+
+async def test_credit_for_what_is_no_stream_is_passed_over() -> None:
+    async with controlled("credit"), AsyncClient.connect("credit", timeout=WAIT) as client:
+        client._write(framed({"id": 7, "credit": 5}))
+        assert (await client.call("names", WAIT))["state"] == "open"

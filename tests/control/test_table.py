@@ -107,7 +107,7 @@ async def test_each_row_is_denied_without_its_right_and_for_another_kernel(
 
 
 def _noting(ran: list[str]) -> Any:
-    def begin(session: Session, number: int, operation: Operation, arguments: Any) -> None:
+    def begin(session: Session, number: int, operation: Operation, arguments: Any, _credit: int | None) -> None:
         ran.append(operation.name)
         session._send({"id": number, "ok": None, "end": None}, lambda: None)
 

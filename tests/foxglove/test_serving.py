@@ -13,11 +13,11 @@ import pytest
 from websockets.exceptions import InvalidStatus
 
 from aiorts import Component, Kernel, OutPort
-from aiorts.sessions import Client
+from aiorts.sessions import AsyncClient
 from aiorts.types import TimedDouble, TimedString, record
 from aiorts_foxglove.admission import ORIGINS
 from aiorts_foxglove.serving import Serving
-from control_parts import WAIT, Counter, controlled, entry_of
+from control_parts import WAIT, Counter, controlled
 from foxglove_parts import viewer
 
 pytestmark = pytest.mark.anyio
@@ -48,7 +48,7 @@ async def shown(name: str) -> AsyncIterator[tuple[str, Kernel, Serving]]:
     """A kernel, and what shows it, both in this loop."""
     async with controlled(name) as kernel:
         serving = Serving(ORIGINS, lambda _: None)
-        client = await asyncio.to_thread(lambda: Client.open(entry_of(name), timeout=WAIT))
+        client = await AsyncClient.open(name, timeout=WAIT, right="view")
         async with await serving.listen(0) as listening:
             showing = asyncio.create_task(serving.show(client))
             host, port = listening.sockets[0].getsockname()[:2]

@@ -150,6 +150,36 @@ def test_all_is_seen_and_operated_as_on_this_host(far: Far) -> None:
     assert re.search(r'\[tester, another host\]" kernel="\S+/robot" what="configure\(', far.log.read_text())
 
 
+PROGRAM = """
+import asyncio
+from aiorts.errors import DeniedError
+from aiorts.sessions import AsyncClient
+
+async def main():
+    for right in ("view", "operate", "code"):
+        async with AsyncClient.connect("far/robot", right=right) as client:
+            try:
+                await client.call("configure", component="counter", values={"": {"step": 5}})
+            except DeniedError as error:
+                print(error)
+            async with client.stream("tap", port="counter.out") as samples:
+                print(client.right, (await samples.next())["data"] > 0)
+
+asyncio.run(main())
+"""
+
+
+@pytest.mark.slow(kept_by="test_a_program_without_aiorts_calls_by_one_question")
+def test_a_program_asks_kernels_of_other_hosts_for_what_it_needs(far: Far, tmp_path: Path) -> None:
+    (tmp_path / "program.py").write_text(PROGRAM)
+    with far.start(stdin=subprocess.PIPE) as shell:
+        said, errors = shell.communicate(f"{sys.executable} {tmp_path}/program.py\n", timeout=WAIT)
+    refused = (
+        "configure: needs the right 'operate', and this client asked for 'view'; begin the session with right='operate'"
+    )
+    assert said.splitlines() == [refused, "view True", "operate True", "operate True"], errors
+
+
 @pytest.mark.slow(kept_by="test_a_program_without_aiorts_calls_by_one_question")
 def test_who_may_operate_creates_what_is_offered_there_and_brings_no_code(far: Far, tmp_path: Path) -> None:
     (tmp_path / "brought.py").write_text(f"{PARTS}\nopen({str(tmp_path / 'ran')!r}, 'w').close()\n")

@@ -244,7 +244,7 @@ async def _tick_once() -> None:
 def _running() -> Iterator[Finding]:
     """Risks that the running kernels of this user name."""
     try:
-        with kernels(_ANSWERS) as found:
+        with kernels(_ANSWERS, right="view") as found:
             for one in found.running:
                 for said in one.names.get("risks", ()):
                     risk, _, remedy = said.partition("; ")

@@ -184,7 +184,7 @@ class Connection:
             return
         if credit is not None and "op" not in request:
             if number in self._open:
-                self._listener.hand_over(Call(self, number, lambda: session.credit(number, credit), view=False))
+                session.credit(number, credit)
             return
         try:
             operation, arguments = self._checked(number, request)
@@ -249,7 +249,7 @@ class Connection:
         """Why the client may not do what needs a right, and how it might."""
         allowed = self.client.right
         if allowed.allows(needed):
-            return f"this client asked for {self.right.value!r}; its hello is to ask for {needed.value!r}"
+            return f"this client asked for {self.right.value!r}; begin the session with right={needed.value!r}"
         said = f"this kernel allows {allowed.value!r}"
         if not self.carried:
             return f"{said}; start it with --control on"

@@ -76,7 +76,7 @@ def record(
         raise click.UsageError("--all goes not with names; name the kernel with --exclude, or the ports")
     existing = _existing(append=append, overwrite=overwrite)
     began = time.monotonic()
-    with kernels(timeout) as found:
+    with kernels(timeout, right="view") as found:
         from aiorts_log.live.choice import Choice
         from aiorts_log.live.taking import Taking
         from aiorts_log.recorder.target import check_target

@@ -12,7 +12,7 @@ from aiorts import exits
 from aiorts.cli.commands.live.showing import json_option, say_done, timeout_option
 from aiorts.cli.commands.live.target import complete, kernels
 from aiorts.cli.console.output import say, say_json
-from aiorts.control.operation import is_code
+from aiorts.control import is_code
 from aiorts.sessions import RightName
 
 _NO_TEXT: Final = re.compile(r"[-+0-9.,e_\s\[\]()]*|true|false|yes|no|on|off|none|null|[-+]?(nan|inf)", re.IGNORECASE)

@@ -13,7 +13,7 @@ from aiorts.cli.commands.live.ledger import ledger_text
 from aiorts.cli.commands.live.showing import json_option, say_done, say_kernels, timeout_option
 from aiorts.cli.commands.live.target import Found, Kernels, Running, complete, kernels, the_one
 from aiorts.cli.console.output import counted, say, say_json
-from aiorts.control.operation import converters_read
+from aiorts.control import converters_read
 from aiorts.errors import ControlError
 from aiorts.model.options import OWN_KEYS
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from typing import Any
 
 import click
 
+from aiorts import sessions
 from aiorts.sessions import (
     FILES,
     PATIENCE,
+    Entry,
     Found,
     Kernels,
+    RightName,
     Running,
     is_file,
     is_glob,
-    kernels,
     likely,
     outlines,
     sharing,
@@ -37,6 +40,18 @@ __all__ = (
     "sharing",
     "the_one",
 )
+
+
+def kernels(
+    timeout: float = 1.0,
+    select: Callable[[Entry], bool] | None = None,
+    *,
+    changing: bool = False,
+    right: RightName = "",
+) -> AbstractContextManager[Kernels]:
+    """See `aiorts.sessions.kernels`; the right is by default "operate" where something is changed, else "view"."""
+    wanted = right or ("operate" if changing else "view")
+    return sessions.kernels(timeout, select, changing=changing, right=wanted)
 
 
 def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
