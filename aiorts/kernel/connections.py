@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.connection import Connection
     from aiorts.kernel.execution.cell import KernelSide
     from aiorts.kernel.ports.far import FarPorts
+    from aiorts.kernel.ports.port import Connecting
     from aiorts.kernel.service import KernelService
 
 _LOG = KernelLog()
@@ -74,14 +75,9 @@ class Connections:
         if self.far is not None and len(ports) > 2 and (pairs := self._pairs(ports)):
             return self._make_each(pairs, options)
         ports, options = self._resolve(ports, options)
-        for port in ports:
-            connecting = port.connecting if isinstance(port, PortDeclaration) else None
-            if connecting is not None:
-                return self._make_others(connecting.plan(self._kernel, ports, options), options)
-        plans = wiring.plan(self._kernel, ports, options)
-        for out, in_, profile in plans:
-            if not profile.length:
-                check_connection(out, in_)
+        if (connecting := _connecting(ports)) is not None:
+            return self._make_others(connecting.plan(self._kernel, ports, options), options)
+        plans = self._plan(ports, options)
         if options:
             self._report_idle(options, plans[0])
         reports_losses = not says_what_is_lost(options) and all(loses_unasked(profile) for *_, profile in plans)
@@ -98,6 +94,27 @@ class Connections:
         for connector in made:
             self._notify_made(connector)
         return made
+
+    def _plan(
+        self, ports: Sequence[Any], options: Mapping[str, Any]
+    ) -> list[tuple[OutPort[Any], InPort[Any], ConnectorProfile]]:
+        plans = wiring.plan(self._kernel, ports, options)
+        for out, in_, profile in plans:
+            if not profile.length:
+                check_connection(out, in_)
+        return plans
+
+    def fault(self, one: PortDeclaration, other: PortDeclaration) -> str:
+        """Why `make` would not connect these ports of this kernel, without options; "" where it would."""
+        ports, connecting = (one, other), _connecting((one, other))
+        try:
+            if connecting is None:
+                self._plan(ports, _NOTHING)
+            else:
+                connecting.plan(self._kernel, ports, _NOTHING)
+        except WiringError as error:
+            return str(error)
+        return ""
 
     def _pairs(self, ports: Sequence[Any]) -> list[tuple[Any, Any]]:
         """Each out-port with each in-port, where one of them runs in another process."""
@@ -414,3 +431,9 @@ class Connections:
             guarded(f"{connector.name}: could not be ended", self.end, connector)
             if not connector.closed:
                 self._kernel._faulted()
+
+
+def _connecting(ports: Sequence[Any]) -> Connecting | None:
+    """Who connects these; None where they are data ports."""
+    those = (one.connecting for one in ports if isinstance(one, PortDeclaration))
+    return next((one for one in those if one is not None), None)

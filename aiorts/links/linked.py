@@ -36,6 +36,11 @@ class Drain(Protocol):
         """Of what was taken from the queue: acknowledged, in flight, dropped by reason."""
         ...
 
+    @property
+    def round_trip_ns(self) -> int | None:
+        """From sending to acknowledgement, smoothed; None: not measured yet."""
+        ...
+
     def pump(self) -> None:
         """Take what the window has room for, and send."""
         ...
@@ -62,13 +67,15 @@ class Linked(FeaturedTransport):
 
     def statistics(self) -> ConnectorStatistics:
         found = super().statistics()
-        acknowledged, in_flight, dropped = self._link.drained() if self._link is not None else (0, 0, {})
+        link = self._link
+        acknowledged, in_flight, dropped = link.drained() if link is not None else (0, 0, {})
         return replace(
             found,
             delivered=None,
             acknowledged=acknowledged,
             in_flight=in_flight,
             dropped=MappingProxyType(added(found.dropped, dropped)),
+            round_trip_ns=None if link is None else link.round_trip_ns,
         )
 
     def _pump(self) -> None:

@@ -86,6 +86,10 @@ class WriterLink(LinkSide[WriterEnd]):
     def drained(self) -> tuple[int, int, Mapping[str, int]]:
         return self._acknowledged, self.end.ledger.in_flight, added(self._dropped, self.refused)
 
+    @property
+    def round_trip_ns(self) -> int | None:
+        return self.end.round_trip_ns
+
     def pump(self) -> None:
         """Take from the connector what the window has room for, and send."""
         now = self._now()

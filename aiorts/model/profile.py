@@ -105,6 +105,9 @@ class ConnectorStatistics(Counted):
     """At the writer's end of a link: samples that are in the reader's buffer, or were; else None."""
     in_flight: int = 0
     """At the writer's end of a link: samples that were sent and are not acknowledged yet."""
+    round_trip_ns: int | None = field(default=None, compare=False, repr=False)
+    """At the writer's end of a link: from a sample's sending to its acknowledgement, smoothed over some ten; the
+    reader's end may keep that back for up to 50 ms. None where no trip has ended yet."""
     counted: ClassVar[str] = "written"
 
     @property

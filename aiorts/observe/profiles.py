@@ -33,6 +33,18 @@ _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
+class Limits:
+    """Which values an element of a parameter, or the value of one of its keys, may have; None: nothing is said."""
+
+    ge: float | None = None
+    gt: float | None = None
+    le: float | None = None
+    lt: float | None = None
+    choices: tuple[Any, ...] | None = None
+    pattern: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class ParameterReport:
     """A parameter: its value, and which values are allowed."""
 
@@ -55,6 +67,10 @@ class ParameterReport:
     """Whether the class declares it; else it was added at run time."""
     file: str = ""
     """"read" or "write" when the value names a file that the component reads, or writes."""
+    elements: tuple[Limits, ...] | None = None
+    """Of a tuple whose elements have limits of their own: those of each; else what is said above is of every one."""
+    keys: Mapping[str, Limits] | None = None
+    """Of a mapping with fixed keys: the limits of each value."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from aiorts.kernel.declarations import declarations, kinds_of
 from aiorts.kernel.execution.cell import cell, standing_error
 from aiorts.kernel.execution.member import overdue_hooks
 from aiorts.kernel.service import reports
+from aiorts.model.configuration.constraints import Constraint
 from aiorts.model.configuration.parameters import ParameterSpec
 from aiorts.observe import special_reports
 from aiorts.observe.profiles import (
@@ -27,13 +28,14 @@ from aiorts.observe.profiles import (
     ConfigurationReport,
     ConnectorReport,
     ContextReport,
+    Limits,
     ParameterReport,
     ServiceConnectorReport,
     SystemProfile,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from aiorts.kernel.component import Component
     from aiorts.kernel.execution.context import Context
@@ -105,9 +107,7 @@ def visible(kernel: Microkernel, component: Component) -> bool:
 
 def component_report(component: Component) -> ComponentReport:
     """A component at this moment."""
-    kind = _KNOWN.get(type(component))
-    if kind is None:
-        kind = _KNOWN[type(component)] = _Kind(type(component))
+    kind = _kind_of(type(component))
     error = standing_error(component)
     params, here = component.params, cell(component)
     ports, state = here.ports, here.configuration
@@ -129,6 +129,11 @@ def component_report(component: Component) -> ComponentReport:
     )
 
 
+def declared_params(cls: type[Component]) -> dict[str, ParameterReport]:
+    """The parameters that a class declares, with their defaults as values."""
+    return {name: ParameterReport(rest[0], *rest) for name, rest in _kind_of(cls).params.items()}
+
+
 def connector_report(connector: Connector) -> ConnectorReport:
     """A connector at this moment."""
     return ConnectorReport(connector.out.path, connector.in_.path, connector.profile, connector.statistics)
@@ -145,15 +150,28 @@ def context_report(context: Context) -> ContextReport:
     return ContextReport(context.kind, context.rate, members, context.statistics)
 
 
+def _kind_of(cls: type[Component]) -> _Kind:
+    kind = _KNOWN.get(cls)
+    if kind is None:
+        kind = _KNOWN[cls] = _Kind(cls)
+    return kind
+
+
 def _rest(kind: _Kind, params: Mapping[str, Any], name: str) -> tuple[Any, ...]:
     return kind.params.get(name) or _described(params[name].spec, False)
 
 
 def _described(spec: ParameterSpec, declared: bool) -> tuple[Any, ...]:
     """All fields of a ParameterReport but the value."""
-    limits = (getattr(spec.constraint, name) for name in _BOUNDS)
-    words = spec.unit, spec.doc, spec.widget, str(spec.constraint)
-    return (spec.default, spec.type_text, *words, *limits, declared, spec.names_file)
+    limits = spec.constraint
+    words = spec.unit, spec.doc, spec.widget, str(limits)
+    elements = None if limits.elements is None else tuple(Limits(*_bounds(one)) for one in limits.elements)
+    keys = None if limits.keys is None else _frozen({key: Limits(*_bounds(one)) for key, one in limits.keys.items()})
+    return (spec.default, spec.type_text, *words, *_bounds(limits), declared, spec.names_file, elements, keys)
+
+
+def _bounds(constraint: Constraint) -> Iterator[Any]:
+    return (getattr(constraint, name) for name in _BOUNDS)
 
 
 def _versions() -> Mapping[str, str]:

@@ -47,10 +47,12 @@ if TYPE_CHECKING:
         Found,
         Kernels,
         Running,
+        fitting,
         is_file,
         is_glob,
         kernels,
         likely,
+        offered,
         outlines,
         sharing,
         the_one,
@@ -97,7 +99,9 @@ __all__ = (
     "is_glob",
     "is_supported",
     "kernels",
+    "fitting",
     "likely",
+    "offered",
     "open_all",
     "outlines",
     "packed",
@@ -124,7 +128,8 @@ _late(
         ),
         "aiorts.sessions.session": "Call ClientSession",
         "aiorts.sessions.target": (
-            "FILES PATIENCE Found Kernels Running is_file is_glob kernels likely outlines sharing the_one"
+            "FILES PATIENCE Found Kernels Running fitting is_file is_glob kernels likely offered outlines sharing "
+            "the_one"
         ),
         "aiorts.sessions.together": "Outcome change_all",
     },

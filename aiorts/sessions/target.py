@@ -431,6 +431,29 @@ def likely(incomplete: str) -> list[str]:
     return [word for word in dict.fromkeys(words) if word.startswith(incomplete)]
 
 
+def fitting(word: str, incomplete: str) -> list[str]:
+    """The ports that can be connected with the port that a word means, in its kernel, as far as they begin so."""
+    with kernels(PATIENCE) as found:
+        try:
+            port = found.find(word)
+            fits = port.client.call("fits", PATIENCE, port=port.path, fitting=True)
+        except AiortsError:
+            return []
+        kernel = f"{port.running.name}/" if "/" in incomplete else ""
+    return [path for one in fits if (path := f"{kernel}{one}").startswith(incomplete)]
+
+
+def offered() -> dict[str, list[str]]:
+    """The types of components that can be created in what runs: by name the parameters, as far as they are known."""
+    with kernels(PATIENCE) as found:
+        types: dict[str, list[str]] = {}
+        for one in found.running:
+            with suppress(AiortsError):
+                for name, described in one.client.call("catalogue", PATIENCE)["components"].items():
+                    types.setdefault(name, []).extend(described["params"])
+    return types
+
+
 def outlines(found: Kernels, word: str) -> list[Any]:
     """What the components that a word means are made of; nothing where no answer comes at once."""
     try:

@@ -10,7 +10,7 @@ from anyio import fail_after, sleep
 from aiorts import Component, InPort, Kernel, OutPort
 from aiorts.links import Links
 from aiorts.types import TimedLong
-from control_parts import commanded
+from control_parts import WAIT, commanded, with_client
 
 pytestmark = pytest.mark.anyio
 
@@ -36,6 +36,8 @@ async def test_the_ledger_from_end_to_end_is_asked_for_at_either_end(capsys: pyt
             assert (await sink.inp.read()).data == 0
             while connector.statistics.acknowledged < 3:
                 await sleep(0.01)
+        found = await with_client("robot", lambda client: client.call("part", WAIT, connectors=[connector.name]))
+        assert 0 < found["connectors"][connector.name]["ledger"]["round_trip_ns"] < 5e9
         equation = "both ends: 3 written = 1 delivered + 0 dropped + 2 buffered + 0 in flight"
         for kernel, component in (("robot", "source"), ("station", "sink")):
             status, text = await commanded(capsys, "con", f"{kernel}/{component}", "--both-ends")

@@ -30,7 +30,7 @@ OPEN = {
     # Results and items: values of parameters, of calls, of samples, of fields of events; what plugins' services say.
     *("ConfigurationProfile.sets", "ConfigurationReport.sets", "GoalEnd.result", "Happened.event", "Reading.values"),
     *("ParameterProfile.choices", "ParameterProfile.default", "ParameterProfile.value"),
-    *("ParameterReport.choices", "ParameterReport.default", "ParameterReport.value"),
+    *("Limits.choices", "ParameterReport.choices", "ParameterReport.default", "ParameterReport.value"),
     *("Result.value", "SystemProfile.services", "Tapping.data", "ToldChange.event", "goal.item"),
     # Steps of plans: parameters and options, as system files have them.
     *("ComponentEntry.limits", "ComponentEntry.params", "ComponentEntry.sets", "CompositeEntry.options"),
@@ -116,7 +116,9 @@ CALLS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("outline", {}),
     ("part", {"components": ["counter0"]}),
     ("connectors", {}),
+    ("catalogue", {"components": ["FlexiAdd"], "contexts": ["periodic"]}),
     ("contexts", {}),
+    ("fits", {"port": "counter0.out"}),
     ("configuration", {"component": "counter0"}),
     ("dump_configuration", {}),
     ("log_levels", {}),
@@ -134,6 +136,7 @@ CALLS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("tap", {"port": "counter0.out"}),
     ("tap", {"port": "counter0.out", "frames": True}),
     ("monitor", {"paths": ["counter0.out", "counter0.step"], "rate": 100.0}),
+    ("interfaces", {"port": "car0.driving"}),
     ("call", {"path": "car0.driving.gears"}),
     ("goal", {"path": "car0.driving.drive", "args": [1]}),
     ("send_event", {"component": "gate0", "event": "open"}),

@@ -6,18 +6,18 @@ import enum
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from inspect import Parameter, Signature
 from itertools import chain
 from json import loads
 from pathlib import PurePath
 from typing import Any, Final
 
-from aiorts.errors import InterfaceMismatch
+from aiorts.errors import AiortsError, InterfaceMismatch
 from aiorts.kernel.execution.file_access import check_file
 from aiorts.model.interface import spelled
 from aiorts.model.values import convert_value, is_path, shown
-from aiorts.types import from_plain
+from aiorts.types import describe, from_plain
 
 _LISTS: Final[Mapping[Any, Any]] = {list: list, set: set, frozenset: frozenset}
 _SCALARS: Final = (bool, int, float, str)
@@ -105,6 +105,55 @@ def _one_of(value: Any, hints: Sequence[Any]) -> Any:
         except (TypeError, ValueError) as error:
             errors.append(str(error))
     raise ValueError(" or ".join(dict.fromkeys(errors)))
+
+
+# -- what a form needs -------------------------------------------------------------------------------------------------
+
+
+def value_schema(hint: Any) -> dict[str, Any]:
+    """The JSON Schema of what is read as a value of this type; empty where that is not known, as any may be one."""
+    if hint in _SCHEMAS:
+        return dict(_SCHEMAS[hint])
+    origin, parts = typing.get_origin(hint) or hint, typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return {"anyOf": list(map(value_schema, parts))}
+    if origin is typing.Literal:
+        return {"enum": list(parts)}
+    if is_path(hint):
+        return {"type": "string", "format": "path"}
+    if isinstance(hint, type) and issubclass(hint, enum.Enum):
+        return {"enum": list(hint.__members__)}
+    if isinstance(hint, type) and is_dataclass(hint):
+        return _record_schema(hint)
+    if origin is tuple and parts and parts[1:] != (...,):
+        return {"type": "array", "prefixItems": list(map(value_schema, parts)), "items": False, "minItems": len(parts)}
+    if origin in (tuple, *_LISTS):
+        return {"type": "array", "items": value_schema(parts[0]) if parts else {}}
+    if origin in (dict, Mapping):
+        return {"type": "object", "additionalProperties": value_schema(parts[1]) if len(parts) == 2 else {}}
+    return {}
+
+
+def _record_schema(cls: type) -> dict[str, Any]:
+    from aiorts.wire import schema_text
+
+    try:
+        schema: dict[str, Any] = loads(schema_text(cls, as_json=True))
+        given = [one.name for one in describe(cls).fields if one.default is MISSING and one.factory is MISSING]
+    except AiortsError:  # it has fields that samples cannot have
+        return {}
+    del schema["$schema"]
+    return {**schema, "required": given}
+
+
+_SCHEMAS: Final[Mapping[Any, Mapping[str, Any]]] = {
+    bool: {"type": "boolean"},
+    int: {"type": "integer"},
+    float: {"type": "number"},
+    str: {"type": "string"},
+    None: {"type": "null"},
+    types.NoneType: {"type": "null"},
+}
 
 
 def _plain(value: Any) -> Any:

@@ -10,12 +10,11 @@ from typing import Final
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Nothing, Operation, Right
 from aiorts.control.session import Session
+from aiorts.control.turns import HOLD_SECONDS
 from aiorts.control.values import Names
 from aiorts.kernel.execution.cell import standing_error
 from aiorts.kernel.execution.member import overdue_hooks
 from aiorts.observe import SystemProfile, system_profile, system_profile_in_turns
-
-_HOLD_SECONDS: Final = 0.001
 
 
 def _names(session: Session, _: Nothing) -> Names:
@@ -48,7 +47,7 @@ def _names(session: Session, _: Nothing) -> Names:
 def _profile(session: Session, _: Nothing) -> SystemProfile | Awaitable[SystemProfile]:
     if isinstance(session.kernel.clock, SimulatedClock):
         return system_profile(session.kernel)  # a task would be one more that is ready at this instant
-    return system_profile_in_turns(session.kernel, _HOLD_SECONDS)
+    return system_profile_in_turns(session.kernel, HOLD_SECONDS)
 
 
 def _origin(session: Session, _: Nothing) -> str:

@@ -1,10 +1,11 @@
-"""The operations that compare a kernel's system with a wanted one, and make that of it."""
+"""The operations that say a kernel's system as a file, compare it with a wanted one, and make that of it."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Iterator, Mapping
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -18,6 +19,7 @@ from aiorts.model.wanted.applied import Applied
 from aiorts.model.wanted.carried import received
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry
 from aiorts.model.wanted.steps import Places
+from aiorts.model.wanted.system_text import Saved
 from aiorts.sessions import Made
 
 if TYPE_CHECKING:
@@ -105,6 +107,14 @@ class Changed:
     """The figure that the system was taken back for; "" when it was kept."""
     notes: tuple[str, ...]
     """What could not be as the plan, or its reverse, says."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the file is going to lie."""
+
+    folder: str
+    """Files and plugins below it are named as counted from there."""
 
 
 class _Answer(Made):
@@ -210,6 +220,15 @@ def _come(before: Places, after: Places) -> Iterator[str]:
             yield from (member.rpartition("/")[2] for member in come)
 
 
+def _save(session: Session, given: Place) -> Saved | Awaitable[Saved]:
+    from aiorts.planning import Planning  # late: few ask for it
+
+    planning, folder = session.kernel.service(Planning), Path(given.folder)
+    if isinstance(session.kernel.clock, SimulatedClock):
+        return planning.text(folder)  # a task would be one more that is ready at this instant
+    return planning.text_aside(folder)
+
+
 def _settle(decided: asyncio.Future[str], why: str) -> None:
     if not decided.done():
         decided.set_result(why)
@@ -270,4 +289,5 @@ ROWS: Final = (
         _plan,
         idempotent=True,
     ),
+    Operation("save", "The system as the text of a system file.", Place, Saved, Right.VIEW, _save, idempotent=True),
 )

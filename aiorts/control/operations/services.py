@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Mapping
 from dataclasses import field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.known import absent, component_named
@@ -15,9 +16,11 @@ from aiorts.control.values import Done
 from aiorts.errors import AbsentError, ControlError, GoalCancelled, GoalFailed
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.late import dataclass
+from aiorts.model.plain import Schemas, plain
 
 if TYPE_CHECKING:
-    from aiorts.services import Goal, OutsideCaller
+    from aiorts.model.interface import Method
+    from aiorts.services import Goal, OutsideCaller, ServicePort
 
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
@@ -54,6 +57,76 @@ class GoalEnd:
     """Of one that failed, what `GoalStatistics.failed` counts it under."""
     text: str = ""
     """Why it failed or was cancelled."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceNamed:
+    """A service port."""
+
+    port: str
+    """ "component.port"."""
+
+
+@dataclass(frozen=True, slots=True)
+class MethodTypes:
+    """The types of a method, each as the text of a JSON Schema."""
+
+    parameters: Mapping[str, str]
+    """By name, in order: of what is read as its value; with its default, where it has one."""
+    required: tuple[str, ...]
+    """The parameters that have to be given."""
+    returns: str
+    """Of the result, as it is answered; of a method that answers with a goal, of the goal's."""
+    feedback: str | None = None
+    """Of a method that answers with a goal: of the goal's feedback."""
+
+
+@dataclass(frozen=True, slots=True)
+class InterfaceTypes:
+    """The types of an interface of a service port; `PortProfile` has what its methods say of themselves."""
+
+    type: str
+    polarity: Literal["provided", "required"]
+    methods: Mapping[str, MethodTypes]
+
+
+def _interfaces(session: Session, given: ServiceNamed) -> dict[str, InterfaceTypes]:
+    name, _, port = given.port.partition(".")
+    ends = _service_port(session, name, port).interfaces
+    return {
+        one.instance: InterfaceTypes(
+            one.spec.name,
+            cast("Literal['provided', 'required']", one.polarity),
+            {method.name: _types(method) for method in one.spec.methods.values()},
+        )
+        for one in ends
+    }
+
+
+def _types(method: Method) -> MethodTypes:
+    from aiorts.control.operations.arguments import value_schema  # late: it needs the record types
+    from aiorts.services import goal_types
+
+    goal = goal_types(method.returns)
+    parameters = {}
+    for one in method.parameters:
+        default = {} if one.default in (one.empty, None) else {"default": plain(one.default)}
+        parameters[one.name] = json.dumps({**value_schema(one.annotation), **default})
+    return MethodTypes(
+        parameters,
+        tuple(one.name for one in method.parameters if one.default is one.empty),
+        _answer_schema(method.returns if goal is None else goal.result),
+        None if goal is None else _answer_schema(goal.feedback),
+    )
+
+
+def _answer_schema(hint: Any) -> str:
+    schemas = Schemas()
+    try:
+        schema = schemas.of(hint)
+    except TypeError:  # nothing is known of it
+        return "{}"
+    return json.dumps({**schema, "$defs": schemas.definitions} if schemas.definitions else schema)
 
 
 async def _call(session: Session, given: Calling) -> Result:
@@ -102,17 +175,13 @@ async def _follow(goal: Goal[Any, Any], stream: Stream) -> None:
 
 def _caller(session: Session, given: Calling) -> tuple[OutsideCaller, str]:
     """A caller of the interface that a path means, and the name of the method."""
-    from aiorts.services import OutsideCaller, Provided, ServicePort  # late: most systems have no services
+    from aiorts.services import OutsideCaller, Provided  # late: most systems have no services
 
     name, *rest = given.path.split(".")
-    component = component_named(session, name)
     if not 2 <= len(rest) <= 3:
         raise AbsentError(f"{given.path:.80}: expected component.port.method")
     port, *_, method = rest
-    services = {path: one for path, one in component.ports.items() if isinstance(one, ServicePort)}
-    if port not in services:
-        raise absent(f"{name}.{port:.80}: no such service port", port, services)
-    ends = [one for one in services[port].interfaces if isinstance(one, Provided)]
+    ends = [one for one in _service_port(session, name, port).interfaces if isinstance(one, Provided)]
     if len(rest) == 3:
         named = [one for one in ends if one.instance == rest[1]]
         if not named:
@@ -127,6 +196,16 @@ def _caller(session: Session, given: Calling) -> tuple[OutsideCaller, str]:
         methods = [each for one in ends for each in one.spec.methods]
         raise absent(f"{given.path:.80}: no such method that is provided", method, methods)
     return OutsideCaller(having[0]), method
+
+
+def _service_port(session: Session, name: str, port: str) -> ServicePort:
+    from aiorts.services import ServicePort  # late: most systems have no services
+
+    found = component_named(session, name).ports
+    services = {path: one for path, one in found.items() if isinstance(one, ServicePort)}
+    if port not in services:
+        raise absent(f"{name}.{port:.80}: no such service port", port, services)
+    return services[port]
 
 
 def _provider(given: Calling, _: object) -> tuple[str]:
@@ -145,5 +224,14 @@ ROWS: Final = (
         item=Any,
         end=GoalEnd,
         changes=_provider,
+    ),
+    Operation(
+        "interfaces",
+        "The interfaces of a service port, with the types of their methods.",
+        ServiceNamed,
+        Mapping[str, InterfaceTypes],
+        Right.VIEW,
+        _interfaces,
+        idempotent=True,
     ),
 )

@@ -6,18 +6,16 @@ dicts that go into a frame as they are. None of them takes a sample.
 
 from __future__ import annotations
 
-import asyncio
-import math
 from collections.abc import Awaitable, Iterable, Iterator, Mapping
 from dataclasses import field
 from functools import partial
-from time import perf_counter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right
 from aiorts.control.session import Session, Stream
+from aiorts.control.turns import in_turns
 from aiorts.control.values import Done
 from aiorts.errors import AiortsError, ConfigurationError, StateError, WiringError
 from aiorts.kernel.execution.cell import cell, standing_error
@@ -42,7 +40,6 @@ if TYPE_CHECKING:
     from aiorts.model.timing import Spans
 
 T = TypeVar("T")
-_HOLD_SECONDS: Final = 0.001
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 _Made: TypeAlias = dict[str, Any]
 """`Counters` as dicts."""
@@ -121,21 +118,7 @@ def _statistics(session: Session, given: Chosen) -> _Made | Awaitable[_Made]:
         "contexts": {},
         "components": {},
     }
-    steps = _rest(kernel, given, made)
-    until = math.inf if made["simulated"] else perf_counter() + _HOLD_SECONDS
-    for _ in steps:
-        if perf_counter() >= until:
-            return _in_turns(steps, made)
-    return made
-
-
-async def _in_turns(steps: Iterator[None], made: _Made) -> _Made:
-    until = 0.0
-    for _ in steps:
-        if perf_counter() >= until:
-            await asyncio.sleep(0)
-            until = perf_counter() + _HOLD_SECONDS
-    return made
+    return in_turns(kernel, _rest(kernel, given, made), made)
 
 
 def _rest(kernel: Microkernel, given: Chosen, made: _Made) -> Iterator[None]:

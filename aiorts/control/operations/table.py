@@ -11,6 +11,7 @@ from typing import Final
 
 from aiorts.control.operation import Operation
 from aiorts.control.operations import (
+    catalogue,
     components,
     configuration,
     contexts,
@@ -23,13 +24,13 @@ from aiorts.control.operations import (
     planning,
     reloading,
     samples,
-    saving,
     services,
     statistics,
     wiring,
 )
 
 _ROWS: Final = (
+    *catalogue.ROWS,
     *components.ROWS,
     *configuration.ROWS,
     *contexts.ROWS,
@@ -42,7 +43,6 @@ _ROWS: Final = (
     *planning.ROWS,
     *reloading.ROWS,
     *samples.ROWS,
-    *saving.ROWS,
     *services.ROWS,
     *statistics.ROWS,
     *wiring.ROWS,

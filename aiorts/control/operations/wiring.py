@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Awaitable, Iterator, Mapping
 from dataclasses import field, replace
 from types import MappingProxyType
 from typing import Any, Final
@@ -11,10 +11,13 @@ from typing import Any, Final
 from aiorts.control.operation import Operation, Right, converters_read
 from aiorts.control.operations.known import absent
 from aiorts.control.session import Session
+from aiorts.control.turns import in_turns
 from aiorts.errors import AbsentError, LinkError, WiringError
+from aiorts.kernel.ports import PortDeclaration
 from aiorts.late import dataclass
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 from aiorts.model.service_profile import ServiceConnectorProfile, ServiceStatistics
+from aiorts.observe import visible
 
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
@@ -56,6 +59,16 @@ class Wire:
     calls: ServiceStatistics | None = None
     between: str = ""
     """What `adapt` put before the reader just now, as a command line has it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fitting:
+    """A port for which others are looked for."""
+
+    port: str
+    """ "component.port"."""
+    fitting: bool = False
+    """Leave out the ports that do not fit."""
 
 
 async def _connect(session: Session, given: Wiring) -> tuple[Wire, ...]:
@@ -112,6 +125,24 @@ async def _both_ends(session: Session, connector: Any) -> str:
         return f"not known: {error}"
 
 
+def _fits(session: Session, given: Fitting) -> Mapping[str, str] | Awaitable[Mapping[str, str]]:
+    kernel, made = session.kernel, dict[str, str]()
+    _check_port(session, given.port)
+    port = kernel.find(given.port)
+    if not isinstance(port, PortDeclaration):
+        raise WiringError(f"{given.port}: is a component; say one of its ports")
+
+    def look() -> Iterator[None]:
+        for component in tuple(kernel.components.values()):
+            for one in tuple(component.ports.values()) if visible(kernel, component) else ():
+                why = "" if one is port else kernel.connections.fault(port, one)
+                if one is not port and not (why and given.fitting):
+                    made[one.path] = why
+                yield
+
+    return in_turns(kernel, look(), made)
+
+
 def _all(session: Session) -> dict[str, Any]:
     return {**session.kernel.connectors, **session.kernel.service_connectors}
 
@@ -163,6 +194,15 @@ ROWS: Final = (
         tuple[Wire, ...],
         Right.VIEW,
         _connectors,
+        idempotent=True,
+    ),
+    Operation(
+        "fits",
+        "The ports that can be connected with a port, and of each other one why it cannot.",
+        Fitting,
+        Mapping[str, str],
+        Right.VIEW,
+        _fits,
         idempotent=True,
     ),
     Operation("disconnect", "End connectors.", Wires, tuple[str, ...], Right.OPERATE, _disconnect),

@@ -102,6 +102,11 @@ def make_importable(folder: Path) -> None:
             _MADE.add(str(place))
 
 
+def is_loaded(path: Path) -> bool:
+    """Whether a file was loaded as a module already."""
+    return _loaded(_real(str(path))) is not None
+
+
 def _loaded(file: str) -> ModuleType | None:
     """The module that a file was loaded as, unless that has another file by now."""
     module = sys.modules.get(_FILES.get(file, ""))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from aiorts.errors import DeclarationError, PluginError
 from aiorts.kernel.extensions.catalogue import AbsentExtension
-from aiorts.kernel.extensions.files import load_file, load_module, make_importable
+from aiorts.kernel.extensions.files import is_loaded, load_file, load_module, make_importable
 from aiorts.kernel.loop.exceptions import trace_of
 from aiorts.kernel.loop.origins import place
 
@@ -86,6 +86,14 @@ def load(extension: Offer) -> Any:
             ) from error
         raise PluginError(f"{where} cannot be loaded: {cause_of(error)}") from error
     return found
+
+
+def is_imported(extension: Offer) -> bool:
+    """Whether its module is imported already, so that loading it runs no code."""
+    module = extension.target.partition(":")[0].strip()
+    if module.endswith(".py") and extension.folder is not None:
+        return is_loaded(extension.folder / module)
+    return module in sys.modules
 
 
 def _is_of(missing: str | None, extension: Offer) -> bool:

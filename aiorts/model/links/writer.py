@@ -147,6 +147,11 @@ class WriterEnd:
         return self._next - 1
 
     @property
+    def round_trip_ns(self) -> int | None:
+        """From sending to acknowledgement, smoothed; None: not measured yet."""
+        return self._trip_ns or None
+
+    @property
     def peer_epoch(self) -> int:
         """Of the reader's end; 0: there was none yet."""
         return self._peer_epoch

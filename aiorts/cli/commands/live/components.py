@@ -10,7 +10,7 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.showing import json_option, say_done, timeout_option
-from aiorts.cli.commands.live.target import complete, kernels
+from aiorts.cli.commands.live.target import complete, complete_params, complete_types, kernels
 from aiorts.cli.console.output import say, say_json
 from aiorts.control import is_code
 from aiorts.sessions import RightName
@@ -24,9 +24,9 @@ def comp() -> None:
 
 
 @comp.command(short_help="Create a component.")
-@click.argument("type_", metavar="TYPE")
+@click.argument("type_", metavar="TYPE", shell_complete=complete_types)
 @click.argument("name", default="", metavar="[[KERNEL/]NAME]")
-@click.argument("params", nargs=-1, metavar="[PARAM=VALUE]...")
+@click.argument("params", nargs=-1, metavar="[PARAM=VALUE]...", shell_complete=complete_params)
 @click.option("--context", metavar="NAME", help="Let it join this context.")
 @click.option("--activate", is_flag=True, help="Activate it there.")
 @timeout_option(5.0)

@@ -11,7 +11,7 @@ from aiorts import exits
 from aiorts.cli.commands.live.components import absolute
 from aiorts.cli.commands.live.ledger import ledger_text
 from aiorts.cli.commands.live.showing import json_option, say_done, say_kernels, timeout_option
-from aiorts.cli.commands.live.target import Found, Kernels, Running, complete, kernels, the_one
+from aiorts.cli.commands.live.target import Found, Kernels, Running, complete, complete_fitting, kernels, the_one
 from aiorts.cli.console.output import counted, say, say_json
 from aiorts.control import converters_read
 from aiorts.errors import ControlError
@@ -30,7 +30,7 @@ def _with_options(command: Callable[..., int]) -> Callable[..., int]:
 
 
 @click.command(short_help="Connect ports of what runs; list connectors.")
-@click.argument("words", nargs=-1, metavar="[PORT PORT...] [KEY=VALUE...]", shell_complete=complete)
+@click.argument("words", nargs=-1, metavar="[PORT PORT...] [KEY=VALUE...]", shell_complete=complete_fitting)
 @click.option("--both-ends", is_flag=True, help="Of links, ask the other kernel, too: the ledger from end to end.")
 @timeout_option(5.0, "Wait S seconds for the answer; --timeout is the connector's own", "--wait")
 @json_option()

@@ -17,9 +17,11 @@ from aiorts.sessions import (
     Kernels,
     RightName,
     Running,
+    fitting,
     is_file,
     is_glob,
     likely,
+    offered,
     outlines,
     sharing,
     the_one,
@@ -32,8 +34,11 @@ __all__ = (
     "Running",
     "complete",
     "complete_changes",
+    "complete_fitting",
     "complete_kernels",
+    "complete_params",
     "complete_systems",
+    "complete_types",
     "is_file",
     "is_glob",
     "kernels",
@@ -57,6 +62,24 @@ def kernels(
 def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
     """Completes what runs: components, their ports after a dot, kernels with a slash."""
     return _items(likely(incomplete), incomplete)
+
+
+def complete_fitting(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """Completes the ports that fit the one that stands before; where none does, those of other kernels may."""
+    before = [word for word in ctx.params.get(param.name or "") or () if "=" not in word]
+    return _items((before and fitting(before[0], incomplete)) or likely(incomplete), incomplete)
+
+
+def complete_types(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """Completes types of components that can be created in what runs, and files where none fits."""
+    from click.shell_completion import CompletionItem
+
+    return _items(offered(), incomplete) or [CompletionItem(incomplete, type="file")]
+
+
+def complete_params(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """Completes PARAM= of the type that the command names."""
+    return _items((f"{name}=" for name in offered().get(str(ctx.params.get("type_")), ())), incomplete)
 
 
 def complete_kernels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:

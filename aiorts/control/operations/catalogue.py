@@ -1,0 +1,154 @@
+"""The operation that says what can be created in a kernel: types of components, and kinds of contexts."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import field, replace
+from types import MappingProxyType
+from typing import Any, Final, TypeVar
+
+from aiorts.control.operation import Operation, Right
+from aiorts.control.operations.known import absent
+from aiorts.control.session import Session
+from aiorts.errors import AiortsError
+from aiorts.kernel.component import Component
+from aiorts.kernel.execution.context import Context
+from aiorts.kernel.extensions.arguments import WORDS, arguments_of
+from aiorts.kernel.extensions.catalogue import Extension
+from aiorts.kernel.extensions.loading import is_imported, load_object_aside
+from aiorts.late import dataclass
+from aiorts.model.profile import PortProfile
+from aiorts.observe import ParameterReport, declaration_of, declared_params
+
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+T = TypeVar("T", "ComponentType", "ContextKind")
+B = TypeVar("B")
+_LONGEST: Final = 2_000
+_UNKNOWN: Final = "is not imported yet"
+
+
+@dataclass(frozen=True, slots=True)
+class Described:
+    """Types and kinds that are to be described, also where that imports them; none imports nothing."""
+
+    components: tuple[str, ...] = ()
+    contexts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentType:
+    """A type of component that `create` takes by its name."""
+
+    source: str
+    """Who offers it: "package NAME VERSION", "folder PATH" or "file PATH"."""
+    target: str
+    """"module:Class"; of a single file "FILE.py:Class"."""
+    unknown: str = ""
+    """Why the rest is not known: it is not imported yet, or cannot be; "" where it is."""
+    doc: str = ""
+    """What the class says of itself, at most 2,000 characters."""
+    ports: tuple[PortProfile, ...] = ()
+    """Those of its class; it may add others when it is created."""
+    params: Mapping[str, ParameterReport] = field(default_factory=lambda: _NOTHING)
+    """With the default as the value."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContextKind:
+    """A kind of context that `start_context` takes by its name."""
+
+    source: str
+    """As of a type of component."""
+    target: str
+    unknown: str = ""
+    """As of a type of component."""
+    doc: str = ""
+    options: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
+    """What it takes, by name: the kinds of value in words; none is any."""
+
+
+@dataclass(frozen=True, slots=True)
+class Offered:
+    """What packages and folders offer a kernel, by name."""
+
+    components: Mapping[str, ComponentType]
+    contexts: Mapping[str, ContextKind]
+
+
+def _catalogue(session: Session, given: Described) -> Offered | Awaitable[Offered]:
+    """What is imported is described; what is named is imported first, beside the loop."""
+    offers = session.kernel.plugins
+    named: list[Extension] = []
+    for names, kind, what in (
+        (given.components, "components", "type of component"),
+        (given.contexts, "contexts", "kind of context"),
+    ):
+        known = offers.extensions(kind)
+        for name in names:
+            if name not in known:
+                raise absent(f"{name:.80}: no such {what}", name, known)
+            named.append(known[name][0])
+    return _described(session, named) if named else _offered(session, {})
+
+
+async def _described(session: Session, named: Sequence[Extension]) -> Offered:
+    faults = {}
+    for one in named:
+        try:
+            await load_object_aside(one, session.kernel.clock)
+        except AiortsError as error:
+            faults[one] = str(error)
+    return _offered(session, faults)
+
+
+def _offered(session: Session, faults: Mapping[Extension, str]) -> Offered:
+    offers = session.kernel.plugins
+
+    def described(made: T, offer: Extension, base: type[B], more: Callable[[type[B]], Mapping[str, Any]]) -> T:
+        if not is_imported(offer):
+            return replace(made, unknown=faults.get(offer, _UNKNOWN))
+        try:
+            cls = offers.find(offer.kind, offer.name).load_class(base)  # refused where several offer it
+        except AiortsError as error:
+            return replace(made, unknown=str(error))
+        doc = (inspect.getdoc(cls) or "")[:_LONGEST] if cls.__doc__ else ""
+        return replace(made, doc=doc, **more(cls))
+
+    return Offered(
+        {
+            name: described(ComponentType(one.source, one.target), one, Component, _of_component)
+            for name, (one, *_) in offers.extensions("components").items()
+        },
+        {
+            name: described(ContextKind(one.source, one.target), one, Context, _of_context)
+            for name, (one, *_) in offers.extensions("contexts").items()
+        },
+    )
+
+
+def _of_component(cls: type[Component]) -> dict[str, Any]:
+    return {"ports": declaration_of(cls).ports, "params": declared_params(cls)}
+
+
+def _of_context(cls: type[Context]) -> dict[str, Any]:
+    return {"options": {name: tuple(WORDS[kind] for kind in kinds) for name, kinds in arguments_of(cls).items()}}
+
+
+def _needed(given: Described) -> Right:
+    """Who only looks has no code run: importing a package does."""
+    return Right.OPERATE if given.components or given.contexts else Right.VIEW
+
+
+ROWS: Final = (
+    Operation(
+        "catalogue",
+        "What can be created: types of components and kinds of contexts, with what they take.",
+        Described,
+        Offered,
+        Right.VIEW,
+        _catalogue,
+        idempotent=True,
+        demands=_needed,
+    ),
+)
