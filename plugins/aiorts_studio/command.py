@@ -88,10 +88,10 @@ async def _serve(
     from aiorts_studio.api import Api
     from aiorts_studio.serving import bound, served
 
+    listening = bound(names[0], port)
     loop, over = asyncio.get_running_loop(), asyncio.Event()
     for number in _SIGNALS:
         loop.add_signal_handler(number, over.set)
-    listening = bound(names[0], port)
     hosts = [f"[{one}]" if ":" in one else one for one in names]
     ours = [f"{one}:{listening.getsockname()[1]}" for one in hosts]
     scheme = "http" if tls is None else "https"
