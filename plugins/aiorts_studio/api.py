@@ -200,8 +200,8 @@ class Answer:
         """Send it; it ends when the client goes."""
         with self._api.under_way.one(self._visitor.holder.number, self._entry.address):
             work = self._stream(send) if self._operation.streams else self._call(send)
-            await self._visitor.work(work, partial(_gone, receive))
-        if self._visitor.closed:
+            done = await self._visitor.work(work, partial(_gone, receive))
+        if not done and self._visitor.closed:
             error = HttpError(401, "E-DENIED", "the token has ended")
             await (_end(send, error) if self._began else answer(send, error))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 from anyio import to_thread
 
@@ -19,7 +19,6 @@ from aiorts.sessions import END, AsyncClient, AsyncStream, Entry, entries
 from aiorts_studio.codes import Holder
 from aiorts_studio.limits import Bucket
 
-T = TypeVar("T")
 _OPEN: Final = 5.0
 """Seconds within which a kernel has to begin a session."""
 
@@ -96,6 +95,7 @@ class Visitor:
         """
         opening = self._sessions.get(entry.epoch)
         if opening is None or (opening.done() and not _is_open(opening)):
+            self._sessions = {epoch: one for epoch, one in self._sessions.items() if not one.done() or _is_open(one)}
             opening = self._sessions[entry.epoch] = asyncio.create_task(self._open(entry), name="studio session")
             opening.add_done_callback(lambda done: done.cancelled() or done.exception())
         return await asyncio.shield(opening)
@@ -111,8 +111,8 @@ class Visitor:
             raise ClosedError("the token has ended")
         raise DeniedError(f"{entry.address}: is of a release that gives {given.value!r} whatever is asked; not used")
 
-    async def work(self, work: Coroutine[Any, Any, T], gone: Callable[[], Awaitable[object]]) -> T | None:
-        """Carry something out for as long as its client is there; None: it has gone, or its token has ended.
+    async def work(self, work: Coroutine[Any, Any, object], gone: Callable[[], Awaitable[object]]) -> bool:
+        """Carry something out for as long as its client is there; False: it has gone, or its token has ended.
 
         Args:
             work: is cancelled when the client goes.
@@ -123,9 +123,12 @@ class Visitor:
         self._works.add(working)
         try:
             if self.closed:
-                return None
+                return False
             await asyncio.wait((working, leaving), return_when=asyncio.FIRST_COMPLETED)
-            return working.result() if working.done() and not working.cancelled() else None
+            if not working.done() or working.cancelled():
+                return False
+            working.result()
+            return True
         finally:
             self._works.discard(working)
             for one in (working, leaving):

@@ -83,7 +83,7 @@ OPERATE: Final[tuple[tuple[str, Mapping[str, Any]], ...]] = (
     ("inject", {"port": "reader0.in", "lines": ['{"tm": 0, "data": 1.0}']}),
     ("deactivate", {"component": "counter0"}),
     ("activate", {"component": "counter0"}),
-    ("create", {"type": "FlexiDump", "name": "made0"}),
+    ("create", {"type": "FlexiDump", "name": "made0", "params": {"inputs": "TimedDouble"}}),
     ("start_context", {"name": "more", "kind": "periodic", "members": ["made0"], "options": {"rate": 10.0}}),
     ("leave_context", {"context": "more", "members": ["made0"]}),
     ("join_context", {"context": "more", "members": ["made0"]}),
@@ -91,7 +91,6 @@ OPERATE: Final[tuple[tuple[str, Mapping[str, Any]], ...]] = (
     ("remove", {"components": ["made0"]}),
     ("disconnect", {"names": ["counter0.out-reader0.in"]}),
     ("connect", {"ports": ["counter0.out", "reader0.in"]}),
-    ("decide", {"keep": True}),
 )
 KNOWN: Final[Mapping[str, Any]] = {name: value for _, body in (*VIEW, *OPERATE) for name, value in body.items()}
 """What arguments of these names may be, so that some of what is tried means something."""
