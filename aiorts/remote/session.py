@@ -18,12 +18,12 @@ WITHIN: Final = 4.5
 
 
 class KernelSession(AsyncClient):
-    """What this kernel asks another one, which it operates."""
+    """What this kernel asks another one: all that it allows, since parameters may name files."""
 
     @classmethod
     async def over(cls, connected: socket.socket, address: str, who: str) -> Self:
         """A session over a connected socket. AiortsError: the other kernel refuses it, or does not answer."""
-        session = cls(Entry(address, 0, "", ""), who, right="operate", longest=_LONGEST)
+        session = cls(Entry(address, 0, "", ""), who, longest=_LONGEST)
         return await session.begin(connected, _GREETS)
 
     async def call(self, operation: str, wait: float | None = WITHIN, /, **arguments: object) -> Any:

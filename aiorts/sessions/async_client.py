@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
 from typing import Any, Final, Self, cast
@@ -212,7 +212,7 @@ class AsyncClient(BaseClient):
             finally:
                 self._awaited.pop(call, None)
 
-    async def _in_time(self, awaited: Any, wait: float | None, why: str = "") -> None:
+    async def _in_time(self, awaited: Awaitable[object], wait: float | None, why: str = "") -> None:
         """NoAnswerError: it is not so within `wait` seconds."""
         try:
             async with asyncio.timeout(wait) as limit:

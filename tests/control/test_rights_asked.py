@@ -40,13 +40,14 @@ LINES = {
         *("deactivate counter0", "reset counter0", "comp create Nothing new0 step=2", "comp add counter0 reader0"),
         *("comp drop counter0 reader0", "comp remove reader0", "exit counter0", "connect counter0.out reader0.in"),
         *("disconnect counter0.out", "ctx start slow rate=5", "ctx rate loop 50", "ctx add loop counter0"),
-        *("ctx drop loop counter0", "ctx stop loop", "call counter0.out.method", "goal counter0.out.method"),
+        *("ctx drop loop counter0", "ctx stop loop", "call counter0.out.method 2 x=3", "goal counter0.out.method"),
         *("inject reader0.in 1.0", "stop"),
     ),
     Right.CODE: (
         *("conf counter0 step=map.png", "conf counter0 step=/etc/passwd", "conf counter0 'step=[\"a\"]'"),
         *("conf --load dump.toml", "comp create parts.py:Counter new0", "comp create Nothing new0 map=map.png"),
         *("con counter0.out reader0.in convert=parts.py:half", "reload counter0", "batch batch.txt"),
+        *("call counter0.out.method map.png", "goal counter0.out.method map=map.png"),
         *("plan system.toml --live asked", "apply system.toml", "apply system.toml --dry-run"),
     ),
 }

@@ -400,3 +400,21 @@ def kept(call: Call) -> list[Any]:
     return [call.number, call.state] + [
         (one.said, str(one.value), one.missed) for one in (call.take() for _ in range(len(call)))
     ]
+
+
+@pytest.mark.parametrize("knows", [True, False])
+def test_a_kernel_hears_of_new_credit_once_half_of_it_is_used_where_it_knows_what_that_is(knows: bool) -> None:
+    session = ClientSession("pc/k")
+    session.receive(framed({"hello": {**HELLO["hello"], **({"credits": True} if knows else {})}}))
+    call, frame = session.begin("tap", {}, streams=True, window=4)
+    assert said(frame)["credit"] == 4
+    session.receive(framed({"id": 1, "ok": None}))
+    session.take(call)
+    gives = []
+    for number in range(6):
+        session.receive(framed({"id": 1, "item": number, "missed": 0}))
+        gives.append(session.take(call)[1])
+    new = framed({"id": 1, "credit": 2})
+    assert gives == ([b"", new] * 3 if knows else [b""] * 6)
+    session.receive(framed({"id": 1, "item": 6}) + framed({"id": 1, "item": 7}) + framed({"id": 1, "end": None}))
+    assert [session.take(call)[1] for _ in range(3)] == [b""] * 3  # it has ended: there is nothing to give credit for

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.components import pairs
+from aiorts.cli.commands.live.components import pairs, right_for
 from aiorts.cli.commands.live.showing import json_option, timeout_option
 from aiorts.cli.commands.live.target import Found, complete, kernels
 from aiorts.cli.console.output import say, say_json, say_line, say_now
@@ -27,7 +27,7 @@ def call(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> in
     Arguments are given by position, by NAME=VALUE, or all of them as one JSON list or object. Each is read by the type
     that the interface says: a number, a text, JSON for records and lists. Ctrl-C cancels the call.
     """
-    with kernels(changing=True) as found:
+    with kernels(changing=True, right=right_for(word.rpartition("=")[2] for word in words)) as found:
         one = found.find(path)
         answer = one.client.call("call", timeout + 2.0, timeout=timeout, **_given(one, path, words))
     if as_json:
@@ -48,7 +48,7 @@ def goal(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> in
     Arguments are those of aiorts call. Ctrl-C asks to cancel it, as any end of this command does. The status is 1 where
     it failed or was cancelled.
     """
-    with kernels(changing=True) as found:
+    with kernels(changing=True, right=right_for(word.rpartition("=")[2] for word in words)) as found:
         one = found.find(path)
         stream = one.client.stream("goal", timeout + 2.0, timeout=timeout, **_given(one, path, words))
         for feedback in stream:

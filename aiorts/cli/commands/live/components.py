@@ -108,7 +108,7 @@ def absolute(kind: str) -> str:
 
 
 def right_for(values: Iterable[str], *, code: bool = False) -> RightName:
-    """The right that setting parameters needs: "code" where a value is a text, since that may name a file.
+    """The right for a call with values that users give: "code" where one is a text, since that may name a file.
 
     Args:
         code: whether code is named anyway.
