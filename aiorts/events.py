@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         ParameterRemoved,
     )
     from aiorts.kernel.loop.bus import (
+        Assembled,
         CallFailed,
         ComponentAdded,
         ComponentRemoved,
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
 __all__ = (
     "CallFailed",
     "Change",
+    "Assembled",
     "ComponentAdded",
     "ComponentBeat",
     "ComponentReloaded",
@@ -121,9 +123,10 @@ _late(
     globals(),
     {
         "aiorts.kernel.loop.bus": (
-            "CallFailed ComponentAdded ComponentRemoved Connected ConnectorChanged ContextStarted ContextStopped "
-            "ConversionFailed Disconnected Event HookAfter HookBefore HookFailed MemberAdded MemberRemoved Overrun "
-            "ParametersChanged PortAdded PortRemoved RateChanged ServiceCalled StateChanged ThreadsExhausted"
+            "Assembled CallFailed ComponentAdded ComponentRemoved Connected ConnectorChanged ContextStarted "
+            "ContextStopped ConversionFailed Disconnected Event HookAfter HookBefore HookFailed MemberAdded "
+            "MemberRemoved Overrun ParametersChanged PortAdded PortRemoved RateChanged ServiceCalled "
+            "StateChanged ThreadsExhausted"
         ),
         "aiorts.kernel.quality": "WriterBack WriterSilent",
         "aiorts.composites": "CompositeChanged",

@@ -36,6 +36,10 @@ class Names:
     """What is to be seen of it at once, such as that others reach it without certificates."""
     risks: tuple[str, ...] = ()
     """Risks of its settings, for `aiorts doctor`, each with its remedy behind "; "."""
+    lasting: str = ""
+    """The name by which it is known again after a restart, as the profile has it."""
+    assembled: bool | None = None
+    """As the profile has it."""
     pid: int = 0
     """Of its process; 0 where it is not said."""
     overdue: Mapping[str, Mapping[str, OverdueHook]] = field(default_factory=lambda: _NOTHING)

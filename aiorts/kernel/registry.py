@@ -23,7 +23,7 @@ from aiorts.kernel.detached_hook import run_alone
 from aiorts.kernel.execution.cell import as_group, cell, has_cell
 from aiorts.kernel.extensions.loading import load_aside
 from aiorts.kernel.leaks import report_leaks
-from aiorts.kernel.loop.bus import ComponentAdded, ComponentRemoved, HookFailed, PortAdded, PortRemoved
+from aiorts.kernel.loop.bus import Assembled, ComponentAdded, ComponentRemoved, HookFailed, PortAdded, PortRemoved
 from aiorts.kernel.loop.deadlines import CANCELLATIONS, StopBudget
 from aiorts.kernel.loop.exceptions import chain, note, presentable
 from aiorts.kernel.loop.guarded import KernelLog, guarded
@@ -81,6 +81,10 @@ class Registry:
         """Those that are out of their places, and may come back."""
         self.on_link_lost: dict[str, str] = {}
         """By the component's name: what a system file says of it where its class may say otherwise; "" is nothing."""
+        self.assembled: bool | None = None
+        """Whether all that the run was to begin with is there; None: the program that makes it does not say."""
+        self.lasting = ""
+        """The name by which clients know the kernel again after a restart, as its profile has it."""
         self.composing = asyncio.Lock()
         """Held while a composite changes: one at a time."""
 
@@ -184,6 +188,12 @@ class Registry:
             bus.publish(PortAdded(component.name, profile))
         bus.publish(ComponentAdded(component.name))
         notify(self._kernel.services, "component_added", component)
+
+    def is_assembled(self) -> None:
+        """All that the run was to begin with is there: tell who listens, once."""
+        if not self.assembled:
+            self.assembled = True
+            self._kernel.bus.publish(Assembled())
 
     def _announce_end(self, component: Component) -> None:
         self.on_link_lost.pop(component.name, None)

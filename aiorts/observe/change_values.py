@@ -24,6 +24,9 @@ SECTIONS: Final[Mapping[str, type]] = {
     "contexts": ContextReport,
 }
 
+_ASSEMBLED: Final = "Assembled"
+"""The kind of event after which the profile as a whole is another one."""
+
 
 @dataclass(frozen=True, slots=True)
 class Part:
@@ -69,17 +72,21 @@ class Change:
             else:
                 section[part.name] = part.now
         frozen: dict[str, Any] = {name: MappingProxyType(section) for name, section in sections.items()}
+        if self.kind == _ASSEMBLED:
+            frozen["assembled"] = True
         return replace(profile, sequence=self.sequence, **frozen)
+
+    @property
+    def kind(self) -> str:
+        """The name of the event's class."""
+        return self.event.kind if isinstance(self.event, PastEvent) else type(self.event).__name__
 
     def to_plain(self) -> dict[str, Any]:
         """As JSON has it: the kind of event, its fields, and the parts."""
-        event = self.event
-        kind, told = type(event).__name__, event
-        if isinstance(event, PastEvent):
-            kind, told = event.kind, event.fields
+        told = self.event.fields if isinstance(self.event, PastEvent) else self.event
         fields = {name: value for name, value in plain(told).items() if name != "sequence"}
         parts = [plain(part) for part in self.parts]
-        return {"sequence": self.sequence, "kind": kind, "event": fields, "parts": parts}
+        return {"sequence": self.sequence, "kind": self.kind, "event": fields, "parts": parts}
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,8 +133,12 @@ class Monitor:
                 await self._wait(self._due_ns - now_ns)
         if kernel.closed or self._closed:
             raise StopAsyncIteration
+        return self.look(missed)
+
+    def look(self, missed: int = 0) -> Reading:
+        """The values at this moment."""
         values = {path: self._value(path) for path in self._paths}
-        clock = kernel.clock
+        clock = self._kernel.clock
         return Reading(clock.time_ns(), clock.monotonic_ns(), MappingProxyType(values), missed)
 
     async def _wait(self, duration_ns: int) -> None:

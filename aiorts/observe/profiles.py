@@ -240,6 +240,11 @@ class SystemProfile:
     service_connectors: Mapping[str, ServiceConnectorReport] = field(default_factory=lambda: _NOTHING)
     services: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
     """What services attached to the kernel say of themselves, by name."""
+    lasting: str = ""
+    """The name by which it is known again after a restart: "host/NAME", or where it was given none "host/PROGRAM:FILE"
+    of what it runs. Several that run the same have the same. "" where clients cannot reach it."""
+    assembled: bool | None = None
+    """Whether all that the run was to begin with is there; None: its program makes it, and does not say."""
     schema: int = PROFILE_VERSION
 
     def to_plain(self) -> dict[str, Any]:

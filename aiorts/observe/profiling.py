@@ -97,6 +97,8 @@ def profile_with(
         MappingProxyType({} if monitor is None else {str(which): one for which, one in monitor.gc_pauses.items()}),
         MappingProxyType(service_connectors),
         reports(kernel.services),
+        lasting=kernel.registry.lasting,
+        assembled=kernel.registry.assembled,
     )
 
 

@@ -113,7 +113,7 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     folders = (*kernel.plugins.folders, *plan.catalogue.folders)
     kernel.plugins = Catalogue(dict.fromkeys(folders)) if kernel.plugins.folders else plan.catalogue
     system = plan.system
-    kernel.origin = system.text
+    kernel.origin, kernel.registry.assembled = system.text, False
     planning = kernel.service(Planning)
     planning.clock = system.clock
     kernel.registry.on_link_lost |= {entry.name: entry.on_link_lost for entry in system.components.values()}
@@ -128,6 +128,7 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     await _start(kernel, plan)
     for attached in kernel.services:
         attached.started()
+    kernel.registry.is_assembled()
 
 
 async def _make(kernel: Kernel, plan: Blueprint) -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import json
-from select import select
-from typing import Any
+import threading
+import time
+from typing import Any, Protocol
 
 import pytest
 
+from aiorts import Component, Provided, Required
 from aiorts.cli.app import run_command
 from aiorts.cli.commands.live.measure.readings import Rates, rate_of
 from aiorts.cli.commands.live.measure.spans import span_text
-from aiorts.errors import ConfigurationError, StateError, WiringError
+from aiorts.errors import BusyError, ConfigurationError, DeniedError, WiringError
 from aiorts.sessions import Client
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble
@@ -20,6 +22,25 @@ from aiorts.wire import MsgpackCodec
 from control_parts import WAIT, Counter, Reader, controlled, entry_of, with_client
 
 pytestmark = pytest.mark.anyio
+
+
+class Twice(Protocol):
+    def twice(self, number: int) -> int: ...
+
+
+class Asking(Component):
+    """Would ask."""
+
+    twice = Required[Twice]()
+
+
+class Answering(Component):
+    """Answers."""
+
+    answers = Provided[Twice]()
+
+    def twice(self, number: int) -> int:
+        return 2 * number
 
 
 @pytest.mark.slow
@@ -151,27 +172,100 @@ async def test_chosen_values_stream_at_a_rate() -> None:
     assert times == sorted(set(times))
 
 
-def test_in_simulated_time_values_are_not_streamed_and_counters_are_of_its_clock() -> None:
-    async def run() -> Any:
-        async with controlled("virtual") as kernel:
-            await kernel.sleep(1.0)
-            with Client.open(entry_of("virtual"), timeout=WAIT) as client:
-                streamed = client.begin("monitor", paths=["counter0.step"])
-                counted = client.begin("statistics")
-                for _ in range(2000):
-                    await kernel.sleep(1.0)
-                    if select([client], [], [], 0)[0]:
-                        client.read()
-                        if client.answered(counted):
-                            break
-                with pytest.raises(StateError, match="simulated time; ask for statistics"):
-                    client.result(streamed)
-                return client.result(counted)
+@pytest.mark.parametrize("operation", ["monitor", "counters"])
+def test_in_simulated_time_streams_go_by_real_time_and_look_between_instants(operation: str) -> None:
+    arguments: dict[str, Any] = {"paths": ["counter0.step", "loop.ticks"]} if operation == "monitor" else {}
+    found: list[dict[str, Any]] = []
 
-    found = simulate(run())
-    assert found["simulated"] is True
-    assert found["at_ns"] % 10**7 == 0
-    assert found["connectors"]["counter0.out-reader0.in"][0] == found["at_ns"] // 10**7 + 1
+    def follow(client: Client) -> None:
+        with client:
+            stream = client.stream(operation, WAIT, rate=50.0, **arguments)
+            found.extend(stream.next(WAIT) for _ in range(3))
+
+    async def run() -> None:
+        async with controlled("virtual") as kernel:
+            client = Client.open(entry_of("virtual"), timeout=WAIT)
+            follower = threading.Thread(target=follow, args=(client,))
+            follower.start()
+            until = time.monotonic() + WAIT
+            while follower.is_alive() and time.monotonic() < until:
+                await kernel.sleep(1.0)
+        follower.join(WAIT)
+
+    simulate(run())
+    at = [one["monotonic_ns" if operation == "monitor" else "at_ns"] for one in found]
+    assert len(at) == 3
+    assert at == sorted(set(at))
+    assert all(one % 10**7 == 0 for one in at), "not at an instant of the system"
+
+
+async def test_counters_come_whole_and_then_as_far_as_they_have_changed() -> None:
+    async with controlled("followed") as kernel:
+        (wire,) = kernel.connectors
+        await kernel.create(Counter, "idle")
+        await kernel.create(Reader, "spare")
+        await kernel.connect("idle.out", "spare.in")
+        with await opened("followed") as client:
+            stream = await asyncio.to_thread(lambda: client.stream("counters", rate=50.0))
+            first = await asyncio.to_thread(stream.next, WAIT)
+            assert (first["whole"], first["gone"]) == (True, {})
+            assert set(first["connectors"]) == {wire, "idle.out-spare.in"}
+            assert set(first["components"]) == {"counter0", "reader0", "idle", "spare"}
+            second = await asyncio.to_thread(stream.next, WAIT)
+            assert second["whole"] is False
+            assert set(second["connectors"]) == {wire}, "the other one has not changed"
+            assert second["components"] == {}
+            assert second["connectors"][wire][0] >= first["connectors"][wire][0]
+            await kernel.remove(kernel.components["spare"])
+            gone: dict[str, list[str]] = {}
+            while not gone:
+                gone = (await asyncio.to_thread(stream.next, WAIT))["gone"]
+            assert gone == {"connectors": ["idle.out-spare.in"], "components": ["spare"]}
+            at = await asyncio.to_thread(lambda: client.stream("counters", rate=50.0, at=["reader0.in"], contexts=[]))
+            chosen = await asyncio.to_thread(at.next, WAIT)
+            assert (set(chosen["connectors"]), set(chosen["components"])) == ({wire}, {"reader0"})
+            assert chosen["contexts"] == {}
+
+
+async def test_the_counters_of_services_are_there() -> None:
+    async with controlled("served") as kernel:
+        await kernel.create(Asking, "asking")
+        await kernel.create(Answering, "answering")
+        connector = await kernel.connect("asking.twice", "answering.answers")
+        found = await with_client("served", lambda client: client.call("statistics"))
+        assert found["service_connectors"][connector.name]["calls"] == 0
+        assert connector.name not in found["connectors"]
+        found = await with_client("served", lambda client: client.call("statistics", connectors=[]))
+        assert found["service_connectors"] == {}
+
+
+async def test_who_only_looks_has_connectors_measured_as_long_as_its_stream_lasts() -> None:
+    async with controlled("viewing", mode="view") as kernel:
+        (wire,) = kernel.connectors.values()
+        with await opened("viewing") as client:
+            with pytest.raises(DeniedError):
+                await asyncio.to_thread(client.call, "measure", connectors=[wire.name])
+            stream = await asyncio.to_thread(lambda: client.stream("counters", rate=50.0, measured=[wire.name]))
+            assert stream.began == [wire.name]
+            assert wire.profile.measure == 1000
+            timed: dict[str, Any] = {}
+            while not timed:
+                timed = (await asyncio.to_thread(stream.next, WAIT))["timed"]
+            assert {"latency"} <= set(timed[wire.name])
+            with pytest.raises(ConfigurationError, match="at most 16 for a stream"):
+                await asyncio.to_thread(lambda: client.stream("counters", measured=[wire.name] * 17))
+            more = [
+                await asyncio.to_thread(lambda: client.stream("counters", measured=[wire.name] * 16)) for _ in range(3)
+            ]
+            with pytest.raises(BusyError, match="at most 64"):
+                await asyncio.to_thread(lambda: client.stream("counters", measured=[wire.name] * 16))
+            for one in more:
+                one.close()
+            await asyncio.to_thread(client.call, "names")
+            assert wire.profile.measure == 1000
+        async with asyncio.timeout(WAIT):
+            while wire.profile.measure:
+                await kernel.sleep(0.01)
 
 
 async def test_bytes_are_the_rate_times_the_size(capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,11 +27,15 @@ def recorded(file: Path, seed: int | None, seconds: int | None) -> tuple[int, by
         nonlocal asked
         with client, contextlib.suppress(ClosedError):
             events = client.stream("events", WAIT)
+            counters = client.stream("counters", WAIT, rate=50.0)
+            values = client.stream("monitor", WAIT, paths=["counter0.out"], rate=50.0)
             while True:
                 client.call("names", WAIT)
                 client.call("profile", WAIT)
                 client.call("statistics", WAIT)
                 events.next(WAIT)
+                counters.next(WAIT)
+                values.next(WAIT)
                 asked += 1
 
     async def run() -> int:

@@ -7,12 +7,26 @@ import logging
 
 import pytest
 
+<<<<<<< HEAD
 from aiorts import Kernel
 from aiorts.errors import AbsentError, ConfigurationError, WireError
 from aiorts.sessions import AsyncClient, Client, framed
+=======
+from aiorts import Component, Kernel, Param
+from aiorts.errors import AbsentError, ConfigurationError
+from aiorts.events import Change, ProfileSnapshot
+from aiorts.observe import SystemProfile, profile_from_plain
+from aiorts.sessions import Client
+>>>>>>> s48-h4
 from control_parts import WAIT, Counter, controlled, entry_of, with_client
 
 pytestmark = pytest.mark.anyio
+
+
+class Noted(Component):
+    """Has a long text."""
+
+    text: str = Param("")
 
 
 async def opened(name: str) -> Client:
@@ -72,6 +86,56 @@ async def test_changes_begin_with_the_profile_and_follow_in_order() -> None:
     assert change["sequence"] > stream.began["sequence"]
     parts = {part["name"]: part for part in change["parts"]}
     assert parts["counter0"]["now"]["states"] == {"loop": "inactive"}
+
+
+async def test_changes_begin_in_turns_and_none_is_lost_or_told_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aiorts.control.operations.events.HOLD_SECONDS", 0.0)  # a turn for each thing
+    async with controlled("turns", rate=10.0) as kernel:
+        for number in range(30):
+            await kernel.create(Counter, f"one{number}")
+        with await opened("turns") as client:
+            begun = asyncio.ensure_future(asyncio.to_thread(client.stream, "changes"))
+            changed = 0
+            while not begun.done():
+                await kernel.components["one0"].configuration.change("default", {"step": float(changed)})
+                await kernel.remove(await kernel.create(Counter, f"more{changed}"))
+                changed += 1
+            stream = await begun
+            await kernel.deactivate("counter0")
+            assert changed > 3, "no turn of the loop while the profile was taken"
+            profile = profile_from_plain(ProfileSnapshot, stream.began).apply()
+            sequence = profile.sequence
+            while profile.sequence < kernel.bus.sequence:
+                change = profile_from_plain(Change, await asyncio.to_thread(stream.next, WAIT))
+                assert change.sequence > sequence
+                sequence = change.sequence
+                profile = change.apply(profile)
+        assert profile.structure() == profile_from_plain(SystemProfile, kernel.profile().to_plain()).structure()
+
+
+@pytest.mark.slow(kept_by="test_changes_begin_in_turns_and_none_is_lost_or_told_twice")
+async def test_who_was_too_slow_gets_a_new_profile_in_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aiorts.control.operations.events.HOLD_SECONDS", 0.0)
+    async with controlled("slow", rate=10.0) as kernel:
+        with await opened("slow") as client:
+            note = await kernel.create(Noted, "note0")
+            stream = await asyncio.to_thread(client.stream, "changes")
+            profile = profile_from_plain(ProfileSnapshot, stream.began).apply()
+            big = "x" * 60_000
+            for number in range(500):
+                await note.configuration.change("default", {"text": f"{number}{big}"})
+            renewed = 0
+            async with asyncio.timeout(WAIT):
+                while "end" not in profile.components["note0"].params["text"].value:
+                    item = await asyncio.to_thread(stream.next, WAIT)
+                    if item["kind"] == "ProfileSnapshot":
+                        renewed += 1
+                        assert item["missed"] > 0
+                        profile = profile_from_plain(ProfileSnapshot, item).apply()
+                    else:
+                        profile = profile_from_plain(Change, item).apply(profile)
+                    await note.configuration.change("default", {"text": f"end{item['sequence']}"})
+        assert renewed
 
 
 @pytest.mark.row(106)

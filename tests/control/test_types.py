@@ -135,6 +135,7 @@ CALLS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("log", {"follow": True}),
     ("tap", {"port": "counter0.out"}),
     ("tap", {"port": "counter0.out", "frames": True}),
+    ("counters", {"rate": 50.0, "measured": ["counter0.out-reader0.in"]}),
     ("monitor", {"paths": ["counter0.out", "counter0.step"], "rate": 100.0}),
     ("interfaces", {"port": "car0.driving"}),
     ("call", {"path": "car0.driving.gears"}),

@@ -116,6 +116,7 @@ def test_one_document_has_the_whole_system() -> None:
                 "age_within_ns": None,
                 "acknowledged": None,
                 "in_flight": 0,
+                "round_trip_ns": None,
             }, wire.statistics
             assert told["contexts"]["loop"]["members"] == ["sensor0", "arm0"]
             assert told["contexts"]["loop"]["statistics"]["cycles"] == 1

@@ -191,7 +191,7 @@ def _prepared(text: str, changes: Sequence[str], services: Settings, choices: Ch
             raise ConfigurationError(str(error)).like(error) from None
         raise
     catalogue = catalogue_of(system.plugin_paths)
-    plan = prepare(system, catalogue, _settings(_activated(system), _program(system), system.services, services))
+    plan = prepare(system, catalogue, _settings(_activated(system), *_program(system), system.services, services))
     if not (system.components or system.composites):
         raise SystemFileError(
             f"{text}: there are no components, and nothing to run; write [components.NAME] with a type"
@@ -239,9 +239,13 @@ def _activated(system: SystemFile) -> Sequence[str]:
     return list(dict.fromkeys((*active, *started))) or [name for name, _ in members]
 
 
-def _settings(ready: Sequence[str], program: str, file: Settings, options: Settings) -> Settings:
+def _settings(ready: Sequence[str], program: str, runs: str, file: Settings, options: Settings) -> Settings:
     """What services are to go by besides the file: those of every run, and what options say."""
-    always: Settings = {"watch_loop": {}, "supervision": {"ready": ready}, "control": {"program": program}}
+    always: Settings = {
+        "watch_loop": {},
+        "supervision": {"ready": ready},
+        "control": {"program": program, "runs": runs},
+    }
     return {
         name: {key: value for key, value in always.get(name, {}).items() if key not in file.get(name, {})}
         | dict(options.get(name, {}))
@@ -249,10 +253,11 @@ def _settings(ready: Sequence[str], program: str, file: Settings, options: Setti
     }
 
 
-def _program(system: SystemFile) -> str:
-    """What a system is called where nobody named it: its file, or the folder of one that is called system.toml."""
+def _program(system: SystemFile) -> tuple[str, str]:
+    """What a system is called where nobody named it: its file, or the folder of one that is called system.toml; and
+    the path of the file."""
     path = Path(system.path).absolute()
-    return path.stem if path.stem != "system" else path.parent.name or path.stem
+    return path.stem if path.stem != "system" else path.parent.name or path.stem, str(path)
 
 
 # -- one component -----------------------------------------------------------------------------------------------------
@@ -286,7 +291,7 @@ def _alone(
         raise ConfigurationError("--count: no samples are printed and none are read; use --for")
     ends = Ends(None) if fed else None
     check_rate(rate)
-    plans = [plan_service(catalogue, *one) for one in _settings((name,), name, {}, services).items()]
+    plans = [plan_service(catalogue, *one) for one in _settings((name,), name, _runs(cls), {}, services).items()]
 
     async def make(kernel: Kernel) -> None:
         attach_services(kernel, plans)
@@ -315,6 +320,12 @@ def _alone(
 
     streams = (*((_INPUT,) if fed else ()), *((_OUTPUT,) if shown else ()))
     return Target((name,), catalogue, make, unfed="" if fed else unfed, streams=streams, ends=ends)
+
+
+def _runs(cls: type[Component]) -> str:
+    """What is run where a component runs alone: its file and class."""
+    file = getattr(sys.modules.get(cls.__module__), "__file__", None) or cls.__module__
+    return f"{file}:{cls.__qualname__}"
 
 
 def _setting(draft: Component, changes: Iterable[str]) -> Setting:

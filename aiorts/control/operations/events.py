@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import asyncio
+from collections.abc import Awaitable, Iterator, Mapping
 from dataclasses import field, fields
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
+from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Nothing, Operation, Right
 from aiorts.control.operations.known import absent
 from aiorts.control.session import Session, Stream
+from aiorts.control.turns import HOLD_SECONDS
 from aiorts.errors import ControlError, format_error
 from aiorts.kernel.loop.bus import Event
+from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.late import dataclass
-from aiorts.observe import Change, Changes, ProfileSnapshot, SystemProfile, ToldChange, ToldProfile, system_profile
+from aiorts.observe import (
+    Change,
+    Changes,
+    ProfileSnapshot,
+    SystemProfile,
+    ToldChange,
+    ToldProfile,
+    system_profile,
+    system_profile_in_turns,
+)
+
+if TYPE_CHECKING:
+    from aiorts.kernel.microkernel import Microkernel
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,25 +89,68 @@ def _fields(event: Event) -> Mapping[str, Any]:
     return told
 
 
-def _changes(session: Session, _: Nothing, stream: Stream) -> ToldProfile:
+def _changes(session: Session, _: Nothing, stream: Stream) -> ToldProfile | Awaitable[ToldProfile]:
     """Send each change from now on; returns the profile that the first belongs to."""
-    behind = 0
+    return _Changing(session.kernel, stream).begin()
 
-    def take(change: Change) -> None:
-        nonlocal behind
-        if not stream.has_room:
-            behind += 1
-        elif behind:  # a new profile takes the place of what there was no room for
-            profile = system_profile(session.kernel)
-            stream.send(_told(profile, behind + 1))
-            behind = 0
+
+class _Changing:
+    """Sends changes to a client that may be too slow for them: then a new profile takes their place.
+
+    Profiles are taken in turns; a change that comes meanwhile is in the profile, and is not sent. In simulated time
+    they are taken in one look: a task would be one more that is ready at this instant.
+    """
+
+    def __init__(self, kernel: Microkernel, stream: Stream) -> None:
+        self._kernel, self._stream = kernel, stream
+        self._simulated = isinstance(kernel.clock, SimulatedClock)
+        self._looking = not self._simulated
+        """Whether a profile is being taken."""
+        self._behind = 0
+        """Changes that the next profile stands for; 0: the client has them all."""
+        self._task: asyncio.Task[None] | None = None
+        self._changes = Changes(kernel, 0, self._take)
+        stream.on_close(self._close)
+
+    def begin(self) -> ToldProfile | Awaitable[ToldProfile]:
+        """The first profile."""
+        return _told(system_profile(self._kernel)) if self._simulated else self._first()
+
+    async def _first(self) -> ToldProfile:
+        profile = await system_profile_in_turns(self._kernel, HOLD_SECONDS)
+        self._looking, self._behind = False, 0
+        return _told(profile)
+
+    def _take(self, change: Change) -> None:
+        if self._looking or self._behind or not self._stream.has_room:
+            self._behind += 1
         else:
-            stream.send(change.to_plain())
+            self._stream.send(change.to_plain())
+            return
+        if self._looking or not self._stream.has_room:
+            return
+        if self._simulated:
+            self._renew(system_profile(self._kernel))
+        else:
+            self._looking = True
+            self._task = kernel_task(self._kernel.loop, self._look(), "aiorts control changes")
 
-    changes = Changes(session.kernel, 0, take)
-    stream.on_close(changes.close)
-    profile = system_profile(session.kernel)
-    return _told(profile)
+    async def _look(self) -> None:
+        try:
+            profile = await system_profile_in_turns(self._kernel, HOLD_SECONDS)
+        finally:
+            self._looking = False
+        if self._stream.has_room:
+            self._renew(profile)
+
+    def _renew(self, profile: SystemProfile) -> None:
+        missed, self._behind = self._behind, 0
+        self._stream.send(_told(profile, missed))
+
+    def _close(self) -> None:
+        self._changes.close()
+        if self._task is not None:
+            self._task.cancel()
 
 
 def _told(profile: SystemProfile, missed: int = 0) -> ToldProfile:

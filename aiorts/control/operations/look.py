@@ -37,6 +37,8 @@ def _names(session: Session, _: Nothing) -> Names:
         links="" if far is None else far.open_as(elsewhere=session.carried),
         notices=tuple(one.notice for one in kernel.services if one.notice),
         risks=tuple(one.risk for one in kernel.services if one.risk),
+        lasting=kernel.registry.lasting,
+        assembled=kernel.registry.assembled,
         pid=os.getpid(),
         overdue=MappingProxyType(
             {name: late for name, one in kernel.components.items() if (late := overdue_hooks(one))}

@@ -6,18 +6,21 @@ dicts that go into a frame as they are. None of them takes a sample.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Iterable, Iterator, Mapping
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right
 from aiorts.control.session import Session, Stream
+from aiorts.control.ticking import Ticking
 from aiorts.control.turns import in_turns
 from aiorts.control.values import Done
-from aiorts.errors import AiortsError, ConfigurationError, StateError, WiringError
+from aiorts.errors import AiortsError, BusyError, ConfigurationError, WiringError
 from aiorts.kernel.execution.cell import cell, standing_error
 from aiorts.kernel.execution.member import overdue_hooks
 from aiorts.kernel.loop.tasks import kernel_task
@@ -43,6 +46,16 @@ T = TypeVar("T")
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 _Made: TypeAlias = dict[str, Any]
 """`Counters` as dicts."""
+_One: TypeAlias = tuple[str, str, Any]
+"""The kind of a thing, its name, and what it has counted."""
+_KINDS: Final = ("connectors", "service_connectors", "timed", "contexts", "components")
+_NEVER: Final = object()
+_FASTEST: Final = 50.0
+_COUNT: Final = 1000
+_MEASURED: Final = 16
+"""Connectors that a stream may have measured."""
+_MEASURED_IN_ALL: Final = 64
+"""The same of all streams of a kernel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +63,7 @@ class Chosen:
     """Of what the counters are wanted; what is not there now is left out."""
 
     connectors: tuple[str, ...] | None = None
-    """Names; None is all, and an empty list none."""
+    """Names, also of those of service ports; None is all, and an empty list none."""
     contexts: tuple[str, ...] | None = None
     components: tuple[str, ...] | None = None
     timed: tuple[str, ...] = ()
@@ -99,6 +112,7 @@ class Counters:
     simulated: bool
     connectors: Mapping[str, tuple[int, int, int, Mapping[str, int], int]]
     """Written, delivered, buffered, dropped by reason, and the option `measure`."""
+    service_connectors: Mapping[str, ServiceStatistics]
     timed: Mapping[str, Mapping[str, tuple[int, ...]]]
     """"latency" and "age": how many, p50, p99 and maximum in nanoseconds; "within": how far the age may be off that
     is by the stamps of another machine."""
@@ -106,33 +120,50 @@ class Counters:
     components: Mapping[str, ComponentCounters]
 
 
+@dataclass(frozen=True, slots=True)
+class CounterChanges(Counters):
+    """The counters that are other ones than in the items before; of the first item, and after a loss, all."""
+
+    whole: bool = False
+    """Whether it has all, and what was said before is void."""
+    gone: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
+    """The names that are not there any more, by kind: "connectors", "contexts", ..."""
+
+
 def _statistics(session: Session, given: Chosen) -> _Made | Awaitable[_Made]:
     """Connectors are counted at one moment; where the rest takes long, the loop has its turns in between."""
-    kernel, clock = session.kernel, session.kernel.clock
+    kernel = session.kernel
     made: _Made = {
-        "time_ns": clock.time_ns(),
-        "at_ns": clock.monotonic_ns(),
-        "simulated": isinstance(clock, SimulatedClock),
+        **_moment(kernel),
         "connectors": {name: _counted(one) for name, one in _chosen(kernel.connectors, given.connectors)},
-        "timed": {},
-        "contexts": {},
-        "components": {},
     }
-    return in_turns(kernel, _rest(kernel, given, made), made)
+    return in_turns(kernel, _put(made, _rest(kernel, given)), made)
 
 
-def _rest(kernel: Microkernel, given: Chosen, made: _Made) -> Iterator[None]:
-    """Put in what need not be of one moment, one thing at each step."""
+def _moment(kernel: Microkernel) -> _Made:
+    """The beginning of what is counted."""
+    clock = kernel.clock
+    head = {"time_ns": clock.time_ns(), "at_ns": clock.monotonic_ns(), "simulated": isinstance(clock, SimulatedClock)}
+    return {**head, **{kind: {} for kind in _KINDS}}
+
+
+def _put(made: _Made, counted: Iterable[_One]) -> Iterator[None]:
+    for kind, name, value in counted:
+        made[kind][name] = value
+        yield
+
+
+def _rest(kernel: Microkernel, given: Chosen) -> Iterator[_One]:
+    """What need not be of one moment."""
     for name, wire in tuple(_chosen(kernel.connectors, given.timed)):
         if found := _timed(wire):
-            made["timed"][name] = found
-        yield
+            yield "timed", name, found
+    for name, service in tuple(_chosen(kernel.service_connectors, given.connectors)):
+        yield "service_connectors", name, service.statistics
     for name, context in tuple(_chosen(kernel.contexts, given.contexts)):
-        made["contexts"][name] = _context(context)
-        yield
+        yield "contexts", name, _context(context)
     for name, component in tuple(_chosen(kernel.components, given.components)):
-        made["components"][name] = _component(component)
-        yield
+        yield "components", name, _component(component)
 
 
 def _chosen(known: Mapping[str, T], names: tuple[str, ...] | None) -> Iterable[tuple[str, T]]:
@@ -198,7 +229,7 @@ class Measured:
     """Connectors that are to be measured as long as the session lasts."""
 
     connectors: tuple[str, ...]
-    count: int = 1000
+    count: int = _COUNT
     """Sends and reads over which latency and age are taken."""
 
 
@@ -210,23 +241,30 @@ def _measure(session: Session, given: Measured) -> tuple[str, ...]:
     """Switch `measure` on where it is off; returns the connectors that are measured for sessions only."""
     if not 1 <= given.count <= MAX_LENGTH:
         raise ConfigurationError(f"measure: count = {given.count}: expected 1 to {MAX_LENGTH} samples")
-    wires = [_wire(session, name) for name in given.connectors]
+    return _hold(session, given.connectors, given.count, session.keep)
+
+
+def _hold(
+    session: Session, connectors: Sequence[str], count: int, keep: Callable[[Callable[[], object]], object]
+) -> tuple[str, ...]:
+    """Have connectors measured until what is kept is called; those that are measured anyway stay as they are."""
+    wires = [_wire(session, name) for name in connectors]
     for wire in wires:
         if wire not in _HELD:
             if wire.profile.measure:
                 continue  # it was made so
-            session.kernel.connections.measure(wire, given.count)
+            session.kernel.connections.measure(wire, count)
         _HELD[wire] = _HELD.get(wire, 0) + 1
-        session.keep(partial(_let_go, session, wire))
+        keep(partial(_let_go, session.kernel, wire))
     return tuple(wire.name for wire in wires if wire in _HELD)
 
 
-def _let_go(session: Session, wire: Connector) -> None:
+def _let_go(kernel: Microkernel, wire: Connector) -> None:
     _HELD[wire] -= 1
     if not _HELD[wire]:
         del _HELD[wire]
         if not wire.closed:
-            session.kernel.connections.measure(wire, 0)
+            kernel.connections.measure(wire, 0)
 
 
 def _wire(session: Session, name: str) -> Connector:
@@ -234,6 +272,117 @@ def _wire(session: Session, name: str) -> Connector:
     if name not in known:
         raise WiringError(f"{name}: no such connector; there are {', '.join(tuple(known)[:20]) or 'none'}")
     return known[name]
+
+
+# -- a stream of counters ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Following(Chosen):
+    """Counters that are wanted again and again."""
+
+    at: tuple[str, ...] = ()
+    """Names of components, and paths of ports: only connectors at one of them, and only these components; none is all.
+    What is connected later counts, too."""
+    measured: tuple[str, ...] = ()
+    """Connectors that are measured as long as the stream lasts, and timed: at most 16, and 64 of all streams."""
+    rate: float = 2.0
+    """Items a second of the kernel's clock, of the real one in simulated time: up to 50."""
+
+
+_STREAMED: Final[WeakKeyDictionary[Microkernel, int]] = WeakKeyDictionary()
+"""How many connectors streams have measured in a kernel, each as often as it is."""
+
+
+def _follow(session: Session, given: Following, stream: Stream) -> tuple[str, ...]:
+    """Send counters at a rate; returns the connectors that are measured for sessions and streams only."""
+    if not 0.0 < given.rate <= _FASTEST:
+        raise ConfigurationError(f"counters: rate = {given.rate!r}: expected a number of Hz above 0 and up to 50")
+    measured = _measure_for(session, given.measured, stream)
+    stream.on_close(Ticking(session.kernel, given.rate, _Following(session.kernel, given, stream).look).close)
+    return measured
+
+
+def _measure_for(session: Session, connectors: tuple[str, ...], stream: Stream) -> tuple[str, ...]:
+    kernel, count = session.kernel, len(connectors)
+    if count > _MEASURED:
+        raise ConfigurationError(f"counters: {count} connectors to be measured; at most {_MEASURED} for a stream")
+    if (held := _STREAMED.get(kernel, 0)) + count > _MEASURED_IN_ALL:
+        raise BusyError(f"counters: {held} connectors are measured for streams, {count} more asked for; at most 64")
+    _STREAMED[kernel] = held + count
+
+    def release() -> None:
+        _STREAMED[kernel] -= count
+
+    stream.on_close(release)
+    return _hold(session, connectors, _COUNT, stream.on_close)
+
+
+class _Following:
+    """Looks at counters in turns, and sends what is other than before."""
+
+    def __init__(self, kernel: Microkernel, given: Following, stream: Stream) -> None:
+        self._kernel, self._given, self._stream = kernel, given, stream
+        self._timed = tuple(dict.fromkeys((*given.timed, *given.measured)))
+        self._known: dict[tuple[str, str], Any] = {}
+        """What the client has, by kind and name."""
+        self._task: asyncio.Task[None] | None = None
+        stream.on_close(self._close)
+
+    def look(self) -> None:
+        if self._task is not None and not self._task.done():
+            return  # the look before lasts on
+        if not self._stream.has_room:
+            self._stream.miss(1)
+            return
+        seen: set[tuple[str, str]] = set()
+        item = {**_moment(self._kernel), "whole": not self._known}
+        made = in_turns(self._kernel, self._steps(item, seen), item)
+        if isinstance(made, dict):
+            self._send(item, seen)
+        else:
+            self._task = kernel_task(self._kernel.loop, self._send_later(made, seen), "aiorts control counters")
+
+    async def _send_later(self, made: Awaitable[_Made], seen: set[tuple[str, str]]) -> None:
+        self._send(await made, seen)
+
+    def _send(self, item: _Made, seen: set[tuple[str, str]]) -> None:
+        gone: dict[str, list[str]] = {}
+        for key in self._known.keys() - seen:
+            del self._known[key]
+            gone.setdefault(key[0], []).append(key[1])
+        if not self._stream.send({**item, "gone": gone}):
+            self._known.clear()  # the next one is whole
+
+    def _steps(self, item: _Made, seen: set[tuple[str, str]]) -> Iterator[None]:
+        for kind, name, value in self._counted():
+            seen.add((kind, name))
+            if self._known.get((kind, name), _NEVER) != value:
+                self._known[kind, name] = item[kind][name] = value
+            yield
+
+    def _counted(self) -> Iterator[_One]:
+        kernel, given = self._kernel, self._given
+        wires: dict[str, Any] = {**kernel.connectors, **kernel.service_connectors}
+        if given.at:
+            wires = {name: one for name, one in wires.items() if _is_at(given.at, one.profile.ports)}
+        names = tuple(name for name, _ in _chosen(wires, given.connectors))
+        components = tuple(kernel.components) if given.components is None else given.components
+        if given.at:
+            owners = {path.partition(".")[0] for path in given.at}
+            components = tuple(name for name in components if name in owners)
+        for name in names:
+            if name in kernel.connectors:
+                yield "connectors", name, _counted(kernel.connectors[name])
+        yield from _rest(kernel, Chosen(names, given.contexts, components, self._timed))
+
+    def _close(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+
+
+def _is_at(those: Iterable[str], ports: Iterable[str]) -> bool:
+    return any(port == one or port.startswith(f"{one}.") for port in ports for one in those)
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,15 +416,16 @@ class Watched:
 
     paths: tuple[str, ...]
     rate: float = 10.0
-    """Hz of the kernel's clock."""
+    """Hz of the kernel's clock; of the real one in simulated time."""
 
 
 def _monitor(session: Session, given: Watched, stream: Stream) -> Done:
     kernel = session.kernel
-    if isinstance(kernel.clock, SimulatedClock):
-        raise StateError("monitor: its timer would change what happens in simulated time; ask for statistics instead")
     monitor = Monitor(kernel, given.paths, given.rate)
     stream.on_close(monitor.close)
+    if isinstance(kernel.clock, SimulatedClock):
+        stream.on_close(Ticking(kernel, given.rate, lambda: stream.send(monitor.look())).close)
+        return Done()
 
     async def send_all() -> None:
         async for reading in monitor:
@@ -287,6 +437,15 @@ def _monitor(session: Session, given: Watched, stream: Stream) -> Done:
 
 
 ROWS: Final = (
+    Operation(
+        "counters",
+        "Stream the counters at a rate: first all, then those that have changed.",
+        Following,
+        tuple[str, ...],
+        Right.VIEW,
+        _follow,
+        item=CounterChanges,
+    ),
     Operation("measure", "Measure connectors for the session.", Measured, tuple[str, ...], Right.OPERATE, _measure),
     Operation("monitor", "Stream chosen values at a rate.", Watched, Done, Right.VIEW, _monitor, item=Reading),
     Operation("sizes", "Encoded size of samples.", Wires, Mapping[str, Size], Right.VIEW, _sizes, idempotent=True),

@@ -39,6 +39,7 @@ class ControlSettings:
     )
     name: str = setting("", "The name by which other terminals reach the run; PROGRAM-PID by default.", option="--name")
     program: str = setting("", "What its name begins with where it has none.")
+    runs: str = setting("", "What it runs, by which it is known again where it has no name: the path of its file.")
     files: Path | None = setting(
         None,
         "The folder below which clients that lack the right 'code' may name files; none by default.",
@@ -48,7 +49,7 @@ class ControlSettings:
     def __post_init__(self) -> None:
         if self.mode not in ("on", "view", "off"):
             raise ConfigurationError(f'mode: expected "on", "view" or "off", got {self.mode!r:.80}')
-        if not isinstance(self.name, str) or not isinstance(self.program, str):
+        if not all(isinstance(one, str) for one in (self.name, self.program, self.runs)):
             raise ConfigurationError(f"name: expected text, got {self.name!r:.80}")
         if self.files is not None and not self.files.is_dir():
             raise ConfigurationError(f"files: {str(self.files)!r:.80}: there is no such folder")
@@ -75,7 +76,8 @@ class Control(KernelService):
         if settings.mode == "off" or not (settings.name or is_supported()):
             return
         host = _fit(platform.node()) or "host"
-        name = settings.name or f"{_fit(settings.program or _program(self.kernel.name))}-{os.getpid()}"
+        program = _fit(settings.program or _program(self.kernel.name))
+        name = settings.name or f"{program}-{os.getpid()}"
         address, epoch = f"{host}/{name}", int.from_bytes(os.urandom(8), "big")
         try:
             self._claim = _claim(address, f"{epoch:016x}", named=bool(settings.name))
@@ -84,12 +86,16 @@ class Control(KernelService):
                 raise
             LOG.warning("other terminals cannot look into this run: %s", error)
             return
+        number = self._claim.entry.address.removeprefix(address)  # of several without a name in one process
+        lasting = settings.name or f"{program}{number}:{settings.runs or _file()}"
+        self.kernel.registry.lasting = f"{host}/{lasting}"
         address = self._claim.entry.address
         right = _RIGHTS[settings.mode]
         hello = {
             "address": address,
             "epoch": self._claim.entry.epoch,
             "kernel": self.kernel.name,
+            "lasting": self.kernel.registry.lasting,
             "pid": os.getpid(),
             "right": right.value,
         }
@@ -124,7 +130,7 @@ class Control(KernelService):
         if self._claim is not None:
             self._claim.listener.close()
         self._claim = self._listener = None
-        self.kernel.address, self.kernel.epoch = "", 0
+        self.kernel.address, self.kernel.epoch, self.kernel.registry.lasting = "", 0, ""
 
 
 def _claim(address: str, epoch: str, *, named: bool) -> Claim:
@@ -141,6 +147,11 @@ def _claim(address: str, epoch: str, *, named: bool) -> Claim:
 def _program(kernel: str) -> str:
     """What the process is called."""
     return kernel if kernel != "kernel" else Path(sys.argv[0] if sys.argv else "").stem or "python"
+
+
+def _file() -> str:
+    """The file that the process runs; "" for one that runs none."""
+    return os.path.realpath(sys.argv[0]) if sys.argv and os.path.isfile(sys.argv[0]) else ""
 
 
 def _fit(text: str) -> str:

@@ -69,6 +69,11 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
+class Assembled(Event):
+    """All that a run was to begin with is there: created, connected, its contexts started, its members activated."""
+
+
+@dataclass(frozen=True, slots=True)
 class ComponentAdded(Event):
     """A component was created and initialised."""
 
