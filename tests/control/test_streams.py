@@ -7,17 +7,11 @@ import logging
 
 import pytest
 
-<<<<<<< HEAD
-from aiorts import Kernel
-from aiorts.errors import AbsentError, ConfigurationError, WireError
-from aiorts.sessions import AsyncClient, Client, framed
-=======
 from aiorts import Component, Kernel, Param
-from aiorts.errors import AbsentError, ConfigurationError
+from aiorts.errors import AbsentError, ConfigurationError, WireError
 from aiorts.events import Change, ProfileSnapshot
 from aiorts.observe import SystemProfile, profile_from_plain
-from aiorts.sessions import Client
->>>>>>> s48-h4
+from aiorts.sessions import AsyncClient, Client, framed
 from control_parts import WAIT, Counter, controlled, entry_of, with_client
 
 pytestmark = pytest.mark.anyio
