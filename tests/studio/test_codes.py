@@ -160,4 +160,4 @@ class Clients(RuleBasedStateMachine):
         assert len(self.door.ended) == len(self.tokens) - len(good)
 
 
-TestClients = Clients.TestCase
+TestClients = pytest.mark.slow(kept_by="test_a_second_use_ends_the_token_and_is_reported")(Clients.TestCase)

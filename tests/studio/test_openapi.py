@@ -46,6 +46,7 @@ def empty(value: Any, path: str = "") -> Iterator[str]:
             yield from empty(one, path)
 
 
+@pytest.mark.slow(kept_by="test_answers_are_as_described")
 @pytest.mark.row(151)
 @pytest.mark.parametrize("right", [Right.VIEW, Right.OPERATE])
 def test_it_has_what_the_right_allows_with_types(right: Right) -> None:
@@ -73,6 +74,7 @@ def test_the_page_shows_all_of_it_and_loads_nothing_from_elsewhere() -> None:
 
 
 @pytest.mark.anyio
+@pytest.mark.row(151)
 async def test_answers_are_as_described() -> None:
     async with controlled("robot"), site() as client:
         described = (await client.ask("GET", "/openapi.json", headers={"Authorization": ""})).value
