@@ -43,7 +43,16 @@ PROVISIONAL: Final = Tier(
     ),
     frozenset(
         (
-            *("look-into", "control", "save-system", "change-system", "measure-live", "samples-live", "live-log"),
+            *(
+                "look-into",
+                "control",
+                "operations",
+                "save-system",
+                "change-system",
+                "measure-live",
+                "samples-live",
+                "live-log",
+            ),
             *("connect-processes", "links", "isolate-components", "move", "services", "goals", "state-machines"),
         )
     ),

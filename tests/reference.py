@@ -21,6 +21,7 @@ import click
 from aiorts.guide import pages
 from aiorts.tiers import NOT_STABLE, tier_of_page
 from reference_api import api, events, statistics
+from reference_operations import operations
 from reference_source import WIDTH, block, doc_of, item, listed, one_line
 
 ROOT: Final = Path(__file__).parents[1]
@@ -80,6 +81,27 @@ Every event of `aiorts.events` with its fields, for programs that observe a kern
 `kernel.bus.subscribe(StateChanged, observer)` calls `observer` with each event of that class and of the classes derived
 from it. Each event also has `sequence: int`, its number on the bus of its kernel. A time is in nanoseconds where its
 name ends with `_ns`, else in seconds.""",
+    "operations": """# Operations of a kernel
+
+Everything that a client can ask a kernel for, with the right that it needs, its arguments, and what it answers.
+
+Commands, `aiorts.sessions` and other carriers all go by this table. A call is a name with arguments; it has one answer,
+and an operation that streams goes on with items until it ends or is cancelled. In an answer a field that has a default
+may be left out. Any value may be where a parameter, a sample or a user's method decides, and nowhere else.
+
+**Who only looks** (right `view`) changes nothing that lasts, and runs no code: `catalogue` imports a package only for
+who may operate. One thing may be switched on: `counters` has connectors `measured` as long as its stream lasts, at most
+16 for a stream and 64 of a kernel in all; `measure` needs `operate`.
+
+**The same kernel, restarted**: hello, `names` and `profile` have `lasting`, a name that stays: "host/NAME" of a kernel
+that was given one (`--name`), else "host/PROGRAM:FILE" of what it runs. Several that run the same have the same, and
+`address` and `epoch` tell them apart.
+
+**Assembled**: while a system file is made into a system, `assembled` is false in `names` and `profile`; then the event
+`Assembled` comes, and it is true. It is null where a program makes its components itself.
+
+**In simulated time** `monitor` and `counters` go by the real clock, and look between two instants: a timer of the
+simulated clock would change what happens.""",
     "statistics": """# Statistics and profiles
 
 Every class of counts, times and descriptions that a kernel gives, with fields and units.
@@ -449,6 +471,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "flexi": flexi,
     "events": events,
     "statistics": statistics,
+    "operations": operations,
 }
 
 

@@ -297,7 +297,7 @@ def events() -> str:
 
 # -- statistics --------------------------------------------------------------------------------------------------------
 
-_REPORTS: Final = {
+REPORTS: Final = {
     "Connectors": ("ConnectorStatistics", "ConnectorProfile", "PublisherTiming", "Spans"),
     "Synchronisers": ("SynchronizerStatistics",),
     "Execution contexts": ("ContextStatistics", "HookStatistics", "ContextProfile"),
@@ -312,14 +312,14 @@ _REPORTS: Final = {
     "The whole system": (
         *("SystemProfile", "ClockReport", "ComponentReport", "ParameterReport", "ConfigurationReport"),
         *("MachineReport", "ModeReport", "CompositeReport", "ConnectorReport", "ServiceConnectorReport"),
-        *("BindingReport", "ContextReport"),
+        *("BindingReport", "ContextReport", "ProcessReport", "Limits"),
     ),
 }
 _HOMES: Final = (
     *("aiorts.model.configuration.configuration_profile", "aiorts.model.profile", "aiorts.model.timing"),
     *("aiorts.model.service_profile", "aiorts.model.blame", "aiorts.diagnostics.loop_monitor"),
     "aiorts.sync.matching",
-    *("aiorts.kernel.loop.observers", "aiorts.observe.profiles", "aiorts_log.recorder.options"),
+    *("aiorts.kernel.loop.observers", "aiorts.observe.profiles", "aiorts.observe.part", "aiorts_log.recorder.options"),
 )
 
 
@@ -335,7 +335,7 @@ def report_class(name: str) -> type:
 
 def statistics() -> str:
     parts = []
-    for title, names in _REPORTS.items():
+    for title, names in REPORTS.items():
         parts.append(f"## {title}\n")
         for name in names:
             cls = report_class(name)

@@ -52,7 +52,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
         "Reference",
         (
             *("api", "system-file", "command-line", "error-codes", "exit-status"),
-            *("record-types", "flexi", "events", "statistics"),
+            *("record-types", "flexi", "events", "statistics", "operations"),
         ),
     ),
     "explanation": (

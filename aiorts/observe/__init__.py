@@ -29,7 +29,7 @@ if TYPE_CHECKING:
         SystemProfile,
     )
     from aiorts.observe.profiling import context_report, declared_params, system_profile, visible
-    from aiorts.observe.reading import ToldChange, ToldProfile, profile_from_plain, profile_to_plain
+    from aiorts.observe.reading import ToldChange, ToldSnapshot, profile_from_plain, profile_to_plain
     from aiorts.observe.samples import Samples, out_port_of, when_removed
     from aiorts.observe.schema import profile_schema
     from aiorts.observe.special_reports import calls, thread_writes
@@ -51,7 +51,7 @@ _late(
             "SystemProfile"
         ),
         "aiorts.observe.profiling": "context_report declared_params system_profile visible",
-        "aiorts.observe.reading": "ToldChange ToldProfile profile_from_plain profile_to_plain",
+        "aiorts.observe.reading": "ToldChange ToldSnapshot profile_from_plain profile_to_plain",
         "aiorts.observe.samples": "Samples out_port_of when_removed",
         "aiorts.observe.schema": "profile_schema",
         "aiorts.observe.special_reports": "calls thread_writes",

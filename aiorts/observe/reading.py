@@ -57,7 +57,7 @@ def profile_from_plain(
         told = _read(ToldChange, kind, data, limits, unknown)
         read = Change(told.sequence, PastEvent(told.kind, told.event), tuple(map(_typed, told.parts)))
     elif kind is ProfileSnapshot:
-        whole = _read(ToldProfile, kind, data, limits, unknown)
+        whole = _read(ToldSnapshot, kind, data, limits, unknown)
         if whole.kind != "ProfileSnapshot":
             raise RecordError("kind: expected ProfileSnapshot, got a Change; ask for that")
         read = ProfileSnapshot(whole.sequence, _typed(whole.profile), whole.missed)
@@ -85,7 +85,7 @@ class ToldChange:
 
 
 @dataclass(frozen=True, slots=True)
-class ToldProfile:
+class ToldSnapshot:
     """A snapshot as JSON has it."""
 
     sequence: int

@@ -22,7 +22,7 @@ from aiorts.observe import (
     ProfileSnapshot,
     SystemProfile,
     ToldChange,
-    ToldProfile,
+    ToldSnapshot,
     system_profile,
     system_profile_in_turns,
 )
@@ -89,7 +89,7 @@ def _fields(event: Event) -> Mapping[str, Any]:
     return told
 
 
-def _changes(session: Session, _: Nothing, stream: Stream) -> ToldProfile | Awaitable[ToldProfile]:
+def _changes(session: Session, _: Nothing, stream: Stream) -> ToldSnapshot | Awaitable[ToldSnapshot]:
     """Send each change from now on; returns the profile that the first belongs to."""
     return _Changing(session.kernel, stream).begin()
 
@@ -112,11 +112,11 @@ class _Changing:
         self._changes = Changes(kernel, 0, self._take)
         stream.on_close(self._close)
 
-    def begin(self) -> ToldProfile | Awaitable[ToldProfile]:
+    def begin(self) -> ToldSnapshot | Awaitable[ToldSnapshot]:
         """The first profile."""
         return _told(system_profile(self._kernel)) if self._simulated else self._first()
 
-    async def _first(self) -> ToldProfile:
+    async def _first(self) -> ToldSnapshot:
         profile = await system_profile_in_turns(self._kernel, HOLD_SECONDS)
         self._looking, self._behind = False, 0
         return _told(profile)
@@ -153,9 +153,9 @@ class _Changing:
             self._task.cancel()
 
 
-def _told(profile: SystemProfile, missed: int = 0) -> ToldProfile:
+def _told(profile: SystemProfile, missed: int = 0) -> ToldSnapshot:
     """The snapshot, made plain in the thread that sends it."""
-    return ToldProfile(profile.sequence, profile, ProfileSnapshot.__name__, missed)
+    return ToldSnapshot(profile.sequence, profile, ProfileSnapshot.__name__, missed)
 
 
 ROWS: Final = (
@@ -163,10 +163,10 @@ ROWS: Final = (
         "changes",
         "Stream changes of the profile.",
         Nothing,
-        ToldProfile,
+        ToldSnapshot,
         Right.VIEW,
         _changes,
-        item=ToldChange | ToldProfile,
+        item=ToldChange | ToldSnapshot,
     ),
     Operation("events", "Stream what happens.", Kinds, int, Right.VIEW, _events, item=Happened),
 )

@@ -278,7 +278,14 @@ async def _read_aside(parts: tuple[str, ...]) -> Wanted:
 
 ROWS: Final = (
     Operation("apply", "Change the system that runs into a wanted one.", Application, Changed, Right.OPERATE, _apply),
-    Operation("change", "The same, until this session decides.", Target, Changed, Right.OPERATE, _change),
+    Operation(
+        "change",
+        "Change the system that runs into a wanted one, until this session decides.",
+        Target,
+        Changed,
+        Right.OPERATE,
+        _change,
+    ),
     Operation("decide", "Keep what was changed, or take it back.", Decision, Changed, Right.OPERATE, _decide),
     Operation(
         "plan",
