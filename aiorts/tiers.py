@@ -64,9 +64,14 @@ PROVISIONAL: Final = Tier(
 EXPERIMENTAL: Final = Tier(
     "Experimental",
     "may change or go at any time",
-    ("the network (zenoh)", "OpenRTM", "reload of code", "Foxglove"),
-    frozenset(("at", "certs", "router", "import", "export", "reload", "foxglove")),
-    frozenset(("connect-hosts", "secure-network", "run-fleet", "openrtm-files", "replace-code", "foxglove-live")),
+    ("the network (zenoh)", "OpenRTM", "reload of code", "Foxglove", "the HTTP API"),
+    frozenset(("at", "certs", "router", "import", "export", "reload", "foxglove", "studio")),
+    frozenset(
+        (
+            *("connect-hosts", "secure-network", "run-fleet", "openrtm-files", "replace-code", "foxglove-live"),
+            "use-the-http-api",
+        )
+    ),
 )
 NOT_STABLE: Final = (PROVISIONAL, EXPERIMENTAL)
 

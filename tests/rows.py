@@ -106,6 +106,7 @@ FEATURES = {
     81: "Chosen values are monitored at a rate, without an effect",
     84: "Changes are told, as they happen, to whoever watches",
     85: "The whole system in one document, with a schema",
+    86: "Running systems over HTTP and JSON, for pages and programs",
     87: "Components loaded, made and ended by name while the process runs",
     88: "What went wrong when loading is told to who asked",
     94: "Whoever manages the process is told of every step",
@@ -124,6 +125,7 @@ FEATURES = {
     83: "What was killed or is cut off goes out of every list by itself",
     91: "Kernels of many processes and hosts are operated from one place; programs in other languages take part",
     97: "Who may look, operate or be linked is decided by certificates",
+    151: "An HTTP interface with its OpenAPI description, made from the types of the operations",
     # From 201 on: what no other system of the comparison offers, and so has no row there.
     201: "The interface of a running component changes and everyone sees it",
     202: "A missed deadline names who held the loop",

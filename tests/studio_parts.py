@@ -126,7 +126,7 @@ async def site(right: Right = Right.VIEW, *, enters: bool = True) -> AsyncIterat
     listening = bound(HOST, 0)
     found = Site(listening.getsockname()[1])
     ours = (found.host, f"localhost:{found.port}")
-    found.api = api = Api("http", ours, right, found.said.append, lambda: None)
+    found.api = api = Api("http", ours, right, found.said.append)
     async with served(listening, api.app):
         found.code = api.codes.issue(time.monotonic())
         if enters:

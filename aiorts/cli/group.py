@@ -23,7 +23,7 @@ _SECTIONS: Final = (
     ),
     ("Recordings and figures", "record replay log bench", ""),
     ("What there is", "", "inspect doc types plugins filter completion"),
-    ("Other machines and programs", "", "at router certs foxglove import export"),
+    ("Other machines and programs", "", "at router certs foxglove studio import export"),
     ("Short for others", "", "act con deact dis"),
 )
 """Sections of the help: title, the commands of the first screen, and the others, in their order. The commands are those

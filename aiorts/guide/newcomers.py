@@ -50,6 +50,7 @@ ASKED: Final[dict[str, tuple[str, ...]]] = {
     "measure-live": ("latency", "throughput", "frequency"),
     "live-log": ("logging", "loguru", "debug output", "log level"),
     "foxglove-live": ("rviz", "rviz2", "3d", "plotjuggler", "rerun", "viewer", "gui for data", "visualization"),
+    "use-the-http-api": ("openapi", "swagger", "javascript", "curl", "rest api", "http api", "rosbridge"),
     "notebook": ("jupyter", "ipython"),
     "measured": ("performance", "how fast", "benchmark", "overhead", "memory", "cpu usage"),
     "limits": (

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
+from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
+
+from anyio import to_thread
 
 from aiorts.control import Operation, Right
 from aiorts.errors import AiortsError, ClosedError, RecordError
@@ -27,6 +31,17 @@ if TYPE_CHECKING:
 
 JSON: Final = "application/json"
 LINES: Final = "application/x-ndjson"
+PAGES: Final = MappingProxyType(
+    {
+        ".css": "text/css",
+        ".html": "text/html",
+        ".js": "text/javascript",
+        ".json": JSON,
+        ".png": "image/png",
+        ".svg": "image/svg+xml",
+    }
+)
+"""Of the files that pages are made of: what each is, by the ending of its name."""
 _STYLE: Final = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem }
 :root { color-scheme: light dark }
@@ -47,24 +62,29 @@ class Api:
         scheme, ours: as `Guard` takes them.
         right: what tokens allow.
         say: takes lines for who started the server.
+        pages: files of the user's own pages, by their names in the address.
+
+    Attributes:
         exchanged: is called when a code was exchanged.
     """
 
     def __init__(
         self,
         scheme: str,
-        ours: Collection[str],
+        ours: Sequence[str],
         right: Right,
         say: Callable[[str], None],
-        exchanged: Callable[[], object],
+        pages: Mapping[str, Path] = MappingProxyType({}),
     ) -> None:
         self.right = right
+        self._pages = pages
         self.codes = Codes(self._ended)
         self.under_way = UnderWay()
-        self._say, self._exchanged = say, exchanged
+        self.exchanged: Callable[[], object] = _at_once
+        self._say = say
         self._visitors: dict[Holder, Visitor] = {}
         self._endings: set[asyncio.Task[None]] = set()
-        self._described = document(right, f"{scheme}://{min(ours)}")
+        self._described = document(right, f"{scheme}://{ours[0]}")
         self.app: App = Guard(self._routed(), scheme, ours, _is_large)
 
     def _routed(self) -> App:
@@ -85,6 +105,7 @@ class Api:
                 Route("/docs", fixed(lambda: HTMLResponse(docs))),
                 Route("/studio.css", fixed(lambda: Response(_STYLE, media_type="text/css"))),
                 Route("/openapi.json", fixed(lambda: _json(self._described))),
+                Route("/pages/{name}", self._page),
                 Route(EXCHANGE, self._exchange, methods=["POST"]),
                 Route(EXCHANGE, self._end_token, methods=["DELETE"]),
                 Route("/api/kernels", self._kernels),
@@ -95,6 +116,19 @@ class Api:
         )
         app.router.redirect_slashes = False
         return app  # type: ignore[no-any-return]
+
+    async def _page(self, request: Request) -> Response:
+        from starlette.responses import Response
+
+        name = request.path_params["name"]
+        if name not in self._pages:
+            raise HttpError(404, "E-ABSENT", f"/pages/{name:.80}: there is none")
+        path = self._pages[name]
+        try:
+            content = await to_thread.run_sync(path.read_bytes)
+        except OSError as error:
+            raise HttpError(404, "E-ABSENT", f"/pages/{name}: {error.strerror}") from None
+        return Response(content, media_type=PAGES[path.suffix])
 
     # -- tokens ----------------------------------------------------------------------------------------------------
 
@@ -114,17 +148,18 @@ class Api:
         if given.keys() != {"code"} or not isinstance(given["code"], str):
             raise RecordError('expected {"code": "..."}')
         token = self.codes.exchange(given["code"], time.monotonic())
-        self._exchanged()
+        self.exchanged()
         return _json({"token": token, "right": self.right.value})
 
     async def _end_token(self, request: Request) -> Response:
         from starlette.responses import Response
 
-        self.codes.end(self.visitor(_token(request)).holder, "its client has said so")
+        self.codes.end(self.visitor(_token(request)).holder)
         return Response(status_code=204)
 
     def _ended(self, holder: Holder, why: str) -> None:
-        self._say(f"client {holder.number}: its token has ended: {why}")
+        if why:
+            self._say(f"client {holder.number}: its token has ended: {why}")
         visitor = self._visitors.pop(holder, None)
         if visitor is not None:
             ending = asyncio.ensure_future(visitor.close())
@@ -133,7 +168,7 @@ class Api:
 
     async def close(self) -> None:
         """End all tokens, and what their clients have under way."""
-        self.codes.end_all("the server ends")
+        self.codes.end_all()
         if self._endings:
             await asyncio.wait(self._endings)
 
@@ -165,8 +200,8 @@ class Answer:
         """Send it; it ends when the client goes."""
         with self._api.under_way.one(self._visitor.holder.number, self._entry.address):
             work = self._stream(send) if self._operation.streams else self._call(send)
-            await self._visitor.work(work, partial(_gone, receive))
-        if self._visitor.closed:
+            done = await self._visitor.work(work, partial(_gone, receive))
+        if not done and self._visitor.closed:
             error = HttpError(401, "E-DENIED", "the token has ended")
             await (_end(send, error) if self._began else answer(send, error))
 
@@ -249,6 +284,10 @@ async def _http_problem(request: Request, error: Exception) -> Response:
     code = "E-ABSENT" if error.status_code == 404 else "E-RECORD"
     text = f"{request.method} {request.url.path[:80]}: {error.detail}"
     return await _problem(request, HttpError(error.status_code, code, text, error.headers or {}))
+
+
+def _at_once() -> None:
+    """Where nobody is to be told."""
 
 
 def _is_large(path: str) -> bool:

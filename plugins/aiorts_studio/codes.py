@@ -74,7 +74,7 @@ class Codes:
     """The codes of one server, and the tokens that they gave.
 
     Args:
-        ended: is told of each token that has ended, and why.
+        ended: is told of each token that has ended, and why; "" where that is as it should be.
     """
 
     def __init__(self, ended: Callable[[Holder, str], None]) -> None:
@@ -129,17 +129,17 @@ class Codes:
             one.used_at = now
         return found[0] if found else None
 
-    def end(self, holder: Holder, why: str) -> None:
+    def end(self, holder: Holder, why: str = "") -> None:
         """End the token of a client. Idempotent."""
         if holder in self._holders:
             self._holders.remove(holder)
             self._ended(holder, why)
 
-    def end_all(self, why: str) -> None:
+    def end_all(self) -> None:
         """End all tokens, and the code."""
         self._code = ""
         for one in self.holders:
-            self.end(one, why)
+            self.end(one)
 
     def _count_try(self, fault: Fault) -> Fault:
         self._tries += 1

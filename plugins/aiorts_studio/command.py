@@ -4,56 +4,113 @@ from __future__ import annotations
 
 import asyncio
 import signal
-import time
-from typing import Final
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 import click
 
 from aiorts import exits
 from aiorts.control import Right
-from aiorts.errors import MissingExtra
+from aiorts.errors import ConfigurationError, MissingExtra
+from aiorts_studio.entrance import Entrance, Invitation, invitations
+
+if TYPE_CHECKING:
+    from ssl import SSLContext
 
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @click.command(short_help="Serve what runs over HTTP.")
 @click.option("--api", is_flag=True, help="Serve the HTTP API.")
+@click.option("--url", is_flag=True, help="Print the address of the server that runs, and a new code.")
 @click.option("--port", type=click.IntRange(0, 65_535), default=0, help="Listen there; 0 is any that is free.")
 @click.option("--edit", is_flag=True, help="Clients may change what runs; else they only look.")
-def studio(api: bool, port: int, edit: bool) -> int:
+@click.option("--open", "opens", is_flag=True, help="Open the browser.")
+@click.option(
+    "--pages",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    metavar="FOLDER",
+    help="Serve pages of yours at /pages/NAME: the files that are in FOLDER now.",
+)
+@click.option("--bind", metavar="ADDRESS", help="Listen at this address, for other machines; needs --certs.")
+@click.option(
+    "--certs",
+    "certificates",
+    type=click.Path(path_type=Path),
+    metavar="FOLDER",
+    help="Folder of certificates, for TLS; --name picks the server's.",
+)
+@click.option("--name", default="studio", show_default=True, help="Of the server, in its certificate.")
+def studio(
+    api: bool,
+    url: bool,
+    port: int,
+    edit: bool,
+    opens: bool,
+    pages: Path | None,
+    bind: str | None,
+    certificates: Path | None,
+    name: str,
+) -> int:
     """Serve what runs over HTTP, to pages and programs of this machine.
 
     It prints its address, and on a second line a code. A client exchanges the code for a token; the code is good once
-    and for 60 s.
+    and for 60 s. It ends with Ctrl-C. There is no page yet that shows what runs: /docs has the API.
     """
-    return asyncio.run(_serve(port, Right.OPERATE if edit else Right.VIEW))
+    if url:
+        for one in invitations():
+            _print(one)
+        return exits.DONE
+    if not api:
+        raise click.UsageError("expected --api or --url; there is no page yet that shows what runs")
+    if (bind is None) != (certificates is None):
+        raise ConfigurationError("--bind and --certs: beyond this machine there is TLS only; give both or neither")
+    if bind is not None and edit:
+        raise ConfigurationError("--edit: what runs is changed from this machine alone, and never with --bind")
+    for needed in ("starlette", "uvicorn", "websockets"):
+        if find_spec(needed) is None:
+            raise MissingExtra("aiorts studio", needed, "studio")
+    from aiorts_studio.api import PAGES
+    from aiorts_studio.serving import HOST, secured
+
+    tls, names = (None, (HOST, "localhost")) if certificates is None else secured(certificates, name, bind or HOST)
+    right = Right.OPERATE if edit else Right.VIEW
+    files = () if pages is None else sorted(pages.iterdir())
+    shown = {one.name: one for one in files if one.suffix in PAGES and one.is_file()}
+    return asyncio.run(_serve(names, port, tls, right, shown, opens=opens))
 
 
-async def _serve(port: int, right: Right) -> int:
-    _check_installed()
+async def _serve(
+    names: Sequence[str], port: int, tls: SSLContext | None, right: Right, pages: Mapping[str, Path], *, opens: bool
+) -> int:
     from aiorts_studio.api import Api
-    from aiorts_studio.serving import HOST, bound, served
+    from aiorts_studio.serving import bound, served
 
+    listening = bound(names[0], port)
     loop, over = asyncio.get_running_loop(), asyncio.Event()
     for number in _SIGNALS:
         loop.add_signal_handler(number, over.set)
-    listening = bound(HOST, port)
-    port = listening.getsockname()[1]
-    api = Api("http", (f"{HOST}:{port}", f"localhost:{port}"), right, _say, lambda: None)
-    async with served(listening, api.app):
-        click.echo(f"http://{HOST}:{port}")
-        click.echo(api.codes.issue(time.monotonic()))
+    hosts = [f"[{one}]" if ":" in one else one for one in names]
+    ours = [f"{one}:{listening.getsockname()[1]}" for one in hosts]
+    scheme = "http" if tls is None else "https"
+    api = Api(scheme, ours, right, _say, pages)
+    entrance = Entrance(f"{scheme}://{ours[0]}", api.codes)
+    api.exchanged = entrance.remove_redirect
+    async with entrance.open(), served(listening, api.app, tls):
+        invitation = entrance.invite()
+        _print(invitation)
+        if opens:
+            await entrance.show(invitation)
         await over.wait()
         await api.close()
     return exits.DONE
 
 
-def _check_installed() -> None:
-    for name in ("starlette", "uvicorn", "websockets"):
-        try:
-            __import__(name)
-        except ImportError:
-            raise MissingExtra("aiorts studio", name, "studio") from None
+def _print(invitation: Invitation) -> None:
+    for line in invitation:
+        click.echo(line)
 
 
 def _say(text: str) -> None:

@@ -83,26 +83,31 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request, or have the application answer it."""
-        socket = scope["type"] == "websocket"
-        try:
-            self._check(scope, socket=socket)
-            if not socket:
-                body = await self._body(scope, receive)
-                receive = _again(body, receive)
-        except HttpError as error:
-            if socket:
-                await receive()
-                await send({"type": "websocket.close", "code": _CLOSED, "reason": str(error)[:100]})
-            else:
-                await answer(_with_headers(send), error)
+        if scope["type"] == "websocket":
+            await self._attend(scope, receive, send)
             return
-        await self._app(scope, receive, send if socket else _with_headers(send))
+        send = _with_headers(send)
+        try:
+            body = await self._body(scope, receive)
+            self._check(scope, needs_origin=scope["path"] == EXCHANGE and scope["method"] == "POST")
+        except HttpError as error:
+            await answer(send, error)
+            return
+        await self._app(scope, _again(body, receive), send)
 
-    def _check(self, scope: Scope, *, socket: bool) -> None:
+    async def _attend(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            self._check(scope, needs_origin=True)
+        except HttpError as error:
+            await receive()
+            await send({"type": "websocket.close", "code": _CLOSED, "reason": str(error)[:100]})
+            return
+        await self._app(scope, receive, send)
+
+    def _check(self, scope: Scope, *, needs_origin: bool) -> None:
         headers: Sequence[tuple[bytes, bytes]] = scope["headers"]
         hosts = [value.decode("latin-1") for name, value in headers if name == b"host"]
         origins = [value.decode("latin-1") for name, value in headers if name == b"origin"]
-        needs_origin = socket or scope["path"] == EXCHANGE
         if why := refusal(hosts, origins, self._ours, self._scheme, needs_origin=needs_origin):
             raise HttpError(403, "E-DENIED", why)
         if scope["query_string"]:
@@ -110,23 +115,25 @@ class Guard:
             raise HttpError(400, "E-RECORD", text)
 
     async def _body(self, scope: Scope, receive: Receive) -> bytes:
-        """The whole body of a request; HttpError where it is too large, or does not come."""
+        """The whole body of a request. HttpError: it is too large, or does not come.
+
+        Of one that is too large some is passed over: who closes before it was taken may take the answer back.
+        """
         most = LARGE_BODY if self._large(scope["path"]) else BODY
-        said = [value for name, value in scope["headers"] if name == b"content-length"]
-        if any(not one.isdigit() or int(one[:20]) > most for one in said):
-            raise _too_large(most)
-        body = bytearray()
+        body, more, late = bytearray(), True, False
         try:
             async with asyncio.timeout(BODY_SECONDS):
-                while True:
+                while more and len(body) <= most + LARGE_BODY:
                     message = await receive()
                     body += message.get("body", b"")
-                    if len(body) > most:
-                        raise _too_large(most)
-                    if not message.get("more_body"):
-                        return bytes(body)
+                    more = message.get("more_body", False)
         except TimeoutError:
-            raise HttpError(408, "E-NO-ANSWER", f"the request was not whole after {BODY_SECONDS:.0f} s") from None
+            late = True
+        if len(body) > most:
+            raise HttpError(413, "E-TOO-LARGE", f"the request is longer than {most >> 10} KiB")
+        if late:
+            raise HttpError(408, "E-NO-ANSWER", f"the request was not whole after {BODY_SECONDS:.0f} s")
+        return bytes(body)
 
 
 async def answer(send: Send, error: HttpError) -> None:
@@ -135,10 +142,6 @@ async def answer(send: Send, error: HttpError) -> None:
     encoded = [(name.encode(), value.encode()) for name, value in headers.items()]
     await send({"type": "http.response.start", "status": status_of(error), "headers": encoded})
     await send({"type": "http.response.body", "body": json_out(problem_of(error))})
-
-
-def _too_large(most: int) -> HttpError:
-    return HttpError(413, "E-TOO-LARGE", f"the request is longer than {most >> 10} KiB")
 
 
 def _again(body: bytes, receive: Receive) -> Receive:

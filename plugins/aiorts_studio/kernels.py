@@ -8,18 +8,17 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final
 
 from anyio import to_thread
 
 from aiorts.control import Right
-from aiorts.errors import AbsentError, AmbiguousError, ClosedError
+from aiorts.errors import AbsentError, AmbiguousError, ClosedError, DeniedError
 from aiorts.late import dataclass
 from aiorts.sessions import END, AsyncClient, AsyncStream, Entry, entries
 from aiorts_studio.codes import Holder
 from aiorts_studio.limits import Bucket
 
-T = TypeVar("T")
 _OPEN: Final = 5.0
 """Seconds within which a kernel has to begin a session."""
 
@@ -96,20 +95,24 @@ class Visitor:
         """
         opening = self._sessions.get(entry.epoch)
         if opening is None or (opening.done() and not _is_open(opening)):
+            self._sessions = {epoch: one for epoch, one in self._sessions.items() if not one.done() or _is_open(one)}
             opening = self._sessions[entry.epoch] = asyncio.create_task(self._open(entry), name="studio session")
             opening.add_done_callback(lambda done: done.cancelled() or done.exception())
         return await asyncio.shield(opening)
 
     async def _open(self, entry: Entry) -> AsyncClient:
-        right: Literal["view", "operate", "code"] = self._right.value
-        client = await AsyncClient.open(entry, timeout=_OPEN, who=f"aiorts studio {self.holder.number}", right=right)
+        who = f"aiorts studio, client {self.holder.number}"
+        client = await AsyncClient.open(entry, timeout=_OPEN, who=who, right=self._right.value)
+        given = Right(client.right)
+        if not self.closed and self._right.allows(given):
+            return client
+        await client.aclose()
         if self.closed:
-            await client.aclose()
             raise ClosedError("the token has ended")
-        return client
+        raise DeniedError(f"{entry.address}: is of a release that gives {given.value!r} whatever is asked; not used")
 
-    async def work(self, work: Coroutine[Any, Any, T], gone: Callable[[], Awaitable[object]]) -> T | None:
-        """Carry something out for as long as its client is there; None: it has gone, or its token has ended.
+    async def work(self, work: Coroutine[Any, Any, object], gone: Callable[[], Awaitable[object]]) -> bool:
+        """Carry something out for as long as its client is there; False: it has gone, or its token has ended.
 
         Args:
             work: is cancelled when the client goes.
@@ -120,9 +123,12 @@ class Visitor:
         self._works.add(working)
         try:
             if self.closed:
-                return None
+                return False
             await asyncio.wait((working, leaving), return_when=asyncio.FIRST_COMPLETED)
-            return working.result() if working.done() and not working.cancelled() else None
+            if not working.done() or working.cancelled():
+                return False
+            working.result()
+            return True
         finally:
             self._works.discard(working)
             for one in (working, leaving):

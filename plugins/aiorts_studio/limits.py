@@ -27,8 +27,8 @@ class Bucket:
 
     def fill(self, now: float) -> None:
         """Count a request; HttpError: there is no room for it."""
-        self._level = max(0.0, self._level - (now - self._at) * RATE)
-        self._at = now
+        self._level = max(0.0, self._level - max(0.0, now - self._at) * RATE)
+        self._at = max(self._at, now)
         if self._level >= AT_ONCE:
             text = f"more than {RATE:.0f} requests a second"
             raise HttpError(429, "E-BUSY", text, {"retry-after": "1"})

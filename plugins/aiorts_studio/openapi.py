@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from html import escape
 from json import dumps
+from types import NoneType
 from typing import Any, Final
 
 from aiorts import __version__
@@ -129,7 +130,7 @@ def _lines(operation: Operation, answers: Schemas) -> Json:
     lines = {
         "began": {"began": answers.of(operation.result)},
         "item": {"item": answers.of(operation.item), **missed},
-        "end": {"end": {}, **missed},
+        "end": {"end": answers.of(operation.end or NoneType), **missed},
         "problem": {"problem": {"$ref": f"{_PLACE}Problem"}},
     }
     kinds = [

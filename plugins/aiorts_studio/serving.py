@@ -9,6 +9,7 @@ import ssl
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import ConfigurationError
@@ -40,6 +41,24 @@ def bound(host: str, port: int) -> socket.socket:
         bound.close()
         raise ConfigurationError(f"{host}, --port {port}: {error.strerror or error}") from None
     return bound
+
+
+def secured(certificates: Path, name: str, address: str) -> tuple[ssl.SSLContext, list[str]]:
+    """What the server shows to others by TLS, and the host names and addresses that its certificate is for.
+
+    Raises:
+        ConfigurationError: the folder has no certificate of this name that is good, or it is for other addresses.
+    """
+    from aiorts_zenoh.security.folder import Folder
+
+    folder = Folder(certificates)
+    identity, addresses = folder.identity(name), folder.facts(name).addresses
+    if address not in addresses:
+        advice = f"aiorts certs issue {name} --address {address}"
+        raise ConfigurationError(f"{identity.certificate}: is not for {address}; {advice}")
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.load_cert_chain(identity.certificate, identity.key)
+    return context, [address, *(one for one in addresses if one != address)]
 
 
 @asynccontextmanager

@@ -70,7 +70,7 @@ aiorts/cli/commands aiorts/cli/demo aiorts/cli/new
 aiorts/cli
 plugins/aiorts_log plugins/aiorts_bench/harness plugins/aiorts_flexi/common
 plugins/aiorts_foxglove plugins/aiorts_zenoh/security
-plugins/aiorts_zenoh
+plugins/aiorts_studio plugins/aiorts_zenoh
 """
 """The rooms, lowest first; those of one line know nothing of each other."""
 SERVICES = (

@@ -128,7 +128,7 @@ def test_the_tests_of_the_source_distribution_are_collected(unpacked: Path, monk
 def test_the_wheel_has_the_guide_the_types_and_the_licence_and_nothing_of_others(wheel: Path) -> None:
     names = set(contents(wheel))
     assert {f"aiorts/guide/pages/{page.relative_to(FOLDER)}" for page in FOLDER.rglob("*") if page.is_file()} <= names
-    plugins = ("bench", "flexi", "foxglove", "log", "openrtm", "zenoh")
+    plugins = ("bench", "flexi", "foxglove", "log", "openrtm", "studio", "zenoh")
     packages = ("aiorts", *(f"aiorts_{plugin}" for plugin in plugins))
     assert {f"{package}/py.typed" for package in packages} <= names
     assert [name for name in names if re.search(r"\.pyc$|cache|hypothesis|\.(mcap|bag|db3|csv|ipynb)$", name)] == []

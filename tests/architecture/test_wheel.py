@@ -85,6 +85,7 @@ def test_wheel_holds_package_and_plugins_and_nothing_else(wheel: Path) -> None:
         "aiorts_foxglove",
         "aiorts_log",
         "aiorts_openrtm",
+        "aiorts_studio",
         "aiorts_zenoh",
     }
     assert "aiorts/py.typed" in names
@@ -92,6 +93,7 @@ def test_wheel_holds_package_and_plugins_and_nothing_else(wheel: Path) -> None:
     assert "aiorts_foxglove/py.typed" in names
     assert "aiorts_log/py.typed" in names
     assert "aiorts_openrtm/py.typed" in names
+    assert "aiorts_studio/py.typed" in names
     assert "aiorts_zenoh/py.typed" in names
     assert not [name for name in names if "roomba" in name or name.endswith((".csv", ".txt.gz"))]
     assert [name for name in names if name.endswith("licenses/LICENSE")]

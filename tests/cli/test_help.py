@@ -170,7 +170,7 @@ def test_what_the_tiers_name_exists_and_whatever_reaches_a_running_kernel_is_pro
     live = {name for name, (target, _) in root.own.items() if target.startswith("aiorts.cli.commands.live.")}
     assert sorted(live - PROVISIONAL.commands - EXPERIMENTAL.commands) == []
     plugins = {one.name: one.value for one in entry_points(group="aiorts.commands")}
-    of_experimental = ("aiorts_zenoh", "aiorts_openrtm", "aiorts_foxglove")
+    of_experimental = ("aiorts_zenoh", "aiorts_openrtm", "aiorts_foxglove", "aiorts_studio")
     assert {name for name, value in plugins.items() if value.startswith(of_experimental)} <= EXPERIMENTAL.commands
 
 

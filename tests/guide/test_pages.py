@@ -76,6 +76,8 @@ def sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         yield
         for entry in entries():
             os.kill(entry.pid, signal.SIGKILL)
+        for path in Path(folder).glob("aiorts/studio/*.sock"):
+            os.kill(int(path.stem), signal.SIGKILL)
 
 
 @pytest.mark.slow

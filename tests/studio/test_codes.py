@@ -95,7 +95,7 @@ def test_of_too_many_clients_the_one_that_asked_longest_ago_ends() -> None:
 def test_a_token_of_another_server_is_none() -> None:
     first, second = Door(), Door()
     token = first.codes.exchange(first.codes.issue(0.0), 0.0)
-    first.codes.end_all("the server ends")
+    first.codes.end_all()
     assert first.codes.holder(token, 0.0) is None
     assert second.codes.holder(token, 0.0) is None
 
@@ -160,4 +160,4 @@ class Clients(RuleBasedStateMachine):
         assert len(self.door.ended) == len(self.tokens) - len(good)
 
 
-TestClients = Clients.TestCase
+TestClients = pytest.mark.slow(kept_by="test_a_second_use_ends_the_token_and_is_reported")(Clients.TestCase)

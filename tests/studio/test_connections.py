@@ -1,0 +1,71 @@
+"""Connections end where nothing is asked over them, or what is sent is not taken; others are served all the same."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+
+import pytest
+
+from aiorts_studio import connections
+from aiorts_studio.serving import HOST
+from control_parts import WAIT
+from studio_parts import site
+
+pytestmark = pytest.mark.anyio
+
+
+async def ended(reader: asyncio.StreamReader) -> None:
+    """Wait until the server has closed."""
+    async with asyncio.timeout(WAIT):
+        with suppress(ConnectionError):
+            await reader.read()
+
+
+@pytest.mark.parametrize(
+    "begun", ["", "GET / HTTP/1.1\r\nHost:", "GET /studio.css HTTP/1.1\r\nHost: {host}\r\n\r\nGET"]
+)
+async def test_a_connection_without_a_request_ends(begun: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "REQUEST_SECONDS", 0.05)
+    async with site() as client:
+        reader, writer = await asyncio.open_connection(HOST, client.port)
+        writer.write(begun.format(host=client.host).encode())
+        await ended(reader)
+        writer.close()
+        assert (await client.ask("GET", "/api/kernels")).status == 200
+
+
+async def test_of_many_without_a_request_the_first_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "WAITING", 3)
+    async with site() as client:
+        streams = [await asyncio.open_connection(HOST, client.port) for _ in range(5)]
+        await ended(streams[0][0])
+        await ended(streams[1][0])
+        assert (await client.ask("GET", "/api/kernels")).status == 200
+        for _, writer in streams:
+            writer.close()
+
+
+class Deaf(asyncio.Protocol):
+    """Takes nothing of what is sent."""
+
+    def __init__(self) -> None:
+        self.lost = asyncio.get_running_loop().create_future()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        transport.pause_reading()  # type: ignore[attr-defined]
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.lost.set_result(exc)
+
+
+async def test_a_client_that_does_not_read_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "STALL_SECONDS", 0.2)
+    async with site() as client:
+        transport, deaf = await asyncio.get_running_loop().create_connection(Deaf, HOST, client.port)
+        transport.write(f"GET /docs HTTP/1.1\r\nHost: {client.host}\r\n\r\n".encode() * 200)
+        async with asyncio.timeout(WAIT):
+            while not deaf.lost.done():
+                transport.write(b"\r\n")  # who does not read learns of an end by writing
+                await asyncio.wait([deaf.lost], timeout=0.1)
+        assert (await client.ask("GET", "/api/kernels")).status == 200

@@ -1,0 +1,38 @@
+"""How much a client may ask, and have under way. The clock is a number."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import pytest
+
+from aiorts_studio.limits import AT_ONCE, OF_CLIENT, OF_KERNEL, RATE, Bucket, UnderWay
+from aiorts_studio.problems import HttpError
+
+
+def test_a_client_may_ask_much_at_once_and_its_rate_afterwards() -> None:
+    bucket, granted = Bucket(), 0
+    for step in range(20_000):  # a thousand a second, for 20 s
+        with suppress(HttpError):
+            bucket.fill(step / 1_000)
+            granted += 1
+    assert granted == pytest.approx(AT_ONCE + 20.0 * RATE, abs=2)
+
+
+def test_a_client_and_all_clients_of_a_kernel_have_so_many_calls_under_way() -> None:
+    under_way = UnderWay()
+    held = []
+    for client in range(OF_KERNEL // OF_CLIENT):
+        for _ in range(OF_CLIENT):
+            held.append(under_way.one(client, "robot"))
+            held[-1].__enter__()
+        with pytest.raises(HttpError, match="this client"):
+            under_way.one(client, "other").__enter__()
+    with pytest.raises(HttpError, match="the clients of robot"):
+        under_way.one(99, "robot").__enter__()
+    with under_way.one(99, "other"):
+        held.pop().__exit__(None, None, None)
+        with under_way.one(99, "robot"):
+            pass
+    for one in held:
+        one.__exit__(None, None, None)
