@@ -364,7 +364,7 @@ def test_the_rate_is_that_of_the_edge(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.slow(
-    kept_by="control/test_measure.py::test_in_simulated_time_values_are_not_streamed_and_counters_are_of_its_clock"
+    kept_by="control/test_measure.py::test_in_simulated_time_streams_go_by_real_time_and_look_between_instants"
 )
 def test_a_simulated_run_with_top_beside_it_records_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 import pytest
+from anyio import create_task_group
 
 from aiorts import Component, Goal, MultiModeComponent, PeriodicContext, Provided, StateMachineComponent
 from aiorts.control.operation import Operation
@@ -192,7 +193,8 @@ async def test_what_a_kernel_answers_is_of_the_type_that_the_row_says() -> None:
                 else:
                     _check(row.end, stream.result)
 
-    async with controlled("types") as kernel:
+    async with controlled("types") as kernel, create_task_group() as group:
+        group.start_soon(kernel.wait_stop_requested)  # as `stop` wants it
         others = [await kernel.create(kind, name) for kind, name in ((Car, "car0"), (Gate, "gate0"), (Lamp, "lamp0"))]
         await kernel.start(PeriodicContext(rate=100.0, name="other"), *others, activate=True)
         BEFORE[:] = [carried(wanted_of(kernel, []))]
