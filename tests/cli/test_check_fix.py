@@ -16,7 +16,7 @@ schema = 1
 [components.counter]
 type = "parts.py:Conuter"   # of the file beside
 [components.sink]
-type = "parts.py:Sink"
+type = "prats.py:Sink"
 [[connections]]
 from = "counter.ouf"
 to = "sink.nubmers" # read at once

@@ -92,7 +92,7 @@ def test_each_form_converts_and_the_profile_has_the_text(folder: Path, text: str
     ("text", "error", "message"),
     [
         ("scaling.py:to_mmm", PluginError, r"convert: .*there is no 'to_mmm'; did you mean 'to_mm'\?"),
-        ("scalin.py:to_mm", PluginError, r"no file 'scalin.py' in .*; did you mean 'scaling.py'\?"),
+        ("scalin.py:to_mm", PluginError, r"no file 'scalin.py' in .*; did you mean 'scaling.py:to_mm'\?"),
         ("scalings:to_mm", PluginError, r"no module named 'scalings'; did you mean scaling\?"),
         ("scaling.py:two", PluginError, "this function cannot be called with one sample alone: missing"),
         ("scaling.py:Needs", PluginError, "this class cannot be called with one sample alone: missing"),

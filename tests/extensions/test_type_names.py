@@ -116,7 +116,7 @@ async def test_a_kernel_creates_and_reloads_by_text(folder: Path) -> None:
     [
         ("tnm_alone.py:Prat", "tnm_alone.py:Prat: there is no 'Prat'; did you mean 'Part'?"),
         ("tnm_pack.part:Prat", "tnm_pack.part:Prat: there is no 'Prat'; did you mean 'Part'?"),
-        ("tnm_alnoe.py:Part", "no file 'tnm_alnoe.py' in {}; did you mean 'tnm_alone.py'?"),
+        ("tnm_alnoe.py:Part", "no file 'tnm_alnoe.py' in {}; did you mean 'tnm_alone.py:Part'?"),
         ("tnm_pakc.part:Part", "no module named 'tnm_pakc'; did you mean tnm_pack.part?"),
         ("tnm_pack.prat:Part", "no module named 'tnm_pack.prat'; did you mean tnm_pack.part?"),
         ("tnm_alone.py:", "which class? write tnm_alone.py:Part; it has Part"),

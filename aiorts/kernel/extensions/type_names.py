@@ -100,7 +100,8 @@ def _of_file(
     names = {other.name for folder in folders for other in _files(folder)} - {Path(home).name}
     near = get_close_matches(Path(home).name, sorted(names), n=1)
     listed = " and ".join(dict.fromkeys(map(_absolute, folders)))
-    hint = f"did you mean {near[0]!r}?" if near else "a relative one is counted from there"
+    meant = [f"{Path(home).with_name(one).as_posix()}:{name}" for one in near]
+    hint = f"did you mean {meant[0]!r}?" if meant else "a relative one is counted from there"
     raise AbsentExtension(f"{shown(text)}: no file {Path(home).name!r} in {listed}; {hint}")
 
 

@@ -219,7 +219,8 @@ class _Reader(Reading):
     def _isolation(self, key: Key, table: dict[str, Any]) -> tuple[str, Mapping[str, Any]]:
         isolation = self._get(key, table, "isolation", str, "")
         if isolation not in ("", "process"):
-            self._say((*key, "isolation"), f"expected 'process', or no such line, got {isolation!r:.80}")
+            meant = "; did you mean 'process'?" if get_close_matches(str(isolation), ("process",)) else ""
+            self._say((*key, "isolation"), f"expected 'process', or no such line, got {isolation!r:.80}{meant}")
         limits = self._get(key, table, "limits", dict, {})
         if limits and not isolation:
             self._say((*key, "limits"), 'limits are those of a process; add isolation = "process"', of_key=True)
