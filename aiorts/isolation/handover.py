@@ -1,7 +1,8 @@
 """What a component takes along into another process: its state as plain values, and the samples that it has not read.
 
-Its attributes go over: plain data, arrays and records. Ports and parameters are made by its class there. The
-`on_reload` of a class that has one gets a look-alike of the old instance instead, with the attributes that can go over.
+Its attributes go over: plain data, arrays and records. Ports, parameters and a state machine, which begins in its
+initial state, are made by its class there. The `on_reload` of a class that has one gets a look-alike of the old
+instance instead, with the attributes that can go over.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.errors import AiortsError, ComponentError, StateError, format_error
 from aiorts.kernel.component import Component
 from aiorts.kernel.detached_hook import run_alone
-from aiorts.kernel.execution.cell import ATTRIBUTE, cell
+from aiorts.kernel.execution.cell import ATTRIBUTE, MadeAnew, cell
 from aiorts.kernel.execution.hooks import further_kinds
 from aiorts.kernel.execution.member import is_open
 from aiorts.kernel.ports import InPort, PortDeclaration
@@ -139,7 +140,9 @@ def state_of(component: Component) -> dict[str, Any]:
     takes_over = _takes_over(component)
     state = {}
     for name, value in vars(component).items():
-        if name == ATTRIBUTE or isinstance(value, PortDeclaration) or name in cell(component).configuration.specs:
+        if name == ATTRIBUTE or isinstance(value, PortDeclaration | MadeAnew):
+            continue
+        if name in cell(component).configuration.specs:
             continue
         try:
             state[name] = packed(value, f"{component.name}.{name}")

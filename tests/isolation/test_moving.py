@@ -25,6 +25,7 @@ from aiorts.errors import ComponentError, DeclarationError, StateError
 from aiorts.supervision import Supervision
 from aiorts.testing import simulate
 from aiorts.types import Point2D, TimedLong
+from isolation.isolated_parts import Door, Lamp
 from isolation.moved_parts import Careful, Clockwork, Closed, Controller, Counter, Echo, Feed, Heavy, Holder, Log, Seen
 from isolation.test_isolated import until
 
@@ -200,6 +201,23 @@ async def test_on_reload_takes_over_what_can_go_over() -> None:
 
 
 @pytest.mark.slow
+async def test_a_state_machine_goes_into_a_process_and_back_and_begins_in_its_initial_state() -> None:
+    async with Kernel() as kernel:
+        door: Any = await kernel.create(Door, "door")
+        run = await kernel.start(EventContext(), door, activate=True)
+        lamp = await kernel.create(Lamp, "lamp")
+        lit = await kernel.start(PeriodicContext(100, name="lit"), lamp, activate=True)
+        door.machine.send("button", {"by": 1})
+        await until(lambda: door.machine.configuration == ("open",))
+        for place in (("process", "process"), (lit, run)):
+            lamp = await kernel.move(lamp, place[0])
+            door = await kernel.move(door, place[1])
+            assert door.state is ACTIVE
+        await until(lambda: door.machine.configuration == ("closed",))
+        door.machine.send("button", {"by": 2})
+        await until(lambda: door.machine.configuration == ("open",))
+
+
 async def test_one_that_cannot_start_there_stays_where_it_was() -> None:
     async with Kernel() as kernel:
         closed = await kernel.create(Closed, "closed", home=os.getpid())

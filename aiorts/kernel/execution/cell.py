@@ -137,6 +137,12 @@ class KernelSide(PortKernelSide, Protocol):
         """A context has stopped."""
 
 
+class MadeAnew:
+    """An attribute that the component's class makes wherever the component is: it goes into no other process."""
+
+    __slots__ = ()
+
+
 class Cell(PortHost):
     """What is kept on one component. What few components ever have stands in the class until then: it costs nothing."""
 
