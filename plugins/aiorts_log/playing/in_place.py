@@ -14,6 +14,7 @@ import inspect
 import logging
 import math
 import types
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
@@ -25,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts import Component, InPort, KernelService, OutPort, Provided, StateMachineComponent, setting
 from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.exits import FAILED
-from aiorts.statechart import Chart, State
+from aiorts.statechart import Chart, ChartWarning, State
 from aiorts.types import type_name
 from aiorts_log.commands.moment import moment_ns
 from aiorts_log.errors import RecordingError
@@ -48,6 +49,7 @@ _HOOKS: Final = (
     *("on_state_update", "on_rate_changed", "on_reset", "on_error", "on_aborting"),
 )
 """All hooks of components; a test compares them with the kernel's."""
+_OF_MACHINES: Final = ("on_activated", "on_deactivated", "on_execute")
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,10 +263,14 @@ def _without_hooks(cls: type[Component]) -> type[Component]:
         if isinstance(end := inspect.getattr_static(cls, attribute), Provided):
             names[attribute] = alike = copy.copy(end)
             alike.refuses = _REPLAYED
+    hooks = dict.fromkeys(_HOOKS, nothing)
     if issubclass(cls, StateMachineComponent):
         names["chart"] = Chart(State("replayed", initial=True))
-    made: type[Component] = types.new_class(cls.__name__, (cls,), exec_body=lambda body: body.update(names))
-    # Set afterwards: a class of state machines that defines the hooks in which its machine runs is refused.
+        # Its class is refused where it defines the hooks in which its machine runs: those are set afterwards.
+        hooks = {hook: nothing for hook in _HOOKS if hook not in _OF_MACHINES}
+    # Defined with the class: a hook that is a coroutine function there is none here.
+    with warnings.catch_warnings(action="ignore", category=ChartWarning):  # events that the chart in its place ignores
+        made: type[Component] = types.new_class(cls.__name__, (cls,), exec_body=lambda body: body.update(names | hooks))
     for hook in _HOOKS:
         setattr(made, hook, nothing)
     return made
