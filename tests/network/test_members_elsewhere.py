@@ -55,8 +55,8 @@ async def test_a_member_of_another_host_is_one_like_any_other(
     async with two(tmp_path, monkeypatch, "--allow-control", certificates=certificates) as (kernel, process):
         source = await kernel.create(Local, "source")
         arm = await kernel.add(Composite("arm", Local("near"), "left/gripper", exported=["gripper.*"]))
-        await kernel.connect(source.out, arm.ports["inp"])
-        await kernel.connect(arm.ports["force"], source.inp)
+        await kernel.connect(source.out, arm.ports["inp"], length=100)
+        await kernel.connect(arm.ports["force"], source.inp, length=100)
         await kernel.start(PeriodicContext(100.0), arm, activate=True)
         await kernel.components["gripper"].configure(factor=3)
         for value in range(100):

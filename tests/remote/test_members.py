@@ -75,8 +75,8 @@ async def test_an_exported_port_of_a_member_elsewhere_carries_samples(tmp_path: 
         source = await kernel.create(Local, "source")
         exported = {"gripper.force": "force", "gripper.inp": "inp"}
         arm = await kernel.add(Composite("arm", Local("near"), "left/gripper", exported=exported))
-        await kernel.connect(source.out, arm.ports["inp"])
-        await kernel.connect(arm.ports["force"], source.inp)
+        await kernel.connect(source.out, arm.ports["inp"], length=100)
+        await kernel.connect(arm.ports["force"], source.inp, length=100)
         await kernel.start(PeriodicContext(100.0), arm, activate=True)
         for value in range(100):
             source.out.write_nowait(TimedLong(0, value))
