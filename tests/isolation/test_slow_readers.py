@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 import pytest
-from anyio import create_task_group, sleep
+from anyio import create_task_group, fail_after, sleep
 
 from aiorts import EventContext, Kernel
 from aiorts.links import Links
@@ -131,3 +131,20 @@ async def test_commands_say_what_a_reader_in_a_process_has_lost(capsys: pytest.C
         _, text = await commanded(capsys, "check", "unit")
         assert f"connectors.source.out-reader.inp: {lost} of 200 samples were dropped ({lost} overwritten)" in text
         await _ledger(kernel, connector)
+
+
+async def test_what_a_reader_loses_that_moved_into_a_process_and_back_is_logged(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with Kernel() as kernel:
+        source, reader = await kernel.add(Source("source")), await kernel.add(Aged("reader"))
+        await kernel.connect(source.out, reader.inp)
+        here = EventContext(name="here")
+        await kernel.start(here, reader, activate=True)
+        for to in ("process", here):
+            caplog.clear()
+            with fail_after(30):
+                reader = await kernel.move(reader, to)
+                while not any("source.out -> reader.inp" in line and "lost so far" in line for line in caplog.messages):
+                    source.out.write_nowait(TimedLong(time.time_ns(), 0))
+                    await sleep(0.002)
