@@ -53,7 +53,7 @@ async def test_where_the_other_kernel_is_gone_it_says_so(capsys: pytest.CaptureF
         assert (status, "both ends: not known: " in text, "there is no kernel 'station'" in text) == (0, True, True), (
             text
         )
-        status, text = await commanded(capsys, "con", "source.out", "source.out", "--both-ends")
+        status, text = await commanded(capsys, "con", "source.out", "source.out", "source.out", "--both-ends")
         assert (status, "--both-ends is for listing" in text) == (2, True), text
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from typing import Any
 
@@ -97,6 +98,40 @@ async def test_how_late_samples_are_says_where_it_is_measured(capsys: pytest.Cap
             status, text = await commanded(capsys, *words)
             assert status == 0
             assert [", up to the link" in line for line in text.splitlines() if "latency" in line] == [True], text
+        await _ledger(kernel, connector)
+
+
+async def test_how_old_samples_are_as_a_reader_in_a_process_reads_them_is_asked_for_there(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    async with Kernel(services={"control": {"name": "unit"}}) as kernel, create_task_group() as tasks:
+        source, _, connector = await _aged(kernel)
+
+        async def write() -> None:
+            while True:
+                source.out.write_nowait(TimedLong(time.time_ns(), 0))
+                await sleep(0.005)
+
+        tasks.start_soon(write)
+        with fail_after(30):
+            words = ("--count", "2", "--interval", "1", "--json")
+            status, text = await commanded(capsys, "delay", "source.out", *words)
+            lines = [json.loads(line) for line in text.splitlines() if line.startswith("{")]
+            assert (status, lines[-1]["to_link"]) == (0, True), text
+            # Eight samples wait for a reader that takes one in 50 ms; the newest of them is 25 to 50 ms old at once.
+            assert lines[-1]["read"]["age"]["p50_ns"] > 20_000_000 > lines[-1]["age"]["p50_ns"], text
+            assert 2 <= lines[-1]["read"]["waited"]["samples"] < 100, text
+            status, text = await commanded(capsys, "con", "source.out", "reader.inp", "--both-ends")
+            assert (status, "at the read" in text) == (0, False), text  # measured as long as `delay` ran
+            kernel.connections.measure(connector, 100)
+            found = {}
+            while not found.get("read"):
+                status, text = await commanded(capsys, "con", "reader.inp", "source.out", "--both-ends", "--json")
+                (found,) = json.loads(text)["kernels"][0]["connectors"]
+            assert found["read"]["age"][1] > 20_000_000, text
+            status, text = await commanded(capsys, "con", "reader.inp", "--both-ends")
+            assert (status, "at the read: age p50" in text) == (0, True), text
+        tasks.cancel_scope.cancel()
         await _ledger(kernel, connector)
 
 
