@@ -123,6 +123,7 @@ async def test_how_old_samples_are_as_a_reader_in_a_process_reads_them_is_asked_
             assert 2 <= lines[-1]["read"]["waited"]["samples"] < 100, text
             status, text = await commanded(capsys, "con", "source.out", "reader.inp", "--both-ends")
             assert (status, "at the read" in text) == (0, False), text  # measured as long as `delay` ran
+            assert [line for line in text.splitlines() if "written" in line and "both ends" not in line] == [], text
             kernel.connections.measure(connector, 100)
             found = {}
             while not found.get("read"):

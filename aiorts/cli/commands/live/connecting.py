@@ -181,7 +181,7 @@ def _text(one: Mapping[str, Any], *, ledger: bool) -> str:
         *([f"  through {one['between']}"] if one.get("between") else []),
     ]
     joined = one.get("both_ends") or ""
-    if ledger:
+    if ledger and (not joined or joined.startswith("not known")):  # else of another moment: the two would disagree
         text.append(f"  {ledger_text(one['ledger'])}")
     if joined:
         text.append(f"  both ends: {joined}")
