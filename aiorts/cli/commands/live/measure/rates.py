@@ -211,7 +211,7 @@ def _at_read(running: Running, edge: Edge) -> tuple[str, dict[str, Any] | None]:
         return "", None  # it has ended since
     read = wire.get("read")
     if read is None:
-        return f"at the read: not known (why: aiorts con {edge.in_} --both-ends); ", None
+        return f"at the read: not known (why: aiorts con {edge.out} --both-ends); ", None
     return f"at the read: {read_text(read)}; ", read_plain(read)
 
 
