@@ -28,7 +28,7 @@ from aiorts.kernel.execution.context import Context
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task, see_through
 from aiorts.kernel.ports import PortDeclaration
-from aiorts.kernel.ports.connector import Connector, unread_of
+from aiorts.kernel.ports.connector import Connector, transport_of, unread_of
 from aiorts.kernel.ports.port import host_of
 from aiorts.links import Links
 from aiorts.model.lifecycle import LifecycleState
@@ -445,6 +445,8 @@ class _Move:
             given = {**chosen, "name": connector.name, "allow_duplicate": True}
             (made,) = kernel.connections.make(ports, given)
             self._made.append(made)
+            if transport_of(connector).losses is not None:  # the length is given here: it seems to be chosen
+                kernel.connections.losses.listen(made)
             if reads:
                 self._fed.append((connector, made))
                 if isinstance(old, RemoteComponent):

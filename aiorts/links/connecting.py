@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import LinkError, WiringError, format_error
 from aiorts.kernel.connection import Connection
-from aiorts.kernel.loop.bus import Disconnected
+from aiorts.kernel.loop.bus import ConnectorChanged, Disconnected
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.ports.far import FarInPort, FarOutPort, far_ends
@@ -89,6 +89,7 @@ class Links(KernelService):
         """The other kernels, and the transports that reach them."""
         kernel.connections.far = self
         kernel.bus.subscribe(Disconnected, self.calls.disconnected)
+        kernel.bus.subscribe(ConnectorChanged, self._ledgers.changed)
 
     def owns(self, connector: Connector) -> bool:
         """Whether another kernel has connected it: not saved, and nothing that a plan looks at."""

@@ -6,9 +6,11 @@ whatever has become of it since.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 from aiorts.errors import LinkError
 from aiorts.kernel.ports.connector import transport_of
@@ -18,12 +20,17 @@ from aiorts.links.messages import fields, packed
 from aiorts.links.writer_link import WriterLink
 
 if TYPE_CHECKING:
+    from aiorts.kernel.loop.bus import ConnectorChanged
     from aiorts.links.ends import Ends, LinkEnd
     from aiorts.links.kernels import Kernels
     from aiorts.links.reader_link import ReaderLink
     from aiorts.links.transport import Caller
+    from aiorts.model.profile import ConnectorStatistics
 
 _LARGEST: Final = 2**63
+_FIGURES: Final[Mapping[object, int]] = {"waited": 4, "age": 4, "within": 1}
+"""The numbers in each entry of `LinkLedger.read`."""
+T = TypeVar("T")
 _WITHIN: Final = 2.0
 """Seconds in which the reader's kernel answers that of the writer."""
 
@@ -46,6 +53,10 @@ class LinkLedger:
     """Samples that were taken to be sent, and had not come when the reader's end was asked."""
     acknowledged_before: int
     """Samples that were in the buffer of readers before this one: whether they were read is not known any more."""
+    read: Mapping[str, Sequence[int]] | None = field(default=None, compare=False)
+    """How old samples were as they were read ("age", by their stamps; "within" how far that may be off) and how long
+    they had waited in the reader's buffer ("waited"), where the connector is measured: how many, p50, p99 and maximum
+    in ns. None: the kernel of the reader does not say it."""
 
     @property
     def unexplained(self) -> int:
@@ -73,17 +84,20 @@ class _Report:
     buffered: int
     besides: int
     dropped: dict[str, int]
+    read: Mapping[str, Sequence[int]] | None = None
+    """As `LinkLedger` has it."""
 
     def to_bytes(self) -> bytes:
         counts = [self.received, self.delivered, self.buffered, self.besides]
-        return packed([self.writer_epoch, self.reader_epoch, *counts, self.dropped])
+        return packed([self.writer_epoch, self.reader_epoch, *counts, self.dropped, self.read])
 
     @classmethod
     def from_bytes(cls, body: bytes) -> _Report:
-        writer, reader, *counts, dropped = fields(body, (int, int, int, int, int, int, dict), longer=True)
+        kinds = (int, int, int, int, int, int, dict)
+        writer, reader, *counts, dropped = fields(body, kinds, longer=True)
         _check_counts(counts, dropped)
         received, delivered, buffered, besides = counts
-        return cls(writer, reader, received, delivered, buffered, besides, dropped)
+        return cls(writer, reader, received, delivered, buffered, besides, dropped, _read_of(body, kinds))
 
 
 class Ledgers:
@@ -107,13 +121,26 @@ class Ledgers:
         if peer is None:
             raise LinkError(f"{connector.name}: ledger: there is no kernel {end.far.kernel!r}")
         if isinstance(link, WriterLink):
-            body = await self._links.ask(peer, "ledger", packed([connector.name]), within)
-            return _join(link, _Report.from_bytes(body))
+            asked = packed([connector.name, connector.profile.measure])
+            return _join(link, _Report.from_bytes(await self._links.ask(peer, "ledger", asked, within)))
         name = self._ends.offered.name_of(end)
         if name is None:
             raise LinkError(f"{connector.name}: ledger: {link.why}")
         # The writer's kernel asks this one in turn.
-        return _read(await self._links.ask(peer, "joined", packed([name[1]]), 2 * within))
+        joined = _read(await self._links.ask(peer, "joined", packed([name[1]]), 2 * within))
+        return replace(joined, read=_ages(connector.statistics))
+
+    def changed(self, changed: ConnectorChanged) -> None:
+        """The reader's end is measured while the writer's end is: it is told with the next question."""
+        connector = self._links.kernel.connectors.get(changed.connector.name)
+        if connector is None or changed.connector.measure == changed.before.measure:
+            return
+        if (end := self._ends.writers.get(connector)) is not None:
+            self._links.run(self._tell(end), f"aiorts link {connector.name}")
+
+    async def _tell(self, end: LinkEnd[WriterLink]) -> None:
+        with suppress(LinkError):  # it is not there, or another one now, which is told when it is asked
+            await self.of(end, _WITHIN)
 
     async def through(self, reader: LinkEnd[ReaderLink], writer: LinkEnd[WriterLink], within: float) -> LinkLedger:
         """The ledger of a connector whose both ends are in other kernels; errors as those of `of`.
@@ -131,6 +158,7 @@ class Ledgers:
             one.buffered + two.buffered - here.buffered - here.in_flight,
             one.in_flight + two.in_flight,
             one.acknowledged_before + two.acknowledged_before,
+            two.read,
         )
 
     async def _reported(self, body: bytes, caller: Caller) -> bytes:
@@ -138,6 +166,7 @@ class Ledgers:
         end = self._ends.offered.get((caller.address, name))
         if end is None:
             raise LinkError(f"has no link {name!r:.80}")
+        end.link.measure(_further(body, (str,), int) or 0)
         return _report(end.link).to_bytes()
 
     async def _joined(self, body: bytes, caller: Caller) -> bytes:
@@ -163,6 +192,7 @@ def _report(link: ReaderLink) -> _Report:
         found.buffered + found.in_flight + link.held,
         counted.received - end.received + transport_of(link.connector).offered,
         added(found.dropped, {"undecodable": link.undecodable} if link.undecodable else {}),
+        _ages(found),
     )
 
 
@@ -182,7 +212,37 @@ def _join(link: WriterLink, there: _Report) -> LinkLedger:
         here.buffered + there.buffered,
         end.numbered - there.received,
         link.acknowledged_before,
+        there.read,
     )
+
+
+def _ages(found: ConnectorStatistics) -> dict[str, tuple[int, ...]]:
+    """What is measured at the reader's end."""
+    both = (("waited", found.latency), ("age", found.age))
+    made: dict[str, tuple[int, ...]] = {
+        what: spans.figures for what, spans in both if spans is not None and spans.count
+    }
+    return made if found.age_within_ns is None else {**made, "within": (found.age_within_ns,)}
+
+
+def _further(body: bytes, kinds: tuple[type, ...], kind: type[T]) -> T | None:
+    """The field behind these, of a kernel that sends it."""
+    try:
+        *_, found = fields(body, (*kinds, kind), longer=True)
+    except LinkError:
+        return None
+    return cast("T", found)
+
+
+def _read_of(body: bytes, kinds: tuple[type, ...]) -> Mapping[str, Sequence[int]] | None:
+    found = _further(body, kinds, dict)
+    if found is None:
+        return None
+    if not all(type(spans) is list and len(spans) == _FIGURES.get(what) for what, spans in found.items()) or not all(
+        type(one) is int and abs(one) < _LARGEST for spans in found.values() for one in spans
+    ):
+        raise LinkError("no ledger of a link")
+    return MappingProxyType(found)
 
 
 def _read(body: bytes) -> LinkLedger:

@@ -6,11 +6,12 @@ Also the connector that it writes to: its options, and the check of the shape.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 from anyio import WouldBlock
 
-from aiorts.errors import format_error
+from aiorts.errors import StateError, WiringError, format_error
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.far import FarOutPort
 from aiorts.kernel.quality.dated import Dated
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from aiorts.model.links import Buffer
     from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 
+_MEASURED: Final = 1_000
+"""Reads that are timed at the most for another kernel: putting more in order for each answer takes too long."""
 _PATIENCE_NS: Final = 25_000_000
 """How long a sample waits for room that would displace another: what was written one after the other comes
 together, and a reader that keeps up has room for it a few turns of the loop later. A sample waits twice as long at the
@@ -57,6 +60,8 @@ class ReaderLink(LinkSide[ReaderEnd]):
         """Samples that could not be decoded."""
         self.reported: ConnectorStatistics = connector.statistics
         """What its connector had counted when the writer's kernel last asked."""
+        self._is_measured_for_writer = connector.profile.measure > 0
+        """Whether it is measured as long as the writer's end is."""
         self.settled: Callable[[], None] | None = None
         """Called when a sample that waited for room is in the reader's buffer, or was refused."""
         self._waiting: Waiting | None = None
@@ -78,6 +83,16 @@ class ReaderLink(LinkSide[ReaderEnd]):
     def busy(self) -> bool:
         """Whether samples that have come wait for room in the reader's buffer."""
         return bool(self._waits or self.end.held)
+
+    def measure(self, count: int) -> None:
+        """The writer's end times its last `count` samples: so does this one, unless it is measured anyway."""
+        connector, connections = self.connector, self._kernel.connections
+        is_wanted = count > 0
+        if is_wanted is self._is_measured_for_writer or (is_wanted and connector.profile.measure):
+            return
+        with suppress(StateError, WiringError):  # a real-time thread reads, or a service's own tap
+            connections.measure(connector, min(count, _MEASURED))
+            self._is_measured_for_writer = is_wanted
 
     @property
     def held(self) -> int:
@@ -255,7 +270,8 @@ def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
     With flush the writer waits for the answer, so the policy of the full buffer is the reader's own.
     """
     options: dict[str, Any] = {"timeout": None, "allow_duplicate": True}
-    options |= {"keep_last": profile.keep_last, "lifespan": profile.lifespan, "max_gap": profile.max_gap}
+    options |= {key: getattr(profile, key) for key in ("keep_last", "lifespan", "max_gap")}
+    options["measure"] = min(profile.measure, _MEASURED)
     if profile.stamp in (Stamp.RECEIVED, Stamp.READ):
         options["stamp"] = profile.stamp
     if profile.dataflow is Dataflow.PULL:

@@ -25,6 +25,11 @@ class Spans:
     p99_ns: int = 0
     """The smallest of these spans that at least 99 % of them do not exceed."""
 
+    @property
+    def figures(self) -> tuple[int, int, int, int]:
+        """Count, median, 99th percentile and maximum."""
+        return self.count, self.p50_ns, self.p99_ns, self.max_ns
+
     @classmethod
     def of(cls, spans: Collection[int]) -> Self:
         """What these spans have in common."""

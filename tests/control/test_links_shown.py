@@ -53,8 +53,24 @@ async def test_where_the_other_kernel_is_gone_it_says_so(capsys: pytest.CaptureF
         assert (status, "both ends: not known: " in text, "there is no kernel 'station'" in text) == (0, True, True), (
             text
         )
-        status, text = await commanded(capsys, "con", "source.out", "source.out", "--both-ends")
+        status, text = await commanded(capsys, "con", "source.out", "source.out", "source.out", "--both-ends")
         assert (status, "--both-ends is for listing" in text) == (2, True), text
+
+
+async def test_where_the_readers_kernel_does_not_answer_delay_says_what_asks_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    async with Kernel("robot", services={"control": {"name": "robot", "mode": "on"}}) as robot:
+        source = await robot.add(Source("source"))
+        async with Kernel("station", services={"links": {}}) as station:
+            sink = await station.add(Sink("sink"))
+            await robot.connect(source.out, "station/sink.inp", measure=10)
+            source.out.write_nowait(TimedLong(0, 1))
+            with fail_after(WAIT):
+                await sink.inp.read()
+        status, text = await commanded(capsys, "delay", "source.out", "--count", "1", "--interval", "0.1")
+        why = "at the read: not known (why: aiorts con source.out --both-ends); latency p50 "
+        assert (status, text.startswith(why), "up to the link" in text) == (0, True, True), text
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ import pytest
 from aiorts import Component, Provided, Required
 from aiorts.cli.app import run_command
 from aiorts.cli.commands.live.measure.readings import Rates, rate_of
-from aiorts.cli.commands.live.measure.spans import span_text
+from aiorts.cli.commands.live.spans import span_text
 from aiorts.errors import BusyError, ConfigurationError, DeniedError, WiringError
 from aiorts.sessions import Client
 from aiorts.testing import simulate

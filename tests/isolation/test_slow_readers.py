@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import time
 from typing import Any
 
 import pytest
-from anyio import create_task_group, sleep
+from anyio import create_task_group, fail_after, sleep
 
 from aiorts import EventContext, Kernel
 from aiorts.links import Links
@@ -100,6 +101,41 @@ async def test_how_late_samples_are_says_where_it_is_measured(capsys: pytest.Cap
         await _ledger(kernel, connector)
 
 
+async def test_how_old_samples_are_as_a_reader_in_a_process_reads_them_is_asked_for_there(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    async with Kernel(services={"control": {"name": "unit"}}) as kernel, create_task_group() as tasks:
+        source, _, connector = await _aged(kernel)
+
+        async def write() -> None:
+            while True:
+                source.out.write_nowait(TimedLong(time.time_ns(), 0))
+                await sleep(0.005)
+
+        tasks.start_soon(write)
+        with fail_after(30):
+            words = ("--count", "2", "--interval", "1", "--json")
+            status, text = await commanded(capsys, "delay", "source.out", *words)
+            lines = [json.loads(line) for line in text.splitlines() if line.startswith("{")]
+            assert (status, lines[-1]["to_link"]) == (0, True), text
+            # Eight samples wait for a reader that takes one in 50 ms; the newest of them is 25 to 50 ms old at once.
+            assert lines[-1]["read"]["age"]["p50_ns"] > 20_000_000 > lines[-1]["age"]["p50_ns"], text
+            assert 2 <= lines[-1]["read"]["waited"]["samples"] < 100, text
+            status, text = await commanded(capsys, "con", "source.out", "reader.inp", "--both-ends")
+            assert (status, "at the read" in text) == (0, False), text  # measured as long as `delay` ran
+            assert [line for line in text.splitlines() if "written" in line and "both ends" not in line] == [], text
+            kernel.connections.measure(connector, 100)
+            found = {}
+            while not found.get("read"):
+                status, text = await commanded(capsys, "con", "reader.inp", "source.out", "--both-ends", "--json")
+                (found,) = json.loads(text)["kernels"][0]["connectors"]
+            assert found["read"]["age"][1] > 20_000_000, text
+            status, text = await commanded(capsys, "con", "reader.inp", "--both-ends")
+            assert (status, "at the read: age p50" in text) == (0, True), text
+        tasks.cancel_scope.cancel()
+        await _ledger(kernel, connector)
+
+
 async def test_what_a_reader_in_a_process_loses_is_known_here_by_reason(caplog: pytest.LogCaptureFixture) -> None:
     async with Kernel() as kernel:
         source, _, connector = await _aged(kernel)
@@ -131,3 +167,20 @@ async def test_commands_say_what_a_reader_in_a_process_has_lost(capsys: pytest.C
         _, text = await commanded(capsys, "check", "unit")
         assert f"connectors.source.out-reader.inp: {lost} of 200 samples were dropped ({lost} overwritten)" in text
         await _ledger(kernel, connector)
+
+
+async def test_what_a_reader_loses_that_moved_into_a_process_and_back_is_logged(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with Kernel() as kernel:
+        source, reader = await kernel.add(Source("source")), await kernel.add(Aged("reader"))
+        await kernel.connect(source.out, reader.inp)
+        here = EventContext(name="here")
+        await kernel.start(here, reader, activate=True)
+        for to in ("process", here):
+            caplog.clear()
+            with fail_after(30):
+                reader = await kernel.move(reader, to)
+                while not any("source.out -> reader.inp" in line and "lost so far" in line for line in caplog.messages):
+                    source.out.write_nowait(TimedLong(time.time_ns(), 0))
+                    await sleep(0.002)

@@ -7,6 +7,7 @@ from contextlib import AsyncExitStack, suppress
 from random import Random
 from typing import Any
 
+import msgpack
 import pytest
 from anyio import WouldBlock
 
@@ -14,6 +15,7 @@ from aiorts import EventContext, Kernel, LifecycleState
 from aiorts.errors import LinkError, WriteTimeout
 from aiorts.links import LinkLedger, Links
 from aiorts.links.messages import packed
+from aiorts.links.transport import Peer
 from aiorts.testing import MemoryNetwork, simulate
 from campaign import cases
 from links.memory_kernels import Sink, Source, kernel_of, long, until
@@ -170,5 +172,62 @@ def test_a_ledger_that_cannot_be_had_says_why() -> None:
                     with pytest.raises(LinkError, match=r"has no link 'x'|no message"):
                         await links.ask(links.peers[0], what, body, 1.0)
                 assert two.connectors == {}
+
+    simulate(run())
+
+
+def test_the_readers_end_is_measured_while_the_writers_end_is_or_its_own_kernel_has_it_so() -> None:
+    async def run() -> None:
+        network = MemoryNetwork(delay=0.001)
+        async with kernel_of(network, "two") as two, kernel_of(network, "one") as one:
+            source, sink = await one.add(Source()), await two.add(Sink())
+            there = await one.connect(source.out, "two/sink0.inp", measure=5_000)
+            (here,) = two.connectors.values()
+
+            async def counts() -> list[int]:
+                """Of the samples that either end says were measured as they were read, after one more."""
+                source.out.write_nowait(long(1))
+                await until(lambda: sink.inp.is_new)
+                sink.inp.read_nowait()
+                return [(found.read or {}).get("waited", [0])[0] for found in (await ask(one), await ask(two))]
+
+            assert here.profile.measure == 1_000  # of another kernel's
+            assert [await counts() for _ in range(2)] == [[1, 1], [2, 2]]
+            one.connections.measure(there, 0)
+            await until(lambda: here.profile.measure == 0)
+            assert await counts() == [0, 0]
+            one.connections.measure(there, 10)
+            await until(lambda: here.profile.measure == 10)
+            assert await counts() == [1, 1]
+            one.connections.measure(there, 0)
+            await until(lambda: here.profile.measure == 0)
+            two.connections.measure(here, 7)
+            one.connections.measure(there, 10)
+            assert await counts() == [1, 1]
+            one.connections.measure(there, 0)
+            assert (await counts(), here.profile.measure) == ([2, 2], 7)
+
+    simulate(run())
+
+
+def test_a_kernel_of_an_older_release_says_nothing_of_how_old_samples_were() -> None:
+    async def run() -> None:
+        network = MemoryNetwork(delay=0.001)
+        transport = network.transport("one")
+        carry = transport.ask
+
+        async def ask_older(peer: Peer, what: str, body: bytes, *, within: float) -> bytes:
+            answer = await carry(peer, what, body, within=within)
+            return packed(msgpack.unpackb(answer)[:7]) if what == "ledger" else answer
+
+        async with kernel_of(network, "two") as two, Kernel("one") as one:
+            transport.ask = ask_older  # type: ignore[method-assign]
+            one.service(Links).use(transport)
+            await one.service(Links).opened()
+            source, sink = await one.add(Source()), await two.add(Sink())
+            await one.connect(source.out, "two/sink0.inp", measure=10)
+            source.out.write_nowait(long(1))
+            await until(lambda: sink.inp.is_new)
+            assert ((await ask(one)).read, (await ask(one)).written) == (None, 1)
 
     simulate(run())

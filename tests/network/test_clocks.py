@@ -16,7 +16,7 @@ pytest.importorskip("zenoh")
 
 from aiorts import Component, InPort, Kernel, OutPort
 from aiorts.cli.app import run_command
-from aiorts.cli.commands.live.measure.spans import within_text
+from aiorts.cli.commands.live.spans import within_text
 from aiorts.clock import SystemClock
 from aiorts.types import TimedLong
 from aiorts_zenoh.clocks import DRIFT, LAST, ClockOffset, Offset

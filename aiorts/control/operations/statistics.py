@@ -188,9 +188,7 @@ def _timed(connector: Connector) -> dict[str, tuple[int, ...]]:
     found = connector.statistics
     both: tuple[tuple[str, Spans | None], ...] = (("latency", found.latency), ("age", found.age))
     made: dict[str, tuple[int, ...]] = {
-        what: (spans.count, spans.p50_ns, spans.p99_ns, spans.max_ns)
-        for what, spans in both
-        if spans is not None and spans.count
+        what: spans.figures for what, spans in both if spans is not None and spans.count
     }
     if found.age_within_ns is not None:
         made["within"] = (found.age_within_ns,)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Iterator, Mapping
 from dataclasses import field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -54,6 +55,10 @@ class Wire:
     ledger: ConnectorStatistics | None = None
     both_ends: str = ""
     """Of a link, where it was asked for: the ledger from the writer to the reader, or why there is none now."""
+    read: Mapping[str, tuple[int, ...]] | None = None
+    """Of a link, where it was asked for and is measured: how old samples were as the reader read them ("age", by their
+    stamps; "within" how far that may be off) and how long they had waited in its buffer ("waited"): how many, p50, p99
+    and maximum in nanoseconds. None: the reader's end has not answered, or is of a release that does not say it."""
     service: ServiceConnectorProfile | None = None
     """Of service ports: who answers whom."""
     calls: ServiceStatistics | None = None
@@ -110,19 +115,19 @@ async def _connectors(session: Session, given: Wires) -> tuple[Wire, ...]:
     wires = [_wire(one) for one in found]
     if not given.both_ends:
         return tuple(wires)
-    joined = await asyncio.gather(*(_both_ends(session, one) for one in found))
-    return tuple(replace(wire, both_ends=text) for wire, text in zip(wires, joined, strict=True))
+    return tuple(await asyncio.gather(*map(partial(_both_ends, session), found, wires)))
 
 
-async def _both_ends(session: Session, connector: Any) -> str:
-    profile = connector.profile
-    if not isinstance(profile, ConnectorProfile) or not profile.far_end:
-        return ""
+async def _both_ends(session: Session, connector: Any, wire: Wire) -> Wire:
     far = session.kernel.connections.far
+    if far is None or wire.options is None or not wire.options.far_end:
+        return wire
     try:
-        return "" if far is None else str(await far.ledger(connector))
+        ledger = await far.ledger(connector)
     except LinkError as error:
-        return f"not known: {error}"
+        return replace(wire, both_ends=f"not known: {error}")
+    read = None if ledger.read is None else {what: tuple(spans) for what, spans in ledger.read.items()}
+    return replace(wire, both_ends=str(ledger), read=read)
 
 
 def _fits(session: Session, given: Fitting) -> Mapping[str, str] | Awaitable[Mapping[str, str]]:

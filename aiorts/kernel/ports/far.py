@@ -104,6 +104,15 @@ def _not_here(port: Port[Any]) -> StateError:
     return StateError(f"{port.path}: its component runs in a process of its own; connect the port with one of yours")
 
 
+class FarLedger(Protocol):
+    """What both ends of a connector count; its text says it."""
+
+    @property
+    def read(self) -> Mapping[str, Sequence[int]] | None:
+        """How old samples were as the reader read them, where that is measured; None: its end does not say it."""
+        ...
+
+
 class FarPorts(Protocol):
     """Who makes far ports of paths."""
 
@@ -115,8 +124,8 @@ class FarPorts(Protocol):
         """The name by which other kernels, of this host or elsewhere, reach this one; "" while they cannot."""
         ...
 
-    async def ledger(self, connector: Connector) -> object:
-        """What is counted of a connector at both ends; its text says it. LinkError: the other kernel says nothing."""
+    async def ledger(self, connector: Connector) -> FarLedger:
+        """What is counted of a connector at both ends. LinkError: the other kernel says nothing."""
         ...
 
     def resolve(self, ports: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], Mapping[str, Any]]:

@@ -11,6 +11,7 @@ from aiorts import exits
 from aiorts.cli.commands.live.components import absolute
 from aiorts.cli.commands.live.ledger import ledger_text
 from aiorts.cli.commands.live.showing import json_option, say_done, say_kernels, timeout_option
+from aiorts.cli.commands.live.spans import read_text
 from aiorts.cli.commands.live.target import Found, Kernels, Running, complete, complete_fitting, kernels, the_one
 from aiorts.cli.console.output import counted, say, say_json
 from aiorts.control import converters_read
@@ -45,7 +46,8 @@ def connect(
     nothing is done. Between ports of two kernels it makes a link; the kernel of the reader needs a [links] table.
 
     Without ports, or with one, a component or a kernel, it lists the connectors that are there, with their ledger. Of a
-    link this kernel knows its own end alone; --both-ends asks the other kernel, too.
+    link this kernel knows its own end alone; --both-ends asks the other kernel, too, and lists: with two ports those
+    between them. Where the link has `measure`, it prints how old samples were as they were read there.
     """
     paths, options = _split(words)
     if adapt:
@@ -57,12 +59,13 @@ def connect(
             options[key] = value
     if len(paths) < 2 and options:
         raise click.UsageError("options need two ports at least")
-    if both_ends and len(paths) > 1:
-        raise click.UsageError("--both-ends is for listing: name one port, component or kernel, or none")
+    lists = len(paths) < 2 or (both_ends and len(paths) == 2 and not options)
+    if both_ends and not lists:
+        raise click.UsageError("--both-ends is for listing: name one port, component or kernel, two ports, or none")
     if "convert" in options:
         options["convert"] = absolute(options["convert"])
-    with kernels(changing=len(paths) > 1, right="code" if converters_read(options) else "") as found:
-        if len(paths) < 2:
+    with kernels(changing=not lists, right="code" if converters_read(options) else "") as found:
+        if lists:
             return _list(found, paths, wait, both_ends=both_ends, as_json=as_json)
         ports = [port_of(found, path) for path in paths]
         running = _maker(ports)
@@ -149,7 +152,10 @@ def _split(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
 
 def _list(found: Kernels, paths: list[str], timeout: float, *, both_ends: bool, as_json: bool) -> int:
     meant: list[tuple[Running, list[str]]]
-    if paths:
+    if len(paths) == 2:
+        ports = [port_of(found, path, whole=True) for path in paths]
+        meant = [(_one_kernel(ports), [one.path for one in ports])]
+    elif paths:
         one = found.find(paths[0], bare=True)
         meant = [(one.running, [one.path] if one.path else [])]
     else:
@@ -174,10 +180,13 @@ def _text(one: Mapping[str, Any], *, ledger: bool) -> str:
         f"  {one['ports'][1]}: {_said(options, _OF_THE_READER)}",
         *([f"  through {one['between']}"] if one.get("between") else []),
     ]
-    if ledger:
+    joined = one.get("both_ends") or ""
+    if ledger and (not joined or joined.startswith("not known")):  # else of another moment: the two would disagree
         text.append(f"  {ledger_text(one['ledger'])}")
-    if one.get("both_ends"):
-        text.append(f"  both ends: {one['both_ends']}")
+    if joined:
+        text.append(f"  both ends: {joined}")
+    if one.get("read"):
+        text.append(f"  at the read: {read_text(one['read'])}")
     return "\n".join(text)
 
 

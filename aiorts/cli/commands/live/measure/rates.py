@@ -12,12 +12,12 @@ from aiorts import exits
 from aiorts.cli.commands.live.edges import Edge, complete_edge, find_edges
 from aiorts.cli.commands.live.ledger import UP_TO_LINK
 from aiorts.cli.commands.live.measure.readings import Counters, Rates, readings
-from aiorts.cli.commands.live.measure.spans import span_plain, span_text, within_text
 from aiorts.cli.commands.live.showing import Over, following_options, has_ended
+from aiorts.cli.commands.live.spans import read_plain, read_text, span_plain, spans_text
 from aiorts.cli.commands.live.target import Running, kernels
 from aiorts.cli.console.output import say_line, say_now
 from aiorts.cli.console.report import say
-from aiorts.errors import ClosedError
+from aiorts.errors import AbsentError, ClosedError
 from aiorts.sessions import RightName
 
 Show = Callable[[Counters], bool]
@@ -144,8 +144,9 @@ def delay(name: str, interval: float, duration: float | None, count: int | None,
     Where the stamps are those of another machine, its clock's offset is taken off the age, which may then be off by
     what stands behind `+-`: half of the shortest time there and back. It is `?` where that is more than 10 ms.
 
-    Where the reader is in another process, both are taken as the link takes the sample, and the line says so: the way
-    there, and what a sample waits for its reader, come on top.
+    Where the reader is in another process, its end is asked, and the line begins with what it says, at the read: the
+    age, and how long a sample had waited in the reader's buffer. What this end knows is taken as the link takes the
+    sample, and the line says so: up to the link.
 
     A connector that is not measured is from now on, which standard error says, and no longer when this ends, however
     it ends. That needs the right to operate the kernel. It ends with the kernel.
@@ -169,9 +170,11 @@ def delay(name: str, interval: float, duration: float | None, count: int | None,
                 plain: dict[str, Any] = {what: span_plain(found.get(what)) for what in _TIMED}
                 if "within" in found:
                     plain["age_within_ns"] = found["within"][0]
+                at_read = ""
                 if "link" in found:
                     plain["to_link"] = True
-                _print(edge, _spans(found), plain, as_json=as_json)
+                    at_read, plain["read"] = _at_read(running, edge)
+                _print(edge, f"{at_read}{_spans(found)}", plain, as_json=as_json)
             return not early
 
         return show
@@ -197,12 +200,19 @@ def _print(edge: Edge, text: str, found: Mapping[str, Any], *, as_json: bool) ->
 def _spans(found: Mapping[str, Any]) -> str:
     if not found:
         return "nothing was read"
-    texts = []
-    for what in (one for one in _TIMED if one in found):
-        p50, p99, most = map(span_text, found[what][1:])
-        off = within_text(found["within"][0]) if what == "age" and "within" in found else ""
-        texts.append("age ?" if off == "?" else f"{what} p50 {p50}{off}  p99 {p99}  max {most}")
-    return f"{'  '.join(texts)}  samples {found['latency'][0]}{UP_TO_LINK if 'link' in found else ''}"
+    return f"{spans_text(found, *_TIMED)}  samples {found['latency'][0]}{UP_TO_LINK if 'link' in found else ''}"
+
+
+def _at_read(running: Running, edge: Edge) -> tuple[str, dict[str, Any] | None]:
+    """What the reader's end of a link has measured, or why it is not known, in words and by name."""
+    try:
+        (wire,) = running.client.call("connectors", names=[edge.name], both_ends=True)
+    except AbsentError:
+        return "", None  # it has ended since
+    read = wire.get("read")
+    if read is None:
+        return f"at the read: not known (why: aiorts con {edge.out} --both-ends); ", None
+    return f"at the read: {read_text(read)}; ", read_plain(read)
 
 
 def _bytes(count: float) -> str:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from aiorts.cli.commands.live.edges import Edge
 from aiorts.cli.commands.live.measure.readings import Counters, rate_of
-from aiorts.cli.commands.live.measure.spans import span_plain, span_text
+from aiorts.cli.commands.live.spans import span_plain, span_text
 from aiorts.cli.console.quote import cells_of
 from aiorts.cli.console.report import printed
 from aiorts.late import dataclass

@@ -1,0 +1,57 @@
+"""Spans of time, as they are shown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from aiorts.cli.commands.live.ledger import EXACT
+
+
+def span_text(ns: float) -> str:
+    """A span of time in three or four digits."""
+    for unit, size in (("s", 1e9), ("ms", 1e6), ("us", 1e3)):
+        if abs(ns) >= size:
+            return f"{ns / size:.3g} {unit}" if abs(ns) < 999 * size else f"{ns / size:.0f} {unit}"
+    return f"{ns:.0f} ns"
+
+
+def within_text(within_ns: int | None) -> str:
+    """What stands behind a span that may be off by so much; "?": it says nothing."""
+    if within_ns is None:
+        return ""
+    return "?" if within_ns > EXACT else f" +- {span_text(within_ns)}"
+
+
+def span_plain(spans: Sequence[int] | None) -> dict[str, int] | None:
+    """What the kernel says of the spans it has taken, in nanoseconds."""
+    if spans is None:
+        return None
+    count, p50, p99, most = spans
+    return {"samples": count, "p50_ns": p50, "p99_ns": p99, "max_ns": most}
+
+
+def spans_text(found: Mapping[str, Sequence[int]], *kinds: str) -> str:
+    """Median, 99th percentile and maximum of each of these kinds that there is; "within" is how far the age may be
+    off."""
+    texts = []
+    for what in (one for one in kinds if one in found):
+        p50, p99, most = map(span_text, found[what][1:])
+        off = within_text(found["within"][0]) if what == "age" and "within" in found else ""
+        texts.append("age ?" if off == "?" else f"{what} p50 {p50}{off}  p99 {p99}  max {most}")
+    return "  ".join(texts)
+
+
+def read_text(read: Mapping[str, Sequence[int]]) -> str:
+    """What the reader's end of a link has measured."""
+    if "waited" not in read:
+        return "nothing was read since it is measured"
+    return f"{spans_text(read, 'age', 'waited')}  samples {read['waited'][0]}"
+
+
+def read_plain(read: Mapping[str, Sequence[int]] | None) -> dict[str, Any] | None:
+    """The same, by name; None: the reader's end does not say it."""
+    if read is None:
+        return None
+    within = {"age_within_ns": read["within"][0]} if "within" in read else {}
+    return {what: span_plain(read.get(what)) for what in ("age", "waited")} | within
