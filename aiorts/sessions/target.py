@@ -1,7 +1,8 @@
 """What a word of a command line means among running kernels: which kernel, which component, which port.
 
 A word is `component`, `component.port`, `kernel/component.port` or `host/kernel/component.port`. A short one is enough
-where one kernel only has it. A file ends in .toml, .xml, .yaml or .mcap, or begins with ./ or /; all else is a name.
+where one kernel only has it; so is the name of a kernel without the number of its process. A file ends in .toml, .xml,
+.yaml or .mcap, or begins with ./ or /; all else is a name.
 """
 
 from __future__ import annotations
@@ -49,6 +50,8 @@ class Running:
     """What the operation `names` said: components, contexts, connectors."""
     alias: str = ""
     """The name by which links reach it, where a word may begin with that: no kernel has it as its own."""
+    short: str = ""
+    """Its name without the number of its process, where that means no other kernel."""
 
     @property
     def name(self) -> str:
@@ -58,9 +61,8 @@ class Running:
     def fits(self, kernel: str) -> bool:
         """Whether a word means this kernel: its name or "host/name", in which * ? [] stand for any characters."""
         host = self.client.entry.address.rpartition("/")[0]
-        return _matches(self.client.entry, kernel) or (
-            self.alias != "" and kernel in (self.alias, f"{host}/{self.alias}")
-        )
+        others = [one for one in (self.alias, self.short) if one]
+        return _matches(self.client.entry, kernel) or kernel in (*others, *(f"{host}/{one}" for one in others))
 
     @property
     def links(self) -> str:
@@ -114,9 +116,17 @@ class Kernels:
     """
 
     def __init__(self, running: Sequence[Running], silent: Sequence[Silent], *, changing: bool = False) -> None:
-        own = {one.name for one in running} | {one.entry.name for one in silent}
+        here = [*(one.client.entry for one in running), *(one.entry for one in silent)]
+        own = {one.name for one in here}
+        shorts = Counter([*own, *(short for one in here if (short := _short(one)))])
         self.running = tuple(
-            one if one.links in own else Running(one.client, one.names, alias=one.links) for one in running
+            Running(
+                one.client,
+                one.names,
+                alias="" if one.links in own else one.links,
+                short=short if shorts[short := _short(one.client.entry)] == 1 else "",
+            )
+            for one in running
         )
         self.silent = tuple(silent)
         self.changing = changing
@@ -359,6 +369,12 @@ def _matches(entry: Entry, kernel: str) -> bool:
     return fnmatchcase(entry.address if "/" in kernel else entry.name, kernel)
 
 
+def _short(entry: Entry) -> str:
+    """The name without the number of the process, which a kernel has that was given no name; "" where it has none."""
+    short = entry.name.removesuffix(f"-{entry.pid}")
+    return "" if short == entry.name else short
+
+
 def _of(one: Running, component: str, *, bare: bool) -> list[str]:
     """The components of a kernel that a name means; the kernel itself for its name alone."""
     if not component:
@@ -392,6 +408,7 @@ def entry_named(word: str = "") -> Entry:
         return entry_at(word)
     there = entries()
     found = [one for one in there if not word or _matches(one, word)]
+    found = found or [one for one in there if _short(one) == word]
     if len(found) > 1:  # those that were killed have left theirs
         found = [one for one in found if is_listed(one)]
     if not there or not (found or word):

@@ -103,7 +103,7 @@ def test_a_member_with_a_process_of_its_own_gets_a_context_of_its_own(tmp_path: 
     file = folder_of(tmp_path) / "together.toml"
     file.write_text(TOGETHER)
     assert here(tmp_path, "check", "together.toml").returncode == 2
-    done = here(tmp_path, "check", "--fix", "--write", "together.toml")
+    done = here(tmp_path, "check", "--fix", "--write", "-q", "together.toml")
     assert (done.returncode, done.stderr) == (0, "")
     assert here(tmp_path, "check", "together.toml").returncode == 0
     contexts = tomllib.loads(file.read_text())["contexts"]
@@ -125,6 +125,16 @@ def test_what_has_no_answer_is_left_and_said(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "nobody" in done.stderr
     assert file.read_text() == MENDED.replace('"sink.numbers"', '"nobody.xyz"').replace("counter.out", "counter.ouf")
+
+
+def test_warnings_and_notes_that_are_left_are_said_and_strict_counts_them(tmp_path: Path) -> None:
+    file = folder_of(tmp_path) / "unused.toml"
+    file.write_text(MENDED.replace('    "sink",  # the only one\n', ""))
+    plain = here(tmp_path, "check", "--strict", "unused.toml")
+    assert (plain.returncode, "W-UNUSED" in plain.stdout) == (1, True)
+    for words, status in (((), 0), (("--strict",), 1), (("--strict", "-q"), 1)):
+        done = here(tmp_path, "check", "--fix", *words, "unused.toml")
+        assert (done.returncode, done.stdout, "W-UNUSED" in done.stderr) == (status, "", True), done.stderr
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -178,6 +179,21 @@ async def test_what_cannot_be_done_is_refused_with_status_2(capsys: pytest.Captu
         assert (await said(capsys, "plan", system, "--live", "nobody"))[0] == 6
         system.write_text(SYSTEM.replace("FlexiDump", "FlexiDumb"))
         assert "FlexiDump" in (await said(capsys, "apply", system))[2]
+
+
+async def test_a_file_of_another_system_is_refused_unless_forced(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    other = tmp_path / "another.toml"
+    other.write_text(SYSTEM.replace("const", "first").replace("firstants", "constants").replace("dump", "last"))
+    async with built(tmp_path) as kernel:
+        status, out, err = await said(capsys, "apply", other, "--live", "unit")
+        assert (status, out, list(kernel.components)) == (2, "", ["const", "dump"])
+        assert f"has none of the components of unit (process {os.getpid()})" in err
+        assert "remove all of them: dump, const; if it is meant for this kernel, give --force" in " ".join(err.split())
+        assert (await said(capsys, "apply", f"unit={other}"))[0] == 2
+        assert (await said(capsys, "apply", other, "--live", "unit", "--force"))[0] == 0
+        assert list(kernel.components) == ["first", "last"]
 
 
 @pytest.mark.parametrize("text", ["", "[", "[]", '{"components":1}', '{"contexts":[{"name":"a"}]}', "[" * 5000])

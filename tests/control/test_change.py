@@ -42,6 +42,11 @@ async def test_parameters_are_in_force_when_conf_returns_read_by_their_types(
         assert (counter.configuration.values["step"], counter.configuration.sets["default"]["step"]) == (9.0, 3.0)
         status, text = await commanded(capsys, "conf", "counter0")
         assert (status, " ".join(text.split())) == (0, "unit/counter0 set fast of default, fast step 9.0 fast: 9.0")
+        await kernel.create(Checked, "checked0")
+        status, text = await commanded(capsys, "conf", "checked0", "high")
+        assert (status, "high" in text, "low" in text) == (0, True, False), text
+        status, text = await commanded(capsys, "conf", "checked0", "high", "--json")
+        assert (status, [one["name"] for one in json.loads(text)["parameters"]]) == (0, ["high"])
 
 
 @pytest.mark.slow(kept_by="first")
@@ -53,7 +58,9 @@ async def test_parameters_are_in_force_when_conf_returns_read_by_their_types(
         (["counter0", "slow.step=1"], 6, "no set 'slow'; there are default"),
         (["counter0", "--add", "default"], 2, "already"),
         (["couter0"], 6, "did you mean counter0"),
-        (["counter0", "step"], 2, "expected PARAM=VALUE"),
+        (["counter0", "stp"], 6, "stp: counter0 has no such parameter; did you mean step?"),
+        (["counter0", "step", "step=2"], 2, "expected PARAM=VALUE"),
+        (["counter0", "step", "--activate", "default"], 2, "expected PARAM=VALUE"),
         ([], 2, "say which component"),
     ],
 )
@@ -116,6 +123,22 @@ async def test_connectors_are_made_with_options_and_ended(capsys: pytest.Capture
         assert (profile.length, profile.full) == (4, "reject")
         assert await commanded(capsys, "dis", "counter0.out-reader0.in") == (0, "")
         assert kernel.connectors == {}
+
+
+async def test_each_connector_of_one_call_has_its_own_two_ports(capsys: pytest.CaptureFixture[str]) -> None:
+    async with controlled() as kernel:
+        await kernel.disconnect(kernel.connectors["counter0.out-reader0.in"])
+        await kernel.create(type(kernel.components["reader0"]), "reader1")
+        await kernel.connect("counter0.out", "reader0.in", "reader1.in")
+        status, text = await commanded(capsys, "con", "counter0", "--json")
+        assert [one["ports"] for one in json.loads(text)["kernels"][0]["connectors"]] == [
+            ["counter0.out", "reader0.in"],
+            ["counter0.out", "reader1.in"],
+        ], text
+        status, text = await commanded(capsys, "con", "reader1.in")
+        assert (status, "  reader1.in: length 8" in text, "reader0.in" in text) == (0, True, False), text
+        assert await commanded(capsys, "dis", "reader1.in") == (0, "")
+        assert list(kernel.connectors) == ["counter0.out-reader0.in"]
 
 
 class Shorter(Component):

@@ -13,6 +13,7 @@ import pytest
 from aiorts import Component, EventContext, PeriodicContext
 from aiorts.cli.app import run_command
 from aiorts.composites import Composite
+from aiorts.errors import SLOW_READER
 from aiorts.system import check_running, running_graph
 from control_parts import Counter, controlled, until
 
@@ -60,7 +61,10 @@ async def test_a_drawing_of_what_runs_has_composites_and_says_what_was_dropped()
     assert 'label="3 dropped, silent"' in text
     with pytest.raises(ValueError, match="expected mermaid, dot, svg"):
         running_graph(profile, "png")
-    found = {one.code: one.cause for one in check_running(replace(profile, connectors={name: lossy}), "unit/")}
+    findings = check_running(replace(profile, connectors={name: lossy}), "unit/")
+    found = {one.code: one.cause for one in findings}
+    (helps,) = [one.remedy for one in findings if one.code == "W-DROPPED"]
+    assert helps == f"the reader is slower than the writer; {SLOW_READER}; see aiorts help slow-reader"
     assert found["W-DROPPED"] == f"3 of {wire.ledger.written} samples were dropped (3 overwritten)"
     assert found["W-SILENT"] == "counter0.out has not written for longer than max_gap"
 

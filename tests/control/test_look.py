@@ -21,6 +21,7 @@ from aiorts.cli.commands.live.look.ls import ls
 from aiorts.cli.commands.live.measure.table import View, tables, text_of
 from aiorts.cli.commands.live.target import complete, complete_changes
 from aiorts.sessions import Client
+from aiorts.sessions.target import entry_named
 from control_parts import WAIT, Counter, controlled, running, with_client
 
 pytestmark = pytest.mark.anyio
@@ -181,6 +182,20 @@ async def test_who_is_absent_is_told_with_who_is_near(capsys: pytest.CaptureFixt
             6,
             "aiorts: E-ABSENT: unit/couter0: nothing that runs has this name; did you mean counter0?\n",
         )
+
+
+async def test_a_kernel_is_meant_without_the_number_of_its_process_where_no_other_is(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    async with controlled(f"web-{os.getpid()}") as kernel:
+        assert (await said(capsys, "conf", "web/counter0", "step=3"))[0] == 0
+        assert kernel.components["counter0"].params["step"].value == 3.0
+        status, text = await said(capsys, "ls", "-l", "web")
+        assert (status, f"web-{os.getpid()}/" in text) == (0, True)
+        assert entry_named("web").name == f"web-{os.getpid()}"
+        async with controlled("web") as other:
+            assert (await said(capsys, "conf", "web/counter0", "step=4"))[0] == 0
+            assert [one.components["counter0"].params["step"].value for one in (kernel, other)] == [3.0, 4.0]
 
 
 @pytest.mark.fault("F19")

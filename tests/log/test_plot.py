@@ -17,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aiorts.cli.app import run_command
+from aiorts.errors import ConfigurationError
 from aiorts.types import NDArray, Point2D, Pose2D, TimedDouble, TimedDoubleSeq, TimedPose2D, TimedString, record
 from aiorts_log import RecordingOptions, RecordingWriter, open_recording
 from aiorts_log.analysis.series import numeric_fields, read_series
@@ -344,6 +345,15 @@ def test_points_between_gaps_are_marked(weather: Path) -> None:
     line = [sys.executable, "-c", DOTS]
     done = subprocess.run(line, cwd=weather.parent, capture_output=True, text=True, timeout=100)
     assert done.stdout.splitlines()[1::2] == ["10", "12", "0"], done.stderr  # a path has a begin and an end, too
+
+
+def test_a_field_that_is_not_there_is_told_with_the_numbers_below(drive: Path) -> None:
+    with open_recording(drive) as reader:
+        with pytest.raises(ConfigurationError, match=r"; numbers are in odometry\.pose\.data\.position\.x$"):
+            read_series(reader, ["odometry.pose.x"], None, None, lambda _: None)
+        below = r"numbers are in odometry\.pose\.data\.position\.x, .*\.y, odometry\.pose\.data\.heading$"
+        with pytest.raises(ConfigurationError, match=below):
+            read_series(reader, ["odometry.pose.nothing"], None, None, lambda _: None)
 
 
 @pytest.mark.slow

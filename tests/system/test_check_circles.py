@@ -23,6 +23,15 @@ class Starts(Middle):
 class Says(Middle):
     def on_activated(self):
         self.log.info("ready")
+
+class Passes(Middle):
+    def on_activated(self):
+        pass
+
+class Paced(Starts):
+    async def on_execute(self):
+        await self.kernel.sleep(0.01)
+        self.output.write_nowait(TimedLong(0, 1))
 """
 
 
@@ -84,6 +93,21 @@ def test_a_circle_that_waits_for_itself_is_noted_once(write: Write) -> None:
 def test_a_hook_that_writes_nothing_does_not_start_a_circle(kinds: Write) -> None:
     (one,) = circles(kinds(started("two", "Says")))
     assert one.cause.endswith("of the one before, and none begins, unless on_activated of two writes first")
+    (one,) = circles(kinds(started("one", "Says", started("two", "Says"))))
+    assert one.cause.endswith("and none begins, unless on_activated of one or two writes first")
+    (one,) = circles(kinds(started("two", "Passes")))
+    assert one.cause.endswith("of the one before, and none begins")
+
+
+@pytest.mark.parametrize("kind", ["Starts", "Paced"])
+def test_a_circle_with_a_member_that_sleeps_never_runs_hot(kinds: Write, kind: str) -> None:
+    assert [one.code for one in circles(kinds(started("one", kind)))] == (["W-LOOP"] if kind == "Starts" else [])
+
+
+def test_a_circle_does_not_go_through_a_port_that_is_not_there(kinds: Write) -> None:
+    path = kinds(changed('to = "one.input"', 'to = "one.inputt"', started("one")))
+    assert [one.code for one in found(path) if one.code == "W-LOOP"] == []
+    assert [one.code for one in found(path, "error")] != []
 
 
 @pytest.mark.parametrize("together", [False, True])

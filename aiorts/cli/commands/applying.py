@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.showing import json_option, timeout_option
-from aiorts.cli.commands.live.target import complete_kernels, is_file, kernels
+from aiorts.cli.commands.live.target import Running, complete_kernels, is_file, kernels
 from aiorts.cli.commands.planning import check_steps, parts_of, say_planned, say_steps, wanted_of
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.output import say, say_json
@@ -17,6 +18,10 @@ from aiorts.errors import SystemFileError
 from aiorts.sessions import change_all
 from aiorts.system import Choices
 
+if TYPE_CHECKING:
+    from aiorts.model.wanted.entries import Wanted
+
+_SHOWN: Final = 10
 _LEFT_OFF: Final = (
     "interrupted: a change that has not begun is given up, one that has begun goes on; "
     "`aiorts plan {file} --live KERNEL` shows which"
@@ -36,6 +41,7 @@ _LEFT_OFF: Final = (
     help="Measure S seconds before the change and S after it; it must not do worse.",
 )
 @click.option("--dry-run", is_flag=True, help="Print the steps and change nothing, as aiorts plan --live.")
+@click.option("--force", is_flag=True, help="Also where the file has none of the kernel's components: all are removed.")
 @click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter of the file.")
 @choices_options
 @timeout_option(30.0, "Wait S seconds, and twice the window")
@@ -45,6 +51,7 @@ def apply(
     live: str,
     window: float,
     dry_run: bool,
+    force: bool,
     changes: tuple[str, ...],
     choices: Choices,
     timeout: float,
@@ -64,15 +71,19 @@ def apply(
     if len(pairs) > 1:
         if window or dry_run or changes:
             raise click.UsageError("with several kernels there is no --window, --dry-run and --set")
-        return _together(pairs, choices, timeout, as_json=as_json)
+        return _together(pairs, choices, timeout, force=force, as_json=as_json)
     ((live, file),) = pairs
-    parts = parts_of(wanted_of(file, changes, choices))
+    wanted = wanted_of(file, changes, choices)
+    parts = parts_of(wanted)
     with kernels(changing=not dry_run, right="code") as found:
-        client = found.kernel(live.rstrip("/")).client
+        running = found.kernel(live.rstrip("/"))
+        client = running.client
         planned = client.call("plan", timeout, wanted=parts)
         check_steps(planned["steps"], file, changes, choices)
         if dry_run or planned["refused"]:
             return say_planned(planned, as_json=as_json)
+        if not force:
+            _check_meant(running, file, wanted, planned["steps"])
         if window and planned["steps"]:
             click.echo(f"aiorts: measured for {window:g} s before the change, and after it", err=True)
         try:
@@ -90,6 +101,17 @@ def apply(
     return exits.DONE if done["done"] else exits.FAILED
 
 
+def _check_meant(running: Running, file: Path, wanted: Wanted, steps: Iterable[Mapping[str, Any]]) -> None:
+    """SystemFileError where the file has none of the kernel's components: it may be meant for another kernel."""
+    gone = [step["component"]["name"] for step in steps if step["step"] == "Remove"]
+    if gone and wanted.components.keys().isdisjoint(running.names["components"]):
+        shown = ", ".join(gone[:_SHOWN]) + (", ..." if gone[_SHOWN:] else "")
+        raise SystemFileError(
+            f"{file}: has none of the components of {running.name} (process {running.client.entry.pid}), and would "
+            f"remove all of them: {shown}; if it is meant for this kernel, give --force"
+        )
+
+
 def _pair(word: str, live: str) -> tuple[str, Path]:
     """The kernel and the file of a word; a kernel's name has no "." where a file's begins."""
     kernel, equals, file = word.partition("=")
@@ -100,19 +122,21 @@ def _pair(word: str, live: str) -> tuple[str, Path]:
     return kernel, Path(file)
 
 
-def _together(pairs: list[tuple[str, Path]], choices: Choices, timeout: float, *, as_json: bool) -> int:
+def _together(pairs: list[tuple[str, Path]], choices: Choices, timeout: float, *, force: bool, as_json: bool) -> int:
     if unnamed := [str(file) for kernel, file in pairs if not kernel]:
         raise click.UsageError(f"{unnamed[0]}: of several files each needs its kernel: KERNEL={unnamed[0]}")
-    wanted = [(kernel, file, parts_of(wanted_of(file, (), choices))) for kernel, file in pairs]
+    wanted = [(kernel, file, wanted_of(file, (), choices)) for kernel, file in pairs]
     with kernels(changing=True, right="code") as found:
-        meant = [(found.kernel(kernel.rstrip("/")), parts) for kernel, _, parts in wanted]
+        meant = [(found.kernel(kernel.rstrip("/")), parts_of(one)) for kernel, _, one in wanted]
         if len({id(one) for one, _ in meant}) < len(meant):
             raise click.UsageError("a kernel is named twice")
-        for (one, parts), (_, file, _) in zip(meant, wanted, strict=True):
+        for (one, parts), (_, file, entries) in zip(meant, wanted, strict=True):
             planned = one.client.call("plan", timeout, wanted=parts)
             check_steps(planned["steps"], file, (), choices)
             if planned["refused"]:
                 raise SystemFileError(f"{one.name}: {'; '.join(planned['refused'])}")
+            if not force:
+                _check_meant(one, file, entries, planned["steps"])
         try:
             outcome = change_all(meant, timeout)
         except KeyboardInterrupt:

@@ -73,15 +73,15 @@ def check_command(
 
     --fix mends the text of each file where there is one answer: a name for which a similar one is meant; a member with
     a process of its own among others, which gets a context of its own. All else stays, comments too. The difference is
-    printed, and what is wrong after it on standard error; --write puts it into the file, in one step. Exit status: 2
-    when errors are left, 1 when there is a difference and no --write, else 0.
+    printed, and what is found after it on standard error; --write puts it into the file, in one step. Exit status: 2
+    when errors are left, 1 when there is a difference and no --write, or warnings are left with --strict, else 0.
     """
     if write and not fix:
         raise click.UsageError("--write is for --fix: it writes what that has mended")
     if fix:
         if layout != "text":
             raise click.UsageError(f"--fix prints a difference, and goes not with --format {layout}")
-        return _fix(files, changes, catalogue_of(None).folders, choices, write=write)
+        return _fix(files, changes, catalogue_of(None).folders, choices, write=write, strict=strict, quiet=quiet)
     counts: Counter[str] = Counter()
     folders = catalogue_of(None).folders
     for file in files:
@@ -93,16 +93,31 @@ def check_command(
             with quietly():
                 found = check(file, changes, folders, choices)
             tell_of(file, "check")
-        findings = [one for one in found if not (quiet and one.severity == "note")]
+        findings = _wanted(found, quiet=quiet)
         counts.update(one.severity for one in findings)
         _PRINTERS[layout](file, findings)
+    return _status(counts, strict=strict)
+
+
+def _wanted(found: Sequence[Finding], *, quiet: bool) -> list[Finding]:
+    return [one for one in found if not (quiet and one.severity == "note")]
+
+
+def _status(counts: Counter[str], *, strict: bool) -> int:
     if counts["error"]:
         return exits.REFUSED
     return exits.FAILED if strict and counts["warning"] else exits.DONE
 
 
 def _fix(
-    files: Sequence[str], changes: Sequence[str], folders: Sequence[Path], choices: Choices, *, write: bool
+    files: Sequence[str],
+    changes: Sequence[str],
+    folders: Sequence[Path],
+    choices: Choices,
+    *,
+    write: bool,
+    strict: bool,
+    quiet: bool,
 ) -> int:
     """Mend files, or show how they would be; the exit status."""
     status = exits.DONE
@@ -117,12 +132,12 @@ def _fix(
             )
         lines = unified_diff(text.splitlines(keepends=True), new.splitlines(keepends=True), file, file)
         click.echo("".join(one if one.endswith("\n") else f"{one}\n" for one in lines), nl=False)
-        wrong = [one for one in left if one.severity == "error"]
-        for one in wrong:
+        for one in _wanted(left, quiet=quiet):
             click.echo("\n".join((line_of(one), *below(one))), err=True)
         if write and new != text:
             replace_text(path, new)
-        status = max(status, exits.REFUSED if wrong else exits.FAILED if new != text and not write else exits.DONE)
+        of_left = _status(Counter(one.severity for one in left), strict=strict)
+        status = max(status, of_left, exits.FAILED if new != text and not write else exits.DONE)
     return status
 
 

@@ -386,8 +386,8 @@ CODES: Final[dict[str, Code]] = {
     ),
     "W-LOOP": Code(
         "Components that all run on events feed each other in a circle and never rest.",
-        "Each writes whenever it reads, and no context of the circle has a rate.",
-        "Put one of them into a periodic context, which paces the rest.",
+        "Each writes whenever it reads, no context of the circle has a rate, and no on_execute awaits a sleep.",
+        "Put one of them into a periodic context, or await self.kernel.sleep there: either paces the rest.",
     ),
     "W-UNFED": Code(
         "A component waits for data that cannot come: a component alone has no connection, or it pulls all it reads.",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from aiorts import Component, InPort, Kernel
 from aiorts.diagnostics import unawaited_told
-from aiorts.errors import SLOW_READER
+from aiorts.kernel.ports.losses import WHY_DROPPED
 from aiorts.model.options import DEFAULT_LENGTH
 from aiorts.model.policy import Dataflow, Push, Subscription
 
@@ -18,15 +18,6 @@ if TYPE_CHECKING:
 
 Tell: TypeAlias = Callable[[str, str], None]
 """Takes a code and a message."""
-_WHY: Final = {
-    "superseded": ".latest takes the newest alone; drain() or read() takes every one",
-    "overwritten": f"the reader is slower than the writer; {SLOW_READER}",
-    "unconverted": "the connection's convert failed on them; the log has the first one",
-    "expired": "no read within the connector's lifespan",
-    "rejected": f"the reader is slower than the writer; {SLOW_READER}",
-    "inactive": "unread when the reader ended, or written while it was not active",
-    "disconnected": "unread when the connection ended",
-}
 _LEFT: Final = ("inactive", "disconnected")
 """The reasons of samples that wait when the reader or the connection ends."""
 
@@ -49,7 +40,7 @@ class Drops:
         """
         for connector, before, on_events in self._before:
             ledger = connector.statistics
-            for reason, why in _WHY.items():
+            for reason, why in WHY_DROPPED.items():
                 count = ledger.dropped.get(reason, 0)
                 if reason in _LEFT:  # a buffer's usual length may be left by the last cycle; more is a loss
                     surprising = count - before.get(reason, 0) > DEFAULT_LENGTH

@@ -16,6 +16,7 @@ from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right
+from aiorts.control.operations.wiring import ports_of
 from aiorts.control.session import Session, Stream
 from aiorts.control.ticking import Ticking
 from aiorts.control.turns import in_turns
@@ -366,7 +367,7 @@ class _Following:
         kernel, given = self._kernel, self._given
         wires: dict[str, Any] = {**kernel.connectors, **kernel.service_connectors}
         if given.at:
-            wires = {name: one for name, one in wires.items() if _is_at(given.at, one.profile.ports)}
+            wires = {name: one for name, one in wires.items() if _is_at(given.at, ports_of(one))}
         names = tuple(name for name, _ in _chosen(wires, given.connectors))
         components = tuple(kernel.components) if given.components is None else given.components
         if given.at:

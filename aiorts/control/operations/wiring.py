@@ -165,7 +165,7 @@ def _found(session: Session, given: Wires) -> list[Any]:
 
 
 def _is_at(path: str, connector: Any) -> bool:
-    return any(port == path or port.startswith(f"{path}.") for port in connector.profile.ports)
+    return any(port == path or port.startswith(f"{path}.") for port in ports_of(connector))
 
 
 def _check_port(session: Session, path: str) -> None:
@@ -182,8 +182,15 @@ def _check_port(session: Session, path: str) -> None:
 def _wire(one: Any) -> Wire:
     profile = one.profile
     if isinstance(profile, ConnectorProfile):
-        return Wire(one.name, profile.ports, profile, one.statistics)
+        return Wire(one.name, ports_of(one), profile, one.statistics)
     return Wire(one.name, profile.ports, service=profile, calls=one.statistics)
+
+
+def ports_of(connector: Any) -> tuple[str, ...]:
+    """The paths of its own ports, of data the writer's first: one call may have made connectors of more ports."""
+    if isinstance(connector.profile, ConnectorProfile):
+        return connector.out.path, connector.in_.path
+    return tuple(connector.profile.ports)
 
 
 def _needed(given: Wiring) -> Right:

@@ -26,6 +26,16 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import KernelSide
 
+WHY_DROPPED: Final = {
+    "superseded": ".latest takes the newest alone; drain() or read() takes every one",
+    "overwritten": f"the reader is slower than the writer; {SLOW_READER}",
+    "unconverted": "the connection's convert failed on them; the log has the first one",
+    "expired": "no read within the connector's lifespan",
+    "rejected": f"the reader is slower than the writer; {SLOW_READER}",
+    "inactive": "unread when the reader ended, or written while it was not active",
+    "disconnected": "unread when the connection ended",
+}
+"""By the reason for which a connector dropped samples: how that comes, and what helps."""
 _LOG = KernelLog()
 _FIRST_LOOK: Final = 10.0
 _LAST_LOOK: Final = 3600.0

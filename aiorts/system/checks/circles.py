@@ -5,7 +5,7 @@ A circle has one finding: with a sample in it, it never rests (W-LOOP); where no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from types import CodeType, FunctionType
 from typing import Any, Final
 
@@ -28,6 +28,8 @@ from aiorts.system.file.survey import Survey
 _MOST_NAMED: Final = 12
 """Ports of a cycle that a message names."""
 _ON_ACTIVATED: Final = "on_activated"
+_ON_EXECUTE: Final = "on_execute"
+_SLEEPS: Final = frozenset({"sleep", "sleep_until"})
 _BY_THEMSELVES: Final = ("on_initialize", "on_startup", _ON_ACTIVATED)
 """Hooks that run though no sample came, and may write the first one."""
 BEGIN: Final = (
@@ -43,7 +45,7 @@ def circle_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) 
     """One finding for each circle; `whole` is False when parts were left out, which may begin one."""
     waiting = _Beginning(found, drafts).waiting() if whole else _Waiting({}, {})
     for path, number, members in cycles(waiting.edges):
-        doubts = "".join(f", unless {hook} of {name} writes first" for name, hook in waiting.doubts(members))
+        doubts = _doubts(waiting.doubts(members))
         early = [waiting.early[name] for name in members if name in waiting.early]
         why = f"and {early[0]}" if early else f"and none begins{doubts}"
         text = f"{path}: each waits for a sample of the one before, {why}; {BEGIN}"
@@ -51,12 +53,23 @@ def circle_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) 
     yield from _loops(found, drafts, waiting.edges)
 
 
+def _doubts(hooks: Iterable[tuple[str, str]]) -> str:
+    """Who may begin a circle all the same: names that have the same hook are said together."""
+    names: dict[str, list[str]] = {}
+    for name, hook in hooks:
+        names.setdefault(hook, []).append(name)
+    said = " or ".join(f"{hook} of {' or '.join(those)}" for hook, those in names.items())
+    return f", unless {said} writes first" if said else ""
+
+
 def _loops(found: Survey, drafts: Mapping[str, Draft], without: Collection[str]) -> Iterator[Said]:
     """Cycles whose members are all in event contexts alone: with one sample in it, such a cycle never rests.
 
-    A connector that the reader pulls wakes nobody, and one of a period is paced: neither is part of such a cycle.
+    A connector that the reader pulls wakes nobody, and one of a period is paced: neither is part of such a cycle. Nor
+    is a connection of a port that is not there; and a member that sleeps paces its cycle.
     """
     eager = {name for name, those in contexts_of(found).items() if all(isinstance(one, EventContext) for one in those)}
+    eager -= {name for name, one in drafts.items() if _sleeps_itself(one.component)}
     edges: dict[str, dict[str, tuple[str, str, int]]] = {name: {} for name in found.system.components if name in eager}
     for connection in found.system.connections:
         profile = found.profiles.get(connection.number)
@@ -67,14 +80,21 @@ def _loops(found: Survey, drafts: Mapping[str, Draft], without: Collection[str])
             continue  # a call waits for its answer, and wakes nobody
         for in_ in ins:
             writer, reader = out.partition(".")[0], in_.partition(".")[0]
-            if writer in edges and reader in edges and writer not in without:
+            if writer in edges and reader in edges and writer not in without and not _missing(drafts, (out, in_)):
                 edges[writer].setdefault(reader, (out, in_, connection.number))
     for path, number, _ in cycles(edges):
         text = (
             f"{path}: all run on events, so that one sample keeps this cycle busy forever; "
-            f"put one of them into a periodic context"
+            f"put one of them into a periodic context, or await a sleep in its on_execute"
         )
         yield Said("warning", "W-LOOP", ("connections", number - 1), text, of_key=True)
+
+
+def _sleeps_itself(component: Component | None) -> bool:
+    """Whether its on_execute awaits a sleep, which paces the circle that it is in."""
+    if component is None or cell(component).hook_kinds[_ON_EXECUTE] != HookKind.ASYNC:
+        return False
+    return not _SLEEPS.isdisjoint(_names_of(type(component), _ON_EXECUTE))
 
 
 class _Waiting:
@@ -123,7 +143,7 @@ class _Beginning:
         while woken:
             woken += edges.pop(woken.pop(), {})
         left = {name: {to: way for to, way in those.items() if to in edges} for name, those in edges.items()}
-        hooks = {name: hook for name in left for hook in _BY_THEMSELVES if self._has(name, hook)}
+        hooks = {name: hook for name in left for hook in _BY_THEMSELVES if self._does(name, hook)}
         return _Waiting(left, self._early, hooks)
 
     def _sleeps(self, name: str, one: Draft, comes: Callable[[str, Port[Any]], bool]) -> bool:
@@ -140,6 +160,11 @@ class _Beginning:
     def _has(self, name: str, hook: str) -> bool:
         component = self._drafts[name].component
         return component is not None and cell(component).hook_kinds[hook] != HookKind.ABSENT
+
+    def _does(self, name: str, hook: str) -> bool:
+        """Whether it has the hook, and that does anything: one of `pass` or a docstring alone uses no name."""
+        component = self._drafts[name].component
+        return component is not None and self._has(name, hook) and bool(_names_of(type(component), hook))
 
     def _begins(self, writer: str, reader: str, out: str, connection: ConnectionEntry) -> bool:
         """Whether a hook of the writer that runs by itself may write there, and the reader gets it."""
@@ -219,6 +244,15 @@ def contexts_of(found: Survey) -> dict[str, list[Any]]:
         for member in entry.members:
             contexts.setdefault(member, []).append(found.contexts.get(entry.name))
     return contexts
+
+
+def _missing(drafts: Mapping[str, Draft], paths: Iterable[str]) -> bool:
+    """Whether a component whose ports are known has none of this name."""
+    for path in paths:
+        component, _, port = path.partition(".")
+        if component in drafts and drafts[component].complete and port not in drafts[component].ports:
+            return True
+    return False
 
 
 def _is_service(drafts: Mapping[str, Draft], path: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from aiorts.kernel.ports.losses import WHY_DROPPED
 from aiorts.model.policy import Dataflow
 from aiorts.observe import SystemProfile
 from aiorts.system.checks.circles import BEGIN, cycles
@@ -48,7 +49,9 @@ def _said(profile: SystemProfile) -> Iterator[tuple[str, str, str, str, str]]:
         if dropped := sum(ledger.dropped.values()):
             lost = ", ".join(f"{count} {reason}" for reason, count in ledger.dropped.items() if count)
             cause = f"{dropped} of {ledger.written} samples were dropped ({lost})"
-            yield "warning", "W-DROPPED", where, cause, "see aiorts help slow-reader"
+            most = max(ledger.dropped, key=lambda reason: ledger.dropped[reason])
+            helps = f"{WHY_DROPPED[most]}; " if most in WHY_DROPPED else ""
+            yield "warning", "W-DROPPED", where, cause, f"{helps}see aiorts help slow-reader"
         if ledger.silent:
             cause = f"{wire.source} has not written for longer than max_gap"
             yield "warning", "W-SILENT", where, cause, f"look at {wire.source.partition('.')[0]} with aiorts cat"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from itertools import islice
@@ -212,7 +212,7 @@ def read_series(
         RecordingError: no sample has a number there.
         DamagedError: the recording is damaged.
     """
-    fields = [_find(reader, name) for name in names]
+    fields = [_found(reader, name, start, end) for name in names]
     by_port: dict[int, list[_Field]] = {}
     for one in fields:
         by_port.setdefault(id(one.port), []).append(one)
@@ -232,10 +232,12 @@ def read_series(
     return [one.series for one in fields]
 
 
-def numeric_fields(reader: Recording, start: int | None, end: int | None) -> list[str]:
+def numeric_fields(
+    reader: Recording, start: int | None, end: int | None, ports: Iterable[str] | None = None
+) -> list[str]:
     """PORT.FIELD of all that the first samples of each port have numbers in, but for stamps and long sequences."""
     found: list[str] = []
-    for name in reader.ports:
+    for name in reader.ports if ports is None else ports:
         few = islice(reader.samples(start=start, end=end, ports=[name]), _LOOKED)
         found += dict.fromkeys(path for sample in few for path in _numeric(values_of(sample), name))
     return found
@@ -252,6 +254,21 @@ def _numeric(value: Any, path: str, *, top: bool = True) -> Iterator[str]:
     items = value if isinstance(value, list) else [value]
     if 0 < len(items) <= _MOST and all(isinstance(one, int | float) for one in items) and any(x == x for x in items):
         yield path
+
+
+def _found(reader: Recording, name: str, start: int | None, end: int | None) -> _Field:
+    """The field of this name; ConfigurationError with the fields that could be meant, where it is not there."""
+    try:
+        return _find(reader, name)
+    except ConfigurationError as error:
+        port = max((one for one in reader.ports if name.startswith((f"{one}.", f"{one}["))), key=len, default="")
+        paths = numeric_fields(reader, start, end, [port]) if port else []
+        if not paths:
+            raise
+        last = f".{name.rpartition('.')[2]}"
+        near = [path for path in paths if path.endswith(last)] or paths
+        more = ", ..." if near[_MOST:] else ""
+        raise ConfigurationError(f"{error}; numbers are in {', '.join(near[:_MOST])}{more}") from None
 
 
 def _find(reader: Recording, name: str) -> _Field:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import click
@@ -13,7 +13,7 @@ from aiorts.cli.commands.live.components import right_for
 from aiorts.cli.commands.live.showing import json_option, say_done, timeout_option
 from aiorts.cli.commands.live.target import Found, Kernels, complete, complete_changes, kernels
 from aiorts.cli.console.output import say, say_json, table
-from aiorts.errors import ConfigurationError
+from aiorts.errors import AbsentError, ConfigurationError
 
 _LONGEST: Final = 4 * 1024 * 1024
 _PART: Final = 16_000
@@ -23,7 +23,7 @@ _FILE: Final = click.Path(dir_okay=False, allow_dash=True)
 
 @click.command(short_help="Show and change parameters and sets of what runs.")
 @click.argument("name", default="", metavar="[KERNEL/][COMPONENT]", shell_complete=complete)
-@click.argument("changes", nargs=-1, metavar="[[SET.]PARAM=VALUE]...", shell_complete=complete_changes)
+@click.argument("changes", nargs=-1, metavar="[PARAM]... | [[SET.]PARAM=VALUE]...", shell_complete=complete_changes)
 @click.option("--activate", metavar="SET", help="Make this set the active one.")
 @click.option("--add", multiple=True, metavar="SET", help="Add a set; repeatable.")
 @click.option("--remove", multiple=True, metavar="SET", help="Remove a set; repeatable.")
@@ -44,14 +44,16 @@ def conf(
     timeout: float,
     as_json: bool,
 ) -> int:
-    """Show the parameters of COMPONENT, or change them: PARAM=VALUE in the active set, SET.PARAM=VALUE in another.
+    """Show the parameters of COMPONENT, or PARAM alone, or change them.
 
-    All changes of one command are put in force between two cycles, together or not at all; when it returns they are
-    in force, and --json prints the configuration. A value is read by the parameter's type, as --set of aiorts run
-    does. --dump and --load are for a component or for a kernel, the only one without a name: the file is that of
-    Kernel.save_configuration.
+    PARAM=VALUE is for the active set, SET.PARAM=VALUE for another. All changes of one command are put in force between
+    two cycles, together or not at all; when it returns they are in force, and --json prints the configuration. A value
+    is read by the parameter's type, as --set of aiorts run does. --dump and --load are for a component or for a kernel,
+    the only one without a name: the file is that of Kernel.save_configuration.
     """
-    values = _values(changes)
+    plain = not any("=" in one for one in changes) and not (activate or add or remove or dump or load)
+    wanted = changes if plain else ()
+    values = {} if plain else _values(changes)
     changing = bool(values or activate or add or remove)
     if (dump is not None) + (load is not None) + changing > 1:
         raise click.UsageError("--dump, --load and changes each need a command of their own")
@@ -70,11 +72,26 @@ def conf(
             if not as_json:
                 return exits.DONE
         shown = one.client.call("configuration", timeout, component=one.component)
+        if wanted:
+            shown = {**shown, "parameters": _chosen(one, shown["parameters"], wanted)}
         if as_json:
             say_json(shown)
         else:
             _show(one, shown, long=long)
     return exits.DONE
+
+
+def _chosen(one: Found, parameters: Sequence[Any], wanted: Sequence[str]) -> list[Any]:
+    """The parameters of these names, as they were asked for. AbsentError: there is no such one."""
+    from difflib import get_close_matches
+
+    known = {param["name"]: param for param in parameters}
+    for name in wanted:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known) or 'none'}"
+            raise AbsentError(f"{name:.80}: {one.component} has no such parameter; {hint}")
+    return [known[name] for name in wanted]
 
 
 def _values(changes: tuple[str, ...]) -> dict[str, dict[str, str]]:
