@@ -1,4 +1,4 @@
-"""How much of a second may be used up: saved while it is not, up to a limit."""
+"""How much of a second may be used up: saved while it is not, and owed once it is, up to a limit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ class Pace:
 
     Args:
         share: of each second, what may be used.
-        most: seconds that can be saved up.
+        most: seconds that can be saved up, and that can be owed: a process that was stopped has used nothing of the
+            time that went by, and nobody is to wait for long after it.
     """
 
     def __init__(self, share: float, most: float) -> None:
@@ -22,7 +23,7 @@ class Pace:
     def spend(self, seconds: float) -> None:
         """So much has been used."""
         self._fill()
-        self._left -= seconds
+        self._left = max(-self._most, self._left - seconds)
 
     def due(self) -> float:
         """Seconds until something may be used again; 0.0: now."""
