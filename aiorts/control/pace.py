@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
+
+if TYPE_CHECKING:
+    from aiorts.kernel.microkernel import Microkernel
+
+_LOOKS: Final = (0.2, 0.1)
+"""The share of the loop that streams may take which look again and again, and the seconds that are saved up."""
 
 
 class Pace:
@@ -34,3 +42,11 @@ class Pace:
         now = time.monotonic()
         self._left = min(self._most, self._left + (now - self._at) * self._share)
         self._at = now
+
+
+_PACES: Final[WeakKeyDictionary[Microkernel, Pace]] = WeakKeyDictionary()
+
+
+def looks_of(kernel: Microkernel) -> Pace:
+    """What the streams of all clients that look into a kernel again and again may take of its loop together."""
+    return _PACES.setdefault(kernel, Pace(*_LOOKS))
