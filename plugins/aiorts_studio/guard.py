@@ -48,6 +48,16 @@ _CLOSED: Final = 1008
 """The status of a WebSocket that is refused: it breaks a policy."""
 
 
+_USUAL: Final[Mapping[str, int]] = MappingProxyType({"http": 80, "https": 443})
+"""The ports that a browser leaves out."""
+
+
+def hosts_of(scheme: str, names: Sequence[str], port: int) -> tuple[str, ...]:
+    """The values of the header `Host` that name a server, that of its own address first."""
+    hosts = [f"[{one}]" if ":" in one else one for one in names]
+    return (*(f"{one}:{port}" for one in hosts), *(hosts if port == _USUAL[scheme] else ()))
+
+
 def refusal(
     hosts: Sequence[str], origins: Sequence[str], ours: Collection[str], scheme: str, *, needs_origin: bool
 ) -> str:

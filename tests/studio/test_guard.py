@@ -8,7 +8,7 @@ import pytest
 
 from aiorts.control import Right
 from aiorts_studio.api import Api
-from aiorts_studio.guard import EXCHANGE, Message, refusal
+from aiorts_studio.guard import EXCHANGE, Message, hosts_of, refusal
 
 OURS = frozenset({"127.0.0.1:8080", "localhost:8080"})
 
@@ -45,6 +45,15 @@ def test_every_other_page_is_refused(origins: list[str]) -> None:
 
 def test_an_origin_that_is_needed_may_not_be_absent() -> None:
     assert "Origin" in refusal(["127.0.0.1:8080"], [], OURS, "http", needs_origin=True)
+
+
+@pytest.mark.parametrize(("scheme", "port"), [("http", 80), ("https", 443)])
+def test_a_browser_leaves_out_the_usual_port(scheme: str, port: int) -> None:
+    ours = hosts_of(scheme, ("127.0.0.1", "::1"), port)
+    assert ours[0] == f"127.0.0.1:{port}"
+    for host in ("127.0.0.1", "[::1]", f"[::1]:{port}"):
+        assert refusal([host], [f"{scheme}://{host}"], ours, scheme, needs_origin=True) == ""
+    assert hosts_of(scheme, ("127.0.0.1", "::1"), 8080) == ("127.0.0.1:8080", "[::1]:8080")
 
 
 @pytest.mark.anyio
