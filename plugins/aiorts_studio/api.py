@@ -17,7 +17,18 @@ from aiorts.control import Operation, Right
 from aiorts.errors import AiortsError, ClosedError, RecordError
 from aiorts.sessions import Entry
 from aiorts_studio.codes import Codes, Holder
-from aiorts_studio.guard import EXCHANGE, App, Guard, Receive, Scope, Send, answer
+from aiorts_studio.guard import (
+    BODY,
+    EXCHANGE,
+    LARGE_BODY,
+    STRANGERS_BODY,
+    App,
+    Guard,
+    Receive,
+    Scope,
+    Send,
+    answer,
+)
 from aiorts_studio.kernels import Visitor, entry_of, lines_of, running
 from aiorts_studio.limits import UnderWay
 from aiorts_studio.offered import LARGE, operation_of, patience
@@ -85,7 +96,7 @@ class Api:
         self._visitors: dict[Holder, Visitor] = {}
         self._endings: set[asyncio.Task[None]] = set()
         self._described = document(right, f"{scheme}://{ours[0]}")
-        self.app: App = Guard(self._routed(), scheme, ours, _is_large)
+        self.app: App = Guard(self._routed(), scheme, ours, self._most)
 
     def _routed(self) -> App:
         from starlette.applications import Starlette
@@ -135,13 +146,27 @@ class Api:
     def visitor(self, token: str) -> Visitor:
         """The client with this token; HttpError: it is none, or asks too often."""
         now = time.monotonic()
+        holder = self._holder(token, now)
+        visitor = self._visitors.setdefault(holder, Visitor(holder, self.right))
+        visitor.requests.fill(now)
+        return visitor
+
+    def _holder(self, token: str, now: float) -> Holder:
         holder = self.codes.holder(token, now) if token else None
         if holder is None:
             text = "the token is none, or has ended" if token else "the header `Authorization: Bearer TOKEN` is missing"
             raise HttpError(401, "E-DENIED", text, {"www-authenticate": "Bearer"})
-        visitor = self._visitors.setdefault(holder, Visitor(holder, self.right))
-        visitor.requests.fill(now)
-        return visitor
+        return holder
+
+    def _most(self, scope: Scope) -> int:
+        """Bytes that a request may have; HttpError: it needs a token, and has none."""
+        from starlette.datastructures import Headers
+
+        path: str = scope["path"]
+        if not path.startswith("/api/") or (path == EXCHANGE and scope["method"] == "POST"):
+            return STRANGERS_BODY
+        self._holder(_token(Headers(scope=scope)), time.monotonic())
+        return LARGE_BODY if path.rpartition("/")[2] in LARGE else BODY
 
     async def _exchange(self, request: Request) -> Response:
         given = await _object(request)
@@ -154,7 +179,7 @@ class Api:
     async def _end_token(self, request: Request) -> Response:
         from starlette.responses import Response
 
-        self.codes.end(self.visitor(_token(request)).holder)
+        self.codes.end(self.visitor(_token(request.headers)).holder)
         return Response(status_code=204)
 
     def _ended(self, holder: Holder, why: str) -> None:
@@ -175,11 +200,11 @@ class Api:
     # -- kernels ---------------------------------------------------------------------------------------------------
 
     async def _kernels(self, request: Request) -> Response:
-        self.visitor(_token(request))
+        self.visitor(_token(request.headers))
         return _json([asdict(one) for one in await running()])
 
     async def _operate(self, request: Request) -> Answer:
-        visitor = self.visitor(_token(request))
+        visitor = self.visitor(_token(request.headers))
         operation = operation_of(request.path_params["operation"], self.right)
         arguments = await _object(request)
         entry = await entry_of(request.path_params["kernel"])
@@ -257,9 +282,9 @@ async def _object(request: Request) -> dict[str, Any]:
     return value
 
 
-def _token(request: Request) -> str:
+def _token(headers: Mapping[str, str]) -> str:
     """The token that a request has; "" where it has none."""
-    scheme, _, token = request.headers.get("authorization", "").partition(" ")
+    scheme, _, token = headers.get("authorization", "").partition(" ")
     return token.strip() if scheme.lower() == "bearer" else ""
 
 
@@ -288,7 +313,3 @@ async def _http_problem(request: Request, error: Exception) -> Response:
 
 def _at_once() -> None:
     """Where nobody is to be told."""
-
-
-def _is_large(path: str) -> bool:
-    return path.rpartition("/")[2] in LARGE

@@ -86,15 +86,15 @@ async def _serve(
     names: Sequence[str], port: int, tls: SSLContext | None, right: Right, pages: Mapping[str, Path], *, opens: bool
 ) -> int:
     from aiorts_studio.api import Api
+    from aiorts_studio.guard import hosts_of
     from aiorts_studio.serving import bound, served
 
     listening = bound(names[0], port)
     loop, over = asyncio.get_running_loop(), asyncio.Event()
     for number in _SIGNALS:
         loop.add_signal_handler(number, over.set)
-    hosts = [f"[{one}]" if ":" in one else one for one in names]
-    ours = [f"{one}:{listening.getsockname()[1]}" for one in hosts]
     scheme = "http" if tls is None else "https"
+    ours = hosts_of(scheme, names, listening.getsockname()[1])
     api = Api(scheme, ours, right, _say, pages)
     entrance = Entrance(f"{scheme}://{ours[0]}", api.codes)
     api.exchanged = entrance.remove_redirect

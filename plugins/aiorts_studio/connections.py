@@ -17,7 +17,7 @@ REQUEST_SECONDS: Final = 10.0
 STALL_SECONDS: Final = 30.0
 """After which a client is cut off that does not take what is sent."""
 WAITING: Final = 128
-"""Connections without a request; of more the one that came first gives way."""
+"""Connections without a whole request; of more the one that came first gives way."""
 
 
 class _Reading:
@@ -56,7 +56,7 @@ class Connection(_Reading, H11Protocol):
     """A connection that takes one request after the other.
 
     Args:
-        waiting: those of this server that have no request.
+        waiting: those of this server that have no whole request.
     """
 
     def __init__(self, *args: Any, waiting: dict[Connection, None], **options: Any) -> None:
@@ -87,15 +87,22 @@ class Connection(_Reading, H11Protocol):
         super().connection_lost(exc)
 
     def _look(self) -> None:
-        """See whether it waits for a request."""
-        if self.conn.their_state is not h11.IDLE or self.transport.get_protocol() is not self:
+        """See whether it waits for a request, or for the rest of one."""
+        state = self.conn.their_state
+        if state not in (h11.IDLE, h11.SEND_BODY) or self.transport.get_protocol() is not self:
             self._wait_no_more()
-        elif self._late is None and not self.transport.is_closing():
-            self._late = self.loop.call_later(REQUEST_SECONDS, self.transport.abort)
+        elif not self.transport.is_closing():
             self._waiting[self] = None
+            if state is h11.SEND_BODY:  # the guard has a limit of its own for that, and says so
+                self._hurry_no_more()
+            elif self._late is None:
+                self._late = self.loop.call_later(REQUEST_SECONDS, self.transport.abort)
 
     def _wait_no_more(self) -> None:
         self._waiting.pop(self, None)
+        self._hurry_no_more()
+
+    def _hurry_no_more(self) -> None:
         if self._late is not None:
             self._late.cancel()
             self._late = None

@@ -34,6 +34,8 @@ HEADERS: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 """Of every answer."""
+STRANGERS_BODY: Final = 1 << 10
+"""Bytes of a request without a token, which has a code in it at most."""
 BODY: Final = 64 << 10
 """Bytes of a request."""
 LARGE_BODY: Final = 512 << 10
@@ -44,6 +46,16 @@ EXCHANGE: Final = "/api/token"
 """Where a code is exchanged for a token."""
 _CLOSED: Final = 1008
 """The status of a WebSocket that is refused: it breaks a policy."""
+
+
+_USUAL: Final[Mapping[str, int]] = MappingProxyType({"http": 80, "https": 443})
+"""The ports that a browser leaves out."""
+
+
+def hosts_of(scheme: str, names: Sequence[str], port: int) -> tuple[str, ...]:
+    """The values of the header `Host` that name a server, that of its own address first."""
+    hosts = [f"[{one}]" if ":" in one else one for one in names]
+    return (*(f"{one}:{port}" for one in hosts), *(hosts if port == _USUAL[scheme] else ()))
 
 
 def refusal(
@@ -74,12 +86,12 @@ class Guard:
         app: what is served.
         scheme: "http" or "https".
         ours: the values of the header `Host` that name this server.
-        large: whether a request to this path may be a large one.
+        most: says how many bytes a request may have; HttpError: it is not answered.
     """
 
-    def __init__(self, app: App, scheme: str, ours: Collection[str], large: Callable[[str], bool]) -> None:
+    def __init__(self, app: App, scheme: str, ours: Collection[str], most: Callable[[Scope], int]) -> None:
         self._app = app
-        self._scheme, self._ours, self._large = scheme, ours, large
+        self._scheme, self._ours, self._most = scheme, ours, most
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request, or have the application answer it."""
@@ -87,11 +99,19 @@ class Guard:
             await self._attend(scope, receive, send)
             return
         send = _with_headers(send)
+        refused: HttpError | None = None
+        most = 0
         try:
-            body = await self._body(scope, receive)
             self._check(scope, needs_origin=scope["path"] == EXCHANGE and scope["method"] == "POST")
+            most = self._most(scope)
         except HttpError as error:
-            await answer(send, error)
+            refused = error
+        try:
+            body = await _body(receive, most)
+        except HttpError as error:
+            refused = refused or error
+        if refused is not None:
+            await answer(send, refused)
             return
         await self._app(scope, _again(body, receive), send)
 
@@ -114,26 +134,28 @@ class Guard:
             text = "a request has no query here; a token goes into the header `Authorization`, and into no address"
             raise HttpError(400, "E-RECORD", text)
 
-    async def _body(self, scope: Scope, receive: Receive) -> bytes:
-        """The whole body of a request. HttpError: it is too large, or does not come.
 
-        Of one that is too large some is passed over: who closes before it was taken may take the answer back.
-        """
-        most = LARGE_BODY if self._large(scope["path"]) else BODY
-        body, more, late = bytearray(), True, False
-        try:
-            async with asyncio.timeout(BODY_SECONDS):
-                while more and len(body) <= most + LARGE_BODY:
-                    message = await receive()
-                    body += message.get("body", b"")
-                    more = message.get("more_body", False)
-        except TimeoutError:
-            late = True
-        if len(body) > most:
-            raise HttpError(413, "E-TOO-LARGE", f"the request is longer than {most >> 10} KiB")
-        if late:
-            raise HttpError(408, "E-NO-ANSWER", f"the request was not whole after {BODY_SECONDS:.0f} s")
-        return bytes(body)
+async def _body(receive: Receive, most: int) -> bytes:
+    """The whole body of a request. HttpError: it is too large, or does not come.
+
+    Of one that is too large some is passed over: who closes before it was taken may take the answer back.
+    """
+    body, size, more, late = bytearray(), 0, True, False
+    try:
+        async with asyncio.timeout(BODY_SECONDS):
+            while more and size <= most + LARGE_BODY:
+                message = await receive()
+                part = message.get("body", b"")
+                size += len(part)
+                body += part if size <= most else b""
+                more = message.get("more_body", False)
+    except TimeoutError:
+        late = True
+    if size > most:
+        raise HttpError(413, "E-TOO-LARGE", f"the request is longer than {most / 1024:g} KiB")
+    if late:
+        raise HttpError(408, "E-NO-ANSWER", f"the request was not whole after {BODY_SECONDS:.0f} s")
+    return bytes(body)
 
 
 async def answer(send: Send, error: HttpError) -> None:

@@ -44,5 +44,5 @@ def patience(operation: Operation, arguments: Mapping[str, Any]) -> float:
     asked = arguments.get("timeout", default)
     if asked is None:
         return _LONGEST
-    asked = asked if type(asked) in (int, float) and asked > 0 else 0.0
+    asked = min(asked, _LONGEST) if type(asked) in (int, float) and asked > 0 else 0.0
     return float(min(usual + asked, _LONGEST))

@@ -148,7 +148,9 @@ class _Carrier:
             running = group.create_task(self._stream(number, kernel, operation, arguments, credit))
             self._streams[number] = running, credit
         elif "unsubscribe" in said:
-            self._stream_of(_whole(said, "unsubscribe"))[0].cancel()
+            number = _whole(said, "unsubscribe")
+            self._stream_of(number)[0].cancel()
+            del self._streams[number]  # a task that has not begun would not do it
         elif "credit" in said:
             self._stream_of(_whole(said, "credit"))[1].add(_whole(said, "items"))
         else:
@@ -173,7 +175,8 @@ class _Carrier:
         except AiortsError as error:
             await self._say({"id": number, "problem": problem_of(error)})
         finally:
-            del self._streams[number]
+            if self._streams.get(number, (None, None))[1] is credit:  # and not that of the next with this id
+                del self._streams[number]
 
     async def _say(self, message: Mapping[str, Any]) -> None:
         from starlette.websockets import WebSocketDisconnect

@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping
 from typing import Any, Final, NoReturn
 
-from aiorts.errors import RecordError
+from aiorts.errors import ControlError, RecordError
 from aiorts.types import to_plain
 
 LARGEST: Final = 2**53
@@ -35,8 +35,11 @@ def json_in(text: bytes | str) -> Any:
 
 
 def json_out(value: Any) -> bytes:
-    """A value of a kernel as one line of JSON, in UTF-8."""
-    text = json.dumps(value_out(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    """A value of a kernel as one line of JSON, in UTF-8; ControlError: it is nested too deep."""
+    try:
+        text = json.dumps(value_out(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    except RecursionError:
+        raise ControlError("what the kernel answers is nested too deep for JSON") from None
     return text.encode("utf-8", "replace")  # a path may have bytes that are no UTF-8
 
 

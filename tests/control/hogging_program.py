@@ -1,4 +1,4 @@
-"""A client that has as many connections as it is given: `python hogging_program.py KERNEL COUNT`.
+"""A client that has as many connections as it is given: `python hogging_program.py KERNEL COUNT [RIGHT]`.
 
 It prints how many it has and what it was told, and ends with its standard input.
 """
@@ -15,7 +15,7 @@ clients: list[Client] = []
 refusals: set[str] = set()
 for _ in range(int(sys.argv[2])):
     try:
-        clients.append(Client.open(entry, timeout=20.0))
+        clients.append(Client.open(entry, timeout=20.0, right=sys.argv[3] if sys.argv[3:] else ""))  # type: ignore[arg-type]
     except AiortsError as error:
         refusals.add(f"{error.code} {error}")
 print(len(clients), *sorted(refusals), sep="\n", end="\n\n", flush=True)

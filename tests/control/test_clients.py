@@ -45,6 +45,18 @@ def test_a_client_has_its_connections_and_those_who_look_leave_some() -> None:
     assert clients.connect("anna", Right.VIEW) is made[0]
 
 
+def test_a_connection_counts_as_what_is_wanted_of_it() -> None:
+    clients = Clients()
+    made = [clients.connect("anna", Right.CODE) for _ in range(OF_ONE[Right.CODE])]
+    lowered = [clients.lower(made.pop(), Right.VIEW) for _ in range(OF_ONE[Right.VIEW])]
+    with pytest.raises(BusyError, match=rf"anna has {OF_ONE[Right.VIEW]} connections with this kernel already"):
+        clients.lower(made[0], Right.VIEW)
+    assert clients.lower(made[0], Right.CODE) is made[0]
+    for one in (*made, *lowered):
+        clients.disconnect(one)
+    assert (clients._connections, clients._looking, made[0].connections, lowered[0].connections) == (0, 0, 0, 0)
+
+
 def test_what_a_client_used_counts_for_its_next_connection_and_few_are_known() -> None:
     clients = Clients()
     first = clients.connect("anna", Right.VIEW)
@@ -90,16 +102,16 @@ async def test_who_looks_leaves_connections_and_descriptors_to_who_operates() ->
 
 
 @pytest.mark.slow(kept_by="test_a_client_has_its_connections_and_those_who_look_leave_some")
-@pytest.mark.parametrize("mode", ["on", "view"])
-async def test_a_process_that_takes_all_it_can_is_told_so_and_others_are_served(mode: str) -> None:
+@pytest.mark.parametrize(("mode", "right"), [("on", ""), ("view", ""), ("on", "view")])
+async def test_a_process_that_takes_all_it_can_is_told_so_and_others_are_served(mode: str, right: str) -> None:
     async with controlled("hogged", mode=mode):
         hog = subprocess.Popen(
-            [sys.executable, str(HOG), "hogged", "300"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [sys.executable, str(HOG), "hogged", "300", right], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         try:
             assert hog.stdout is not None
             said = await asyncio.wait_for(asyncio.to_thread(lambda: list(iter(hog.stdout.readline, "\n"))), 2 * WAIT)  # type: ignore[union-attr]
-            most = OF_ONE[Right.CODE if mode == "on" else Right.VIEW]
+            most = OF_ONE[Right.VIEW if "view" in (mode, right) else Right.CODE]
             assert int(said[0]) == most
             told = f"E-BUSY .*process {hog.pid} has {most} connections with this kernel already; end one of them"
             assert [bool(re.match(told, line)) for line in said[1:]] == [True]

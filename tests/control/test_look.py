@@ -20,9 +20,9 @@ from aiorts.cli.app import run_command
 from aiorts.cli.commands.live.look.ls import ls
 from aiorts.cli.commands.live.measure.table import View, tables, text_of
 from aiorts.cli.commands.live.target import complete, complete_changes
-from aiorts.sessions import Client
+from aiorts.sessions import AsyncClient, Client
 from aiorts.sessions.target import entry_named
-from control_parts import WAIT, Counter, controlled, running, with_client
+from control_parts import WAIT, Counter, controlled, entry_of, running, with_client
 
 pytestmark = pytest.mark.anyio
 SYSTEM = Path(__file__).parents[2] / "examples" / "pid" / "system.toml"
@@ -318,3 +318,17 @@ async def test_who_was_reset_after_an_error_is_shown_as_it_is_and_with_no_error(
             while one.state != "error":
                 await asyncio.sleep(0.005)
         assert "failed" in (await said(capsys, "ls", "-l", "one"))[1]
+
+
+async def test_what_is_named_twice_is_looked_at_once() -> None:
+    """A viewer that named one thing 8,000 times held the loop, and filled the memory."""
+    async with controlled("twice") as kernel, AsyncClient.connect(entry_of("twice"), right="view") as client:
+        kernel.components["counter0"].log.warning("once")
+        wire, at = "counter0.out-reader0.in", ["counter0"] * 8_000
+        lines = client.stream("log", components=at, follow=False)
+        await lines.open()
+        assert [line["text"] for line in lines.began] == ["once"]
+        assert len(await client.call("connectors", names=[wire] * 8_000)) == 1
+        assert len(await client.call("connectors", at=at)) == 1
+        once = await client.call("dump_configuration", components=["counter0"])
+        assert await client.call("dump_configuration", components=at) == once

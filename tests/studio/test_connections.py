@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import pytest
 
-from aiorts_studio import connections
+from aiorts_studio import connections, guard
 from aiorts_studio.serving import HOST
 from control_parts import WAIT
 from studio_parts import site
@@ -35,10 +35,16 @@ async def test_a_connection_without_a_request_ends(begun: str, monkeypatch: pyte
         assert (await client.ask("GET", "/api/kernels")).status == 200
 
 
-async def test_of_many_without_a_request_the_first_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("sent", ["", "POST /api/token HTTP/1.1\r\nHost: a\r\nContent-Length: 9\r\n\r\n{"])
+async def test_of_many_without_a_whole_request_the_first_gives_way(sent: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "WAITING", 3)
+    monkeypatch.setattr(guard, "BODY_SECONDS", 10 * WAIT)
     async with site() as client:
-        streams = [await asyncio.open_connection(HOST, client.port) for _ in range(5)]
+        streams = [await asyncio.open_connection(HOST, client.port) for _ in range(3)]
+        for _, writer in streams:
+            writer.write(sent.encode())
+        await asyncio.sleep(0.2)  # the server has read it
+        streams += [await asyncio.open_connection(HOST, client.port) for _ in range(2)]
         await ended(streams[0][0])
         await ended(streams[1][0])
         assert (await client.ask("GET", "/api/kernels")).status == 200

@@ -83,7 +83,7 @@ async def test_a_token_in_an_address() -> None:
             for headers in ({}, {"Authorization": ""}):
                 refused(await client.ask("GET", path, headers=headers), 400, "Authorization", code="E-RECORD")
         without = {"Authorization": ""}
-        refused(await client.ask("GET", f"/api/kernels/{client.token}", headers=without), 404, code="E-ABSENT")
+        refused(await client.ask("GET", f"/api/kernels/{client.token}", headers=without), 401, "Authorization")
         with pytest.raises(InvalidStatus):
             async with connect(f"ws://{client.host}/api/socket?token={client.token}", origin=client.origin):  # type: ignore[arg-type]
                 pass
@@ -199,6 +199,12 @@ async def test_json_that_is_deep_or_none(body: bytes) -> None:
     async with controlled("robot"), site() as client:
         reply = await client.ask("POST", "/api/kernels/robot/names", body=body, headers=JSON)
         refused(reply, 400, code="E-RECORD")
+
+
+async def test_a_number_that_no_float_holds_is_refused() -> None:
+    async with controlled("robot"), site(Right.OPERATE) as client:
+        reply = await client.call("robot", "call", path="a.b", method="c", timeout=10**400)
+        refused(reply, 400, "timeout", code="E-RECORD")
 
 
 async def test_json_that_is_not_said_to_be_json() -> None:

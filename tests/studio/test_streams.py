@@ -122,6 +122,24 @@ async def test_a_websocket_carries_many_streams_each_with_its_credit() -> None:
         assert "began" in message
 
 
+async def test_the_id_of_a_stream_that_its_client_has_left_is_free_at_once() -> None:
+    async with controlled("robot"), site() as client, client.socket() as socket:
+        assert await said(socket) == {"right": "view"}
+        asked = {"kernel": "robot", "operation": "events", "credit": 0}
+        for _ in range(3):
+            await socket.send(json.dumps({"subscribe": 1, **asked}))
+            await socket.send(json.dumps({"unsubscribe": 1}))
+        await socket.send(json.dumps({"subscribe": 1, **asked}))
+        await socket.send(json.dumps({"subscribe": 2, **asked}))
+        while (message := await said(socket))["id"] != 2:
+            assert "began" in message
+        await socket.send(json.dumps({"unsubscribe": 1}))
+        await socket.send(json.dumps({"unsubscribe": 1}))
+        while "problem" not in (message := await said(socket)):
+            assert "began" in message
+        assert message["problem"]["code"] == "E-ABSENT"
+
+
 @pytest.mark.parametrize(
     ("message", "code"),
     [

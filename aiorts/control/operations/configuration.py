@@ -99,7 +99,7 @@ async def _configure(session: Session, given: Configuring) -> Done:
 def _dump(session: Session, given: Chosen) -> Document:
     from aiorts.configuration import ConfigurationFiles  # late: few ask for it
 
-    chosen = tuple(component_named(session, name) for name in given.components)
+    chosen = tuple(component_named(session, name) for name in dict.fromkeys(given.components))
     return Document(session.kernel.service(ConfigurationFiles).text(chosen))
 
 

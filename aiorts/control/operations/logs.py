@@ -123,7 +123,7 @@ def _levels(session: Session, given: Lines) -> dict[str, Logged]:
 
 
 def _components(session: Session, names: tuple[str, ...]) -> list[Component]:
-    return [component_named(session, name) for name in names] or list(session.kernel.components.values())
+    return [component_named(session, name) for name in dict.fromkeys(names)] or list(session.kernel.components.values())
 
 
 def _number(level: str) -> int:

@@ -10,6 +10,8 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from functools import partial
+from itertools import accumulate
+from time import perf_counter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 from weakref import WeakKeyDictionary
@@ -17,6 +19,7 @@ from weakref import WeakKeyDictionary
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.wiring import ports_of
+from aiorts.control.pace import looks_of
 from aiorts.control.session import Session, Stream
 from aiorts.control.ticking import Ticking
 from aiorts.control.turns import in_turns
@@ -169,7 +172,7 @@ def _rest(kernel: Microkernel, given: Chosen) -> Iterator[_One]:
 
 
 def _chosen(known: Mapping[str, T], names: tuple[str, ...] | None) -> Iterable[tuple[str, T]]:
-    return known.items() if names is None else [(name, known[name]) for name in names if name in known]
+    return known.items() if names is None else [(name, known[name]) for name in dict.fromkeys(names) if name in known]
 
 
 def _counted(connector: Connector) -> tuple[int, int, int, Mapping[str, int], int]:
@@ -325,6 +328,8 @@ class _Following:
 
     def __init__(self, kernel: Microkernel, given: Following, stream: Stream) -> None:
         self._kernel, self._given, self._stream = kernel, given, stream
+        self._at = frozenset(given.at)
+        self._pace = looks_of(kernel)
         self._timed = tuple(dict.fromkeys((*given.timed, *given.measured)))
         self._known: dict[tuple[str, str], Any] = {}
         """What the client has, by kind and name."""
@@ -334,6 +339,8 @@ class _Following:
     def look(self) -> None:
         if self._task is not None and not self._task.done():
             return  # the look before lasts on
+        if self._pace.due():
+            return  # looks took more than their share; the next one says what has changed
         if not self._stream.has_room:
             self._stream.miss(1)
             return
@@ -357,17 +364,21 @@ class _Following:
             self._known.clear()  # the next one is whole
 
     def _steps(self, item: _Made, seen: set[tuple[str, str]]) -> Iterator[None]:
+        took, began = 0.0, perf_counter()
         for kind, name, value in self._counted():
             seen.add((kind, name))
             if self._known.get((kind, name), _NEVER) != value:
                 self._known[kind, name] = item[kind][name] = value
+            took += perf_counter() - began
             yield
+            began = perf_counter()
+        self._pace.spend(took)
 
     def _counted(self) -> Iterator[_One]:
         kernel, given = self._kernel, self._given
         wires: dict[str, Any] = {**kernel.connectors, **kernel.service_connectors}
         if given.at:
-            wires = {name: one for name, one in wires.items() if _is_at(given.at, ports_of(one))}
+            wires = {name: one for name, one in wires.items() if _is_at(self._at, ports_of(one))}
         names = tuple(name for name, _ in _chosen(wires, given.connectors))
         components = tuple(kernel.components) if given.components is None else given.components
         if given.at:
@@ -383,8 +394,8 @@ class _Following:
             self._task.cancel()
 
 
-def _is_at(those: Iterable[str], ports: Iterable[str]) -> bool:
-    return any(port == one or port.startswith(f"{one}.") for port in ports for one in those)
+def _is_at(those: frozenset[str], ports: Iterable[str]) -> bool:
+    return any(one in those for port in ports for one in accumulate(port.split("."), "{}.{}".format))
 
 
 @dataclass(frozen=True, slots=True)
@@ -423,15 +434,23 @@ class Watched:
 
 def _monitor(session: Session, given: Watched, stream: Stream) -> Done:
     kernel = session.kernel
-    monitor = Monitor(kernel, given.paths, given.rate)
+    began = perf_counter()
+    monitor = Monitor(kernel, tuple(dict.fromkeys(given.paths)), given.rate)
+    took, pace = perf_counter() - began, looks_of(kernel)  # it has looked at each path, as it does for each reading
     stream.on_close(monitor.close)
     if isinstance(kernel.clock, SimulatedClock):
         stream.on_close(Ticking(kernel, given.rate, lambda: stream.send(monitor.look())).close)
         return Done()
 
+    over: asyncio.Future[None] = kernel.loop.create_future()
+    stream.on_close(partial(over.set_result, None))
+
     async def send_all() -> None:
         async for reading in monitor:
             stream.send(reading)
+            pace.spend(took)
+            if due := pace.due():
+                await asyncio.wait((over,), timeout=due)  # readings that fall into it are counted as missed
         stream.finish()
 
     kernel_task(kernel.loop, send_all(), "aiorts control monitor")

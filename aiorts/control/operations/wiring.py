@@ -160,8 +160,9 @@ def _found(session: Session, given: Wires) -> list[Any]:
     for path in given.at:
         _check_port(session, path)
     if given.names:
-        return [known[name] for name in given.names]
-    return [one for one in known.values() if all(_is_at(path, one) for path in given.at)]
+        return [known[name] for name in dict.fromkeys(given.names)]
+    at = frozenset(given.at)
+    return [one for one in known.values() if all(_is_at(path, one) for path in at)]
 
 
 def _is_at(path: str, connector: Any) -> bool:

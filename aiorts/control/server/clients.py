@@ -72,28 +72,39 @@ class Clients:
             FullError: it has as many as one client may have. BusyError: all clients together have.
         """
         with self._lock:
-            client = self._known.get((name, right)) or Client(name, right)
-            looks = right is Right.VIEW
-            if client.connections >= OF_ONE[right]:
-                raise FullError(f"{name} has {OF_ONE[right]} connections with this kernel already; end one of them")
-            if looks and self._looking >= LOOKING:
-                raise BusyError(
-                    f"{LOOKING} clients look into this kernel already; the rest is for those who operate it"
-                )
-            if self._connections >= CONNECTIONS:
-                raise BusyError(f"{CONNECTIONS} clients are connected with this kernel already; end one of them")
-            client.connections += 1
-            self._connections += 1
-            self._looking += looks
-            self._keep(client)
-            return client
+            return self._connect(name, right)
+
+    def lower(self, client: Client, right: Right) -> Client:
+        """The client of a connection of which less is wanted than it may have; errors as `connect`."""
+        with self._lock:
+            self._count(client, -1)
+            try:
+                return self._connect(client.name, right)
+            except BusyError:
+                self._count(client, 1)
+                raise
 
     def disconnect(self, client: Client) -> None:
         """Count a connection that has ended."""
         with self._lock:
-            client.connections -= 1
-            self._connections -= 1
-            self._looking -= client.right is Right.VIEW
+            self._count(client, -1)
+
+    def _connect(self, name: str, right: Right) -> Client:
+        client = self._known.get((name, right)) or Client(name, right)
+        if client.connections >= OF_ONE[right]:
+            raise FullError(f"{name} has {OF_ONE[right]} connections with this kernel already; end one of them")
+        if right is Right.VIEW and self._looking >= LOOKING:
+            raise BusyError(f"{LOOKING} clients look into this kernel already; the rest is for those who operate it")
+        if self._connections >= CONNECTIONS:
+            raise BusyError(f"{CONNECTIONS} clients are connected with this kernel already; end one of them")
+        self._count(client, 1)
+        self._keep(client)
+        return client
+
+    def _count(self, client: Client, connections: int) -> None:
+        client.connections += connections
+        self._connections += connections
+        self._looking += connections * (client.right is Right.VIEW)
 
     def _keep(self, client: Client) -> None:
         """Keep a client, and what its calls took, also when it has gone, as long as there is room."""

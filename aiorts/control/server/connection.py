@@ -69,7 +69,7 @@ class Connection:
         self.client = client
         self.carried = carried
         """Whether another carrier has let it in."""
-        self.right = client.right
+        self.right = self._allowed = client.right
         """What it may do: as much as it wants of what the kernel allows."""
         self.since = time.monotonic()
         self.session: Session | None = None
@@ -215,7 +215,8 @@ class Connection:
         except ControlError as error:
             self._listener.warn(str(error))
             raise
-        self.right = _least(self.right, hello.get("right"))
+        self.right = _least(self._allowed, hello.get("right"))
+        self.client = self._listener.lowered(self.client, self.right)
         self.session = self._listener.greeted(self, who)
         self._over_at.pop("hello", None)
         own = {"protocol": protocol, "credits": True, "right": self.right.value}
@@ -247,7 +248,7 @@ class Connection:
 
     def _why_not(self, needed: Right) -> str:
         """Why the client may not do what needs a right, and how it might."""
-        allowed = self.client.right
+        allowed = self._allowed
         if allowed.allows(needed):
             return f"this client asked for {self.right.value!r}; begin the session with right={needed.value!r}"
         said = f"this kernel allows {allowed.value!r}"

@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operators import Operators
-from aiorts.control.server.clients import Clients, FullError
+from aiorts.control.pace import Pace
+from aiorts.control.server.clients import Client, Clients, FullError
 from aiorts.control.server.connection import Call, Connection, peer_credentials, turn_away
-from aiorts.control.server.pace import Pace
 from aiorts.control.session import LOG, Session
 from aiorts.errors import BusyError, ControlError, format_error
 from aiorts.wire.limits import MIB
@@ -237,6 +237,10 @@ class Listener:
         if text not in self._warned and len(self._warned) < _ACCEPTED:
             self._warned.add(text)
             LOG.warning("%s", text)
+
+    def lowered(self, client: Client, right: Right) -> Client:
+        """See `Clients.lower`."""
+        return self._clients.lower(client, right)
 
     def greeted(self, connection: Connection, who: str) -> Session:
         """A client has said hello: its session."""

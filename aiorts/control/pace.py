@@ -1,0 +1,52 @@
+"""How much of a second may be used up: saved while it is not, and owed once it is, up to a limit."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
+
+if TYPE_CHECKING:
+    from aiorts.kernel.microkernel import Microkernel
+
+_LOOKS: Final = (0.2, 0.1)
+"""The share of the loop that streams may take which look again and again, and the seconds that are saved up."""
+
+
+class Pace:
+    """A share of the time that goes by.
+
+    Args:
+        share: of each second, what may be used.
+        most: seconds that can be saved up, and that can be owed: a process that was stopped has used nothing of the
+            time that went by, and nobody is to wait for long after it.
+    """
+
+    def __init__(self, share: float, most: float) -> None:
+        self._share = share
+        self._most = most
+        self._left = most
+        self._at = time.monotonic()
+
+    def spend(self, seconds: float) -> None:
+        """So much has been used."""
+        self._fill()
+        self._left = max(-self._most, self._left - seconds)
+
+    def due(self) -> float:
+        """Seconds until something may be used again; 0.0: now."""
+        self._fill()
+        return max(0.0, -self._left / self._share)
+
+    def _fill(self) -> None:
+        now = time.monotonic()
+        self._left = min(self._most, self._left + (now - self._at) * self._share)
+        self._at = now
+
+
+_PACES: Final[WeakKeyDictionary[Microkernel, Pace]] = WeakKeyDictionary()
+
+
+def looks_of(kernel: Microkernel) -> Pace:
+    """What the streams of all clients that look into a kernel again and again may take of its loop together."""
+    return _PACES.setdefault(kernel, Pace(*_LOOKS))
