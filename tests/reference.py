@@ -91,7 +91,8 @@ may be left out. Any value may be where a parameter, a sample or a user's method
 
 **Who only looks** (right `view`) changes nothing that lasts, and runs no code: `catalogue` imports a package only for
 who may operate. One thing may be switched on: `counters` has connectors `measured` as long as its stream lasts, at most
-16 for a stream and 64 of a kernel in all; `measure` needs `operate`.
+16 for a stream and 64 of a kernel in all; `measure` needs `operate`. All streams of `monitor` and `counters` together
+take at most a fifth of a kernel's loop: beyond that they look less often than they were asked to.
 
 **The same kernel, restarted**: hello, `names` and `profile` have `lasting`, a name that stays: "host/NAME" of a kernel
 that was given one (`--name`), else "host/PROGRAM:FILE" of what it runs. Several that run the same have the same, and

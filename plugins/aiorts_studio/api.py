@@ -31,7 +31,7 @@ from aiorts_studio.guard import (
 )
 from aiorts_studio.kernels import Visitor, entry_of, lines_of, running
 from aiorts_studio.limits import UnderWay
-from aiorts_studio.offered import LARGE, operation_of, patience
+from aiorts_studio.offered import LARGE, check_names, operation_of, patience
 from aiorts_studio.openapi import document, document_of, page
 from aiorts_studio.problems import HttpError, problem_of, status_of
 from aiorts_studio.values import json_in, json_out
@@ -207,6 +207,7 @@ class Api:
         visitor = self.visitor(_token(request.headers))
         operation = operation_of(request.path_params["operation"], self.right)
         arguments = await _object(request)
+        check_names(operation, arguments)
         entry = await entry_of(request.path_params["kernel"])
         return Answer(self, visitor, entry, operation, arguments)
 

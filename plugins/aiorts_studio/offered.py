@@ -7,6 +7,7 @@ from dataclasses import MISSING, fields
 from typing import Any, Final
 
 from aiorts.control import OPERATIONS, Operation, Right
+from aiorts.errors import RecordError
 from aiorts_studio.problems import HttpError
 
 LARGE: Final = frozenset(("apply", "change", "load_configuration", "plan"))
@@ -35,6 +36,14 @@ def operation_of(name: str, right: Right) -> Operation:
         text = f"{name}: needs the right {operation.right.value!r}, and this server gives {right.value!r}; see --edit"
         raise HttpError(403, "E-DENIED", text)
     return operation
+
+
+def check_names(operation: Operation, arguments: Mapping[str, Any]) -> None:
+    """Raise RecordError where an operation has no argument of a name: its description says so, too."""
+    known = [one.name for one in fields(operation.arguments)]
+    if unknown := sorted(arguments.keys() - set(known)):
+        text = f"{operation.name}: no argument {unknown[0]:.60}; there are {', '.join(known) or 'none'}"
+        raise RecordError(text)
 
 
 def patience(operation: Operation, arguments: Mapping[str, Any]) -> float:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.control import Operation
 from aiorts.errors import AiortsError, RecordError
 from aiorts_studio.kernels import Visitor, entry_of, lines_of
-from aiorts_studio.offered import operation_of, patience
+from aiorts_studio.offered import check_names, operation_of, patience
 from aiorts_studio.problems import HttpError, problem_of
 from aiorts_studio.values import LARGEST, json_in, json_out
 
@@ -142,6 +142,7 @@ class _Carrier:
             if not (isinstance(kernel, str) and isinstance(name, str) and isinstance(arguments, dict)):
                 raise RecordError("subscribe: expected kernel and operation, and arguments as an object")
             operation = operation_of(name, self._api.right)
+            check_names(operation, arguments)
             if not operation.streams:
                 raise RecordError(f"{name}: does not stream; ask for it with POST")
             credit = _Credit(min(_whole(said, "credit"), CREDIT))

@@ -439,7 +439,13 @@ def _monitor(session: Session, given: Watched, stream: Stream) -> Done:
     took, pace = perf_counter() - began, looks_of(kernel)  # it has looked at each path, as it does for each reading
     stream.on_close(monitor.close)
     if isinstance(kernel.clock, SimulatedClock):
-        stream.on_close(Ticking(kernel, given.rate, lambda: stream.send(monitor.look())).close)
+
+        def look() -> None:
+            if not pace.due():
+                pace.spend(took)
+                stream.send(monitor.look())
+
+        stream.on_close(Ticking(kernel, given.rate, look).close)
         return Done()
 
     over: asyncio.Future[None] = kernel.loop.create_future()
