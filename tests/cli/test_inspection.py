@@ -236,7 +236,7 @@ def test_an_unknown_name_is_one_line_with_the_nearest(name: str, capsys: pytest.
 
 def test_a_class_or_file_that_is_misspelt_is_told_the_nearest(arm: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "did you mean 'Arm'?" in aiorts(capsys, "inspect", f"{arm / 'arm.py'}:Amr")[2]
-    assert "did you mean 'arm.py'?" in aiorts(capsys, "inspect", f"{arm / 'amr.py'}:Arm")[2]
+    assert "arm.py:Arm'?" in aiorts(capsys, "inspect", f"{arm / 'amr.py'}:Arm")[2]
     assert "it has Arm" in aiorts(capsys, "inspect", f"{arm / 'arm.py'}:")[2]
     assert (
         "there is no 'CANARY'; it has Grip, NoDefault, Arm" in aiorts(capsys, "inspect", f"{arm / 'arm.py'}:CANARY")[2]
