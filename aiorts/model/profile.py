@@ -103,7 +103,7 @@ class ConnectorStatistics(Counted):
     """How far `age` may be off, where the stamps are of another machine: its clock's offset is estimated; else None."""
     acknowledged: int | None = None
     """At the writer's end of a link: samples that are in the reader's buffer, or were read, as far as it knows: what is
-    lost there is told soon after the next acknowledgement. Else None."""
+    lost there is reported soon after the next acknowledgement. Else None."""
     in_flight: int = 0
     """At the writer's end of a link: samples that were sent and are not acknowledged yet."""
     round_trip_ns: int | None = field(default=None, compare=False, repr=False)

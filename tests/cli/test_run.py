@@ -261,7 +261,7 @@ def test_a_component_that_cannot_be_made_ends_the_run(write: Callable[[str], Pat
     ("text", "arguments", "said"),
     [
         (one("Reddy"), [], "did you mean 'Ready'"),
-        (one("Ready").replace("parts.py", "part.py"), [], "did you mean 'parts.py'"),
+        (one("Ready").replace("parts.py", "part.py"), [], "did you mean 'parts.py:"),
         (one("Ready").replace("parts.py:Ready", "FlexiFliter"), [], "did you mean FlexiFilter"),
         (one("Ready").replace("parts.py:Ready", "../x.py:Ready"), [], "outside the system file's folder"),
         (one("Ready", 'kind = "periodik"'), [], "did you mean 'periodic'"),

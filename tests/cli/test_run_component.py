@@ -75,7 +75,7 @@ def test_a_module_that_does_not_load_is_named_with_its_line(
     [
         (["parts.py:Conter"], "did you mean 'Counter'"),
         (["parts.py:Xyz"], "it has Counter, Sink, Blocked"),
-        (["part.py:Counter"], "did you mean 'parts.py'"),
+        (["part.py:Counter"], "did you mean 'parts.py:"),
         (["prts:Counter"], "did you mean parts?"),
         (["aiorts.tpes:Counter"], "did you mean aiorts.types?"),
         (["parts.nix:Counter"], "'parts' is no package"),
