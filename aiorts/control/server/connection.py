@@ -243,7 +243,7 @@ class Connection:
             raise BusyError(f"{name}: a call with the number {number} runs already")
         if len(self._open) >= WAITING:
             raise BusyError(f"{name}: {WAITING} calls of this client wait already; wait for their answers")
-        self.client.check_calls(operation.name)
+        self.client.check_calls(operation.name, self._allowed)
         return operation, arguments
 
     def _why_not(self, needed: Right) -> str:
