@@ -164,7 +164,7 @@ async def test_a_context_that_is_not_to_be_activated_stays_inactive(make: Callab
     [
         ("parts.py:Sink", "parts.py:Sinc", PluginError, "did you mean 'Sink'"),
         ("parts.py:Sink", "parts.py:NotOne", PluginError, "no class derived from Component"),
-        ("parts.py:Sink", "port.py:Sink", PluginError, "did you mean 'parts.py'"),
+        ("parts.py:Sink", "port.py:Sink", PluginError, "did you mean 'parts.py:Sink'"),
         ("parts.py:Sink", "../parts.py:Sink", SystemFileError, "outside"),
         ("parts.py:Sink", "/etc/passwd:Sink", PluginError, "FILE.py:Class"),
         ("parts.py:Sink", "FlexiDumb", PluginError, "did you mean FlexiDump"),

@@ -77,7 +77,7 @@ def test_a_text_converts_counted_from_the_files_folder_and_check_has_nothing_to_
 @pytest.mark.parametrize(
     ("convert", "error", "said"),
     [
-        ('"scalin.py:to_mm"', PluginError, "did you mean 'scaling.py'?"),
+        ('"scalin.py:to_mm"', PluginError, "did you mean 'scaling.py:to_mm'?"),
         ('"scaling.py:to_mmm"', PluginError, "there is no 'to_mmm'; did you mean 'to_mm'?"),
         ('"scaling.py:two"', PluginError, "cannot be called with one sample alone"),
         ('"mpa 0>0"', PluginError, "no converter named 'mpa'; did you mean map?"),
