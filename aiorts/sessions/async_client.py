@@ -214,8 +214,9 @@ class AsyncClient(BaseClient):
 
     async def _in_time(self, awaited: Awaitable[object], wait: float | None, why: str = "") -> None:
         """NoAnswerError: it is not so within `wait` seconds."""
+        limit = asyncio.timeout(wait)
         try:
-            async with asyncio.timeout(wait) as limit:
+            async with limit:
                 await awaited
         except TimeoutError:
             if not limit.expired():
@@ -431,12 +432,12 @@ class _Wire(asyncio.Protocol):
     def resume_writing(self) -> None:
         self.takes.set()
 
-    def connection_lost(self, error: Exception | None) -> None:
+    def connection_lost(self, exc: Exception | None) -> None:
         if self._abort is not None:
             self._abort.cancel()
         self._closed.set_result(None)
         self.takes.set()
-        self._over(error)
+        self._over(exc)
 
 
 async def _connected(entry: Entry, until: float) -> socket.socket:

@@ -31,7 +31,7 @@ class BaseClient:
 
     def __init__(self, entry: Entry, who: str = "", right: RightName = "", *, longest: int = ANSWERS) -> None:
         self.entry = entry
-        self._wanted = right
+        self._wanted: RightName = right
         self._session = ClientSession(entry.address, entry.epoch, longest=longest)
         self._who = who or _command()
 

@@ -100,7 +100,7 @@ class Guard:
             return
         send = _with_headers(send)
         refused: HttpError | None = None
-        most = 0
+        most, body = 0, b""
         try:
             self._check(scope, needs_origin=scope["path"] == EXCHANGE and scope["method"] == "POST")
             most = self._most(scope)
