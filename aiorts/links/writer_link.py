@@ -35,9 +35,9 @@ _WINDOW: Final = 256
 """Samples that may be unacknowledged."""
 _WINDOW_BYTES: Final = 8 << 20
 _NEWEST: Final = 2
-"""The same where only the newest sample counts: one on its way and one behind it."""
+"""The window where only the newest sample counts: one on its way and one behind it."""
 _LEAST: Final = 4
-"""The same at the least where the writer's buffer decides what becomes of what a slow reader has no room for."""
+"""The smallest window for a slow reader, where the writer's buffer decides what becomes of further samples."""
 _SOON_NS: Final = 50_000
 """A sample that is written so soon after another was sent goes with those that are written after it."""
 _ACKNOWLEDGED: Final = "acknowledged"
@@ -76,7 +76,9 @@ class WriterLink(LinkSide[WriterEnd]):
         self.refused: Mapping[str, int] = {}
         """Samples that the reader's end there is now did not take, by reason."""
         self.acknowledged_before = 0
-        """By reader's ends that are no more."""
+        """Samples that the reader's ends before this one have acknowledged."""
+        self._overwritten = 0
+        """Samples that the buffer of this reader's end has overwritten, as `lost` had them last."""
         self._confirmations: deque[Confirmation] = deque()
         self._confirmed_at = 0
         """How much was written when a sample was taken last whose writer waits for its acknowledgement."""
@@ -95,7 +97,7 @@ class WriterLink(LinkSide[WriterEnd]):
 
     @property
     def lost(self) -> Mapping[str, int]:
-        """What the reader's end there is now has lost of what was acknowledged, by reason, as far as it has said."""
+        """The acknowledged samples that the present reader's end has lost, by reason, as far as it has said so."""
         left, found = self._acknowledged - self.acknowledged_before, {}
         for reason, count in self.end.lost.items():
             if taken := min(count, left):
@@ -228,7 +230,7 @@ class WriterLink(LinkSide[WriterEnd]):
             lost, self.end.lost = self.lost, {}
             self._dropped, self.refused = added(added(self._dropped, self.refused), lost), {}
             self._acknowledged -= sum(lost.values())
-            self.acknowledged_before = self._acknowledged
+            self.acknowledged_before, self._overwritten = self._acknowledged, 0
         self.pump()
         if is_another and self.connector.profile.keep_last:
             self._offer_last()
@@ -273,12 +275,19 @@ class WriterLink(LinkSide[WriterEnd]):
             end.receive(now, head)
         self._settle()
         self.pump()
-        if "overwritten" in end.lost and (losses := self._transport().losses):
-            losses.begin(self.connector)
+        if end.lost:
+            self._report_lost()
         if self._idle is not None:
             self._look_idle()
         if end.peer_ended and not self._ended:
             self._owner.left()
+
+    def _report_lost(self) -> None:
+        """Report that the reader's buffer overwrites, where it has overwritten more than at the last call."""
+        overwritten = self.lost.get("overwritten", 0)
+        if overwritten > self._overwritten and (losses := self._transport().losses):
+            losses.begin(self.connector)
+        self._overwritten = overwritten
 
     def on_room(self) -> None:
         self.end.on_room(self._now())
@@ -336,7 +345,7 @@ class WriterLink(LinkSide[WriterEnd]):
 
 
 def _least(profile: ConnectorProfile) -> int | None:
-    """Samples that may be on their way to a slow reader, where the policy of the full buffer is the writer's own."""
+    """The smallest window for a slow reader, in samples; None: the window is always whole."""
     if profile.full is FullPolicy.OVERWRITE or profile.subscription is Subscription.FLUSH:
         return None  # the reader's end takes all that comes, or the writer waits for each
     return max(_LEAST, profile.length)

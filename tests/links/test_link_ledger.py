@@ -127,6 +127,26 @@ def test_the_ledger_of_a_link_is_the_same_from_either_end() -> None:
     simulate(run())
 
 
+def test_what_the_readers_end_has_lost_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    async def run() -> None:
+        network = MemoryNetwork(delay=0.001)
+        async with kernel_of(network, "two") as two, kernel_of(network, "one") as one:
+            source, sink = await one.add(Source()), await two.add(Sink())
+            connector = await one.connect(source.out, "two/sink0.inp")
+            for value in range(connector.profile.length + 1):
+                source.out.write_nowait(long(value))
+            await until(lambda: connector.statistics.dropped.get("overwritten") == 1)
+            for value in range(100):  # it is read in time from now on
+                sink.inp.drain()
+                await asyncio.sleep(1)
+                source.out.write_nowait(long(value))
+            assert dict(connector.statistics.dropped) == {"overwritten": 1}
+
+    simulate(run())
+    (said,) = (line for line in caplog.messages if line.startswith("source0.out -> two/sink0.inp: "))
+    assert "1 sample lost so far: overwritten" in said
+
+
 def test_a_link_that_the_readers_kernel_connected_has_its_ledger_too() -> None:
     async def run() -> None:
         network = MemoryNetwork(delay=0.001)
