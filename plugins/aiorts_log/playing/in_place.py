@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -49,7 +49,6 @@ _HOOKS: Final = (
     *("on_state_update", "on_rate_changed", "on_reset", "on_error", "on_aborting"),
 )
 """All hooks of components; a test compares them with the kernel's."""
-_OF_MACHINES: Final = ("on_activated", "on_deactivated", "on_execute")
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,27 +252,28 @@ class InPlace(KernelService):
 
 def _without_hooks(cls: type[Component]) -> type[Component]:
     """The class with its ports and parameters, none of whose hooks does anything, and which answers no call."""
-
-    def nothing(self: Component, *_: object) -> None:
-        """It is replayed, and does nothing of itself."""
-
     # By the original's name it is listed, and saved.
     names: dict[str, Any] = {"__module__": cls.__module__, "__qualname__": cls.__qualname__}
     for attribute in dir(cls):
         if isinstance(end := inspect.getattr_static(cls, attribute), Provided):
             names[attribute] = alike = copy.copy(end)
             alike.refuses = _REPLAYED
-    hooks = dict.fromkeys(_HOOKS, nothing)
+    for hook in _HOOKS:
+        names[hook] = _nothing_for(getattr(cls, hook))
     if issubclass(cls, StateMachineComponent):
         names["chart"] = Chart(State("replayed", initial=True))
-        # Its class is refused where it defines the hooks in which its machine runs: those are set afterwards.
-        hooks = {hook: nothing for hook in _HOOKS if hook not in _OF_MACHINES}
-    # Defined with the class: a hook that is a coroutine function there is none here.
     with warnings.catch_warnings(action="ignore", category=ChartWarning):  # events that the chart in its place ignores
-        made: type[Component] = types.new_class(cls.__name__, (cls,), exec_body=lambda body: body.update(names | hooks))
-    for hook in _HOOKS:
-        setattr(made, hook, nothing)
-    return made
+        return types.new_class(cls.__name__, (cls,), exec_body=lambda body: body.update(names))
+
+
+def _nothing_for(hook: Callable[..., object]) -> Callable[..., None]:
+    """A hook that does nothing. It wraps the original: no other may stand where a state machine runs."""
+
+    @wraps(hook, updated=())
+    def nothing(*_: object) -> None:
+        """Do nothing."""
+
+    return nothing
 
 
 def _list(names: Mapping[str, object] | list[str]) -> str:
