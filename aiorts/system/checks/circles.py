@@ -1,4 +1,4 @@
-"""Circles of components that run on events: who keeps itself busy forever, and who waits for itself. Pure.
+"""Circles of components that run on events: those that keep themselves busy forever, or wait for themselves. Pure.
 
 A circle has one finding: with a sample in it, it never rests (W-LOOP); where none begins, it stands still (N-CIRCLE).
 """
@@ -6,27 +6,24 @@ A circle has one finding: with a sample in it, it never rests (W-LOOP); where no
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from types import CodeType, FunctionType
 from typing import Any, Final
 
 from aiorts.contexts import EventContext
 from aiorts.kernel.component import Component
-from aiorts.kernel.declarations import declarations
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.hooks import HookKind
-from aiorts.kernel.ports import InPort, OutPort, Port
-from aiorts.model.policy import Dataflow, Subscription
-from aiorts.model.profile import ConnectorProfile
+from aiorts.kernel.ports import InPort, Port
+from aiorts.model.policy import Dataflow
 from aiorts.model.wanted.entries import ConnectionEntry
-from aiorts.rules import RulesSettings, ruled
 from aiorts.services import ServicePort
+from aiorts.system.checks.cycles import Edges, cycles
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
+from aiorts.system.checks.hook_code import may_write, names_of
+from aiorts.system.checks.surveyed import connected_later, contexts_of, is_service, names_no_port, wakes
 from aiorts.system.file.families import activation_order, root
 from aiorts.system.file.survey import Survey
 
-_MOST_NAMED: Final = 12
-"""Ports of a cycle that a message names."""
 _ON_ACTIVATED: Final = "on_activated"
 _ON_EXECUTE: Final = "on_execute"
 _SLEEPS: Final = frozenset({"sleep", "sleep_until"})
@@ -36,9 +33,7 @@ BEGIN: Final = (
     "write the first one in on_activated, to a connection with keep_last = true, or put one of them into a periodic "
     "context"
 )
-"""What starts a circle."""
-Edges = Mapping[str, Mapping[str, tuple[str, str, int]]]
-"""From component to component: the ports between them, and the number of the connection."""
+"""The advice for a circle that no component begins."""
 
 
 def circle_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -> Iterator[Said]:
@@ -54,7 +49,7 @@ def circle_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) 
 
 
 def _doubts(hooks: Iterable[tuple[str, str]]) -> str:
-    """Who may begin a circle all the same: names that have the same hook are said together."""
+    """The clause about components that may begin a circle all the same, those with the same hook together."""
     names: dict[str, list[str]] = {}
     for name, hook in hooks:
         names.setdefault(hook, []).append(name)
@@ -65,8 +60,8 @@ def _doubts(hooks: Iterable[tuple[str, str]]) -> str:
 def _loops(found: Survey, drafts: Mapping[str, Draft], without: Collection[str]) -> Iterator[Said]:
     """Cycles whose members are all in event contexts alone: with one sample in it, such a cycle never rests.
 
-    A connector that the reader pulls wakes nobody, and one of a period is paced: neither is part of such a cycle. Nor
-    is a connection of a port that is not there; and a member that sleeps paces its cycle.
+    A connector that the reader pulls wakes no component, and one of a period is paced: neither is part of such a cycle.
+    Nor is a connection of a port that is not there; and a member that sleeps paces its cycle.
     """
     eager = {name for name, those in contexts_of(found).items() if all(isinstance(one, EventContext) for one in those)}
     eager -= {name for name, one in drafts.items() if _sleeps_itself(one.component)}
@@ -76,11 +71,11 @@ def _loops(found: Survey, drafts: Mapping[str, Draft], without: Collection[str])
         if profile is None or not wakes(profile[0]):
             continue
         out, *ins = connection.ports
-        if _is_service(drafts, out):
-            continue  # a call waits for its answer, and wakes nobody
+        if is_service(drafts, out):
+            continue  # a call waits for its answer, and wakes no reader
         for in_ in ins:
             writer, reader = out.partition(".")[0], in_.partition(".")[0]
-            if writer in edges and reader in edges and writer not in without and not _missing(drafts, (out, in_)):
+            if writer in edges and reader in edges and writer not in without and not names_no_port(drafts, (out, in_)):
                 edges[writer].setdefault(reader, (out, in_, connection.number))
     for path, number, _ in cycles(edges):
         text = (
@@ -94,7 +89,7 @@ def _sleeps_itself(component: Component | None) -> bool:
     """Whether its on_execute awaits a sleep, which paces the circle that it is in."""
     if component is None or cell(component).hook_kinds[_ON_EXECUTE] != HookKind.ASYNC:
         return False
-    return not _SLEEPS.isdisjoint(_names_of(type(component), _ON_EXECUTE))
+    return not _SLEEPS.isdisjoint(names_of(type(component), _ON_EXECUTE))
 
 
 class _Waiting:
@@ -103,26 +98,26 @@ class _Waiting:
     def __init__(self, edges: Edges, early: Mapping[str, str], hooks: Mapping[str, str] | None = None) -> None:
         self.edges = edges
         self.early = early
-        """Of one whose first sample is lost: how."""
+        """How the first sample of a component is lost, by its name."""
         self._hooks = hooks or {}
 
     def doubts(self, members: Collection[str]) -> Iterator[tuple[str, str]]:
-        """Members with a hook that runs by itself and seems to write nothing."""
+        """The members with a hook that runs by itself and seems to write nothing, and that hook."""
         return ((name, self._hooks[name]) for name in members if name in self._hooks)
 
 
 class _Beginning:
-    """Finds who is not begun by anything: neither by itself nor by a sample from outside."""
+    """Finds the components that nothing begins: neither they themselves nor a sample from outside."""
 
     def __init__(self, found: Survey, drafts: Mapping[str, Draft]) -> None:
         self._found, self._drafts = found, drafts
         self._contexts = contexts_of(found)
         self._order = {name: place for place, name in enumerate(activation_order(found.system))}
-        """When each is activated, a composite with its members."""
+        """The place of each component in the order of activation; members have that of their composite."""
         self._early: dict[str, str] = {}
 
     def waiting(self) -> _Waiting:
-        """Who waits."""
+        """The components that wait."""
         system, drafts = self._found.system, self._drafts
         comes = connected_later(self._found)
         asleep = [name for name in system.components if name in drafts and self._sleeps(name, drafts[name], comes)]
@@ -164,13 +159,13 @@ class _Beginning:
     def _does(self, name: str, hook: str) -> bool:
         """Whether it has the hook, and that does anything: one of `pass` or a docstring alone uses no name."""
         component = self._drafts[name].component
-        return component is not None and self._has(name, hook) and bool(_names_of(type(component), hook))
+        return component is not None and self._has(name, hook) and bool(names_of(type(component), hook))
 
     def _begins(self, writer: str, reader: str, out: str, connection: ConnectionEntry) -> bool:
         """Whether a hook of the writer that runs by itself may write there, and the reader gets it."""
         component, port = self._drafts[writer].component, out.partition(".")[2]
         for hook in _BY_THEMSELVES:
-            if component is None or not self._has(writer, hook) or not _may_write(component, hook, port):
+            if component is None or not self._has(writer, hook) or not may_write(component, hook, port):
                 continue
             if hook != _ON_ACTIVATED or not self._is_early(writer, reader, connection):
                 return True
@@ -188,111 +183,3 @@ class _Beginning:
 
 def _is_fed(name: str, port: Port[Any], comes: Callable[[str, Port[Any]], bool]) -> bool:
     return isinstance(port, InPort) and comes(name, port)
-
-
-def _may_write(component: Component, hook: str, port: str) -> bool:
-    """Whether a hook, or what it calls of its class and file, names an out-port; where that is not seen, it may."""
-    declared = declarations(type(component)).ports
-    names = {attribute for attribute, one in declared.items() if port in (attribute, one.name)}
-    return not names or not names.isdisjoint(used := _names_of(type(component), hook)) or "ports" in used
-
-
-def _names_of(cls: type[Any], hook: str) -> set[str]:
-    """The names in the code of a method, and in that of the functions of its class and file that it names."""
-    used: set[str] = set()
-    left = _functions(cls, hook)
-    seen: set[CodeType] = set()
-    while left:
-        function = left.pop()
-        codes = [function.__code__]
-        while codes:
-            code = codes.pop()
-            if code in seen:
-                continue
-            seen.add(code)
-            codes += [one for one in code.co_consts if isinstance(one, CodeType)]
-            for name in code.co_names:
-                used.add(name)
-                left += _functions(cls, name)
-                if isinstance(helper := function.__globals__.get(name), FunctionType):
-                    left.append(helper)
-    return used
-
-
-def _functions(cls: type[Any], name: str) -> list[FunctionType]:
-    """What the classes of the user have under this name, as far as it is functions."""
-    owners = [one for one in cls.__mro__ if one not in Component.__mro__]
-    return [found for one in owners if isinstance(found := vars(one).get(name), FunctionType)]
-
-
-# -- of the survey -----------------------------------------------------------------------------------------------------
-
-
-def connected_later(found: Survey) -> Callable[[str, Port[Any]], bool]:
-    """Whether a port is one that `[[rules]]` connect when the system runs."""
-    settings = found.services["rules"].settings if "rules" in found.services else None
-    if not isinstance(settings, RulesSettings):
-        return lambda _name, _port: False
-    fits = ruled(settings.rules)
-    return lambda name, port: isinstance(port, InPort | OutPort) and fits(name, port.name, isinstance(port, OutPort))
-
-
-def contexts_of(found: Survey) -> dict[str, list[Any]]:
-    """The contexts in which each component is."""
-    contexts: dict[str, list[Any]] = {}
-    for entry in found.system.contexts.values():
-        for member in entry.members:
-            contexts.setdefault(member, []).append(found.contexts.get(entry.name))
-    return contexts
-
-
-def _missing(drafts: Mapping[str, Draft], paths: Iterable[str]) -> bool:
-    """Whether a component whose ports are known has none of this name."""
-    for path in paths:
-        component, _, port = path.partition(".")
-        if component in drafts and drafts[component].complete and port not in drafts[component].ports:
-            return True
-    return False
-
-
-def _is_service(drafts: Mapping[str, Draft], path: str) -> bool:
-    component, _, port = path.partition(".")
-    return component in drafts and isinstance(drafts[component].ports.get(port), ServicePort)
-
-
-def wakes(profile: ConnectorProfile) -> bool:
-    return profile.dataflow is Dataflow.PUSH and profile.subscription is not Subscription.PERIODIC
-
-
-def cycles(edges: Edges) -> Iterator[tuple[str, int, list[str]]]:
-    """Ways from components back to themselves, each component in one: the ports, the number of the last step, who."""
-    told: set[str] = set()
-    for start in edges:
-        if start in told or not (cycle := _cycle(edges, start)):
-            continue
-        told.update(cycle)
-        path = [
-            port for here, there in zip(cycle, [*cycle[1:], cycle[0]], strict=True) for port in edges[here][there][:2]
-        ]
-        shown = [*path[:_MOST_NAMED], "..."] if len(path) > _MOST_NAMED else path
-        yield " → ".join([*shown, path[0]]), edges[cycle[-1]][cycle[0]][2], cycle
-
-
-def _cycle(edges: Mapping[str, Mapping[str, Any]], start: str) -> list[str]:
-    """The shortest way from a component back to itself; empty where there is none."""
-    came: dict[str, str] = {}
-    level = [start]
-    while level:
-        following = []
-        for here in level:
-            for there in edges[here]:
-                if there == start:
-                    way = [here]
-                    while way[-1] != start:
-                        way.append(came[way[-1]])
-                    return way[::-1]
-                if there not in came:
-                    came[there] = here
-                    following.append(there)
-        level = following
-    return []

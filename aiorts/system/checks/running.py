@@ -8,7 +8,8 @@ from pathlib import Path
 from aiorts.kernel.ports.losses import WHY_DROPPED
 from aiorts.model.policy import Dataflow
 from aiorts.observe import SystemProfile
-from aiorts.system.checks.circles import BEGIN, cycles
+from aiorts.system.checks.circles import BEGIN
+from aiorts.system.checks.cycles import cycles
 from aiorts.system.checks.findings import Finding
 
 

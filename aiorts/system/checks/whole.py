@@ -19,9 +19,11 @@ from aiorts.model.policy import Dataflow, Push, Subscription
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.wanted.entries import ConnectionEntry
 from aiorts.services import ServicePort
-from aiorts.system.checks.circles import circle_findings, connected_later, contexts_of, cycles, wakes
+from aiorts.system.checks.circles import circle_findings
+from aiorts.system.checks.cycles import cycles
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
+from aiorts.system.checks.surveyed import connected_later, contexts_of, wakes
 from aiorts.system.file.families import parts, root, unstartable
 from aiorts.system.file.survey import Survey
 from aiorts.system.text.reading import spelled
