@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from aiorts.isolation.handover import give_state, hold, packed, release, state_of, taken
     from aiorts.isolation.isolating import Isolation
     from aiorts.isolation.messages import MARK, OPERATE, REPORT, First, Report, asked, done, refused
-    from aiorts.isolation.moving import beside, exchange, hold_at, move
+    from aiorts.isolation.moving import exchange, hold_at, make_replacement, move
     from aiorts.isolation.placing import given_of, placed
     from aiorts.isolation.ports import described, fail, follow
     from aiorts.isolation.stand_in import RemoteComponent
@@ -31,7 +31,6 @@ __all__ = (
     "RemoteComponent",
     "Report",
     "asked",
-    "beside",
     "described",
     "done",
     "exchange",
@@ -41,6 +40,7 @@ __all__ = (
     "given_of",
     "hold",
     "hold_at",
+    "make_replacement",
     "move",
     "packed",
     "placed",
@@ -56,7 +56,7 @@ _late(
         "aiorts.isolation.handover": "give_state hold packed release state_of taken",
         "aiorts.isolation.isolating": "Isolation",
         "aiorts.isolation.messages": "MARK OPERATE REPORT First Report asked done refused",
-        "aiorts.isolation.moving": "beside exchange hold_at move",
+        "aiorts.isolation.moving": "exchange hold_at make_replacement move",
         "aiorts.isolation.placing": "given_of placed",
         "aiorts.isolation.ports": "described fail follow",
         "aiorts.isolation.stand_in": "RemoteComponent",

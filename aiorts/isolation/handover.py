@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.errors import AiortsError, ComponentError, StateError, format_error
 from aiorts.kernel.component import Component
 from aiorts.kernel.detached_hook import run_alone
-from aiorts.kernel.execution.cell import ATTRIBUTE, MadeAnew, cell
+from aiorts.kernel.execution.cell import ATTRIBUTE, MadeByClass, cell
 from aiorts.kernel.execution.hooks import further_kinds
 from aiorts.kernel.execution.member import is_open
 from aiorts.kernel.ports import InPort, PortDeclaration
@@ -140,7 +140,7 @@ def state_of(component: Component) -> dict[str, Any]:
     takes_over = _takes_over(component)
     state = {}
     for name, value in vars(component).items():
-        if name == ATTRIBUTE or isinstance(value, PortDeclaration | MadeAnew):
+        if name == ATTRIBUTE or isinstance(value, PortDeclaration | MadeByClass):
             continue
         if name in cell(component).configuration.specs:
             continue

@@ -42,7 +42,7 @@ _STARTS: Final = 2 * (os.cpu_count() or 1)
 """Processes that come up at the same time; the time of each begins when it is its turn."""
 
 _READ_SECONDS: Final = 0.05
-"""How often it is looked whether what a moved component wrote before was read."""
+"""Seconds between two looks whether what a moved component wrote before was read."""
 
 
 class Isolation(KernelService):
@@ -61,7 +61,7 @@ class Isolation(KernelService):
         """By the name of the process's kernel."""
         self._components: dict[Process, RemoteComponent] = {}
         self._delays: dict[str, str] = {}
-        """How processes that are no more have kept their kernel waiting for their ends, by component."""
+        """By component: how its process, which has ended, kept the kernel waiting for that."""
         self._starts = asyncio.Semaphore(_STARTS)
         self._printing = Printing()
         self._said = False
@@ -141,7 +141,7 @@ class Isolation(KernelService):
         return process
 
     def _holder(self, name: str) -> str:
-        """Which other processes keep this one's end waiting, and how; "" where none does."""
+        """Names of other processes that keep this one's end waiting, and how; "" where none does."""
         delays = self._delays | {one.name: one.delay for one in self._processes.values() if one.delay}
         return "; ".join(f"{other}: {delay}" for other, delay in delays.items() if other != name)
 

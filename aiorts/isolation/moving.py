@@ -75,18 +75,20 @@ async def _moved(kernel: Microkernel, component: Component, to: Context | str, l
         if isinstance(to, Context):
             if not isinstance(component, RemoteComponent):
                 return await _change_context(kernel, component, to)
-            return await _exchange(kernel, component, await _beside(kernel, component, component.original), to)
+            return await _exchange(
+                kernel, component, await _make_replacement(kernel, component, component.original), to
+            )
         if isinstance(component, RemoteComponent):
             raise StateError(f"{component.name}: runs in a process of its own already")
         cls = kernel.service(Isolation).stand_in(type(component), limits)
         if cls is type(component):
             return component  # on a simulated clock, which was said
         alike = _alike(kernel, component)
-        return await _exchange(kernel, component, await _beside(kernel, component, cls), alike)
+        return await _exchange(kernel, component, await _make_replacement(kernel, component, cls), alike)
 
 
-async def beside(kernel: Microkernel, component: Component, limits: Mapping[str, Any] | None) -> Component:
-    """Another instance for the place of a component that is in at most one context; it is parked.
+async def make_replacement(kernel: Microkernel, component: Component, limits: Mapping[str, Any] | None) -> Component:
+    """Make another instance for the place of a component that is in at most one context; it is parked.
 
     Args:
         limits: what its process may use; None for an instance in this process.
@@ -96,12 +98,13 @@ async def beside(kernel: Microkernel, component: Component, limits: Mapping[str,
     """
     _check(kernel, component, "process")
     if limits is not None:
-        return await _beside(kernel, component, kernel.service(Isolation).stand_in(type(component), limits))
-    return await _beside(kernel, component, getattr(type(component), "original", type(component)))
+        return await _make_replacement(kernel, component, kernel.service(Isolation).stand_in(type(component), limits))
+    return await _make_replacement(kernel, component, getattr(type(component), "original", type(component)))
 
 
 async def exchange(kernel: Microkernel, old: Component, new: Component) -> None:
-    """Put what `beside` has made in the place of a component that is in no context, with its state and connectors.
+    """Put what `make_replacement` has made in the place of a component that is in no context: it takes over state and
+    connectors.
 
     Its in-ports take samples until `hold_at` says that they do no longer.
 
@@ -112,7 +115,7 @@ async def exchange(kernel: Microkernel, old: Component, new: Component) -> None:
 
 
 async def hold_at(component: Component, holds: bool) -> None:
-    """Have its in-ports take samples wherever it runs and whatever its state is, or no longer."""
+    """Open the in-ports of a component wherever it runs and whatever its state is, or no longer."""
     with suppress(ProcessError):  # of the process, which has ended: that is its failure, as always
         await _place_of(component).hold(holds)
 
@@ -259,8 +262,8 @@ def _place_of(component: Component) -> _Here | _There:
     return _There(component) if isinstance(component, RemoteComponent) else _Here(component)
 
 
-async def _beside(kernel: Microkernel, old: Component, cls: type[Component]) -> Component:
-    """Another instance, where the old one can go there: refused before anything is changed."""
+async def _make_replacement(kernel: Microkernel, old: Component, cls: type[Component]) -> Component:
+    """Make another instance, where the old one can go there: refused before anything is changed."""
     await _Move(kernel, old).here.state()
     return await _make(kernel, old, cls)
 
@@ -455,9 +458,8 @@ class _Move:
             elif isinstance(old, RemoteComponent):
                 pass_on(connector, made)
             else:
-                kernel.service(Isolation).end_when_read(
-                    connector
-                )  # the other is a link, which counts what comes over it alone
+                # The other is a link, which counts what comes over it alone.
+                kernel.service(Isolation).end_when_read(connector)
                 continue
             kernel.connections.end(connector)
         for profile in calls:

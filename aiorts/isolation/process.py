@@ -27,7 +27,7 @@ _ANSWERS: Final = 7.0
 _LOOK: Final = 0.5
 """How often it is looked whether the process answers."""
 _PATIENT: Final = 3_600.0
-"""Seconds in which it answers that question, whatever it does meanwhile."""
+"""Seconds for the answer to that question, which comes between two hooks."""
 _BUSY_BEYOND: Final = 2.0
 """Seconds beyond its deadline that a hook may hold its process."""
 _ENDS: Final = 1.2
@@ -212,7 +212,7 @@ class Process:
                 why = f"{why}: others used up the time ({others})"
             if self._peer is not None and self.runs and not child.ended.done():
                 self._line(logging.WARNING, f"killed: {why}; its on_finalize may not have run")
-            child.kill()  # also where nobody waits for it any more
+            child.kill()  # also where the wait for it was cancelled
         await asyncio.wait((child.ended,), timeout=_KILLED)
 
     def _over(self, ended: asyncio.Future[Ending]) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.composites import parts_of
 from aiorts.errors import StateError, WiringError, format_error
-from aiorts.isolation import Isolation, RemoteComponent, beside, exchange, hold_at, placed
+from aiorts.isolation import Isolation, RemoteComponent, exchange, hold_at, make_replacement, placed
 from aiorts.kernel.component import Component
 from aiorts.kernel.configuring import put
 from aiorts.kernel.declarations import declarations
@@ -103,8 +103,8 @@ class Application:
         self._trials: dict[str, Trial] = {}
         """Those that are instances of another type now, by name."""
         self._held: set[Component] = set()
-        self._beside: dict[str, Component] = {}
-        """Instances for the places of components that go into another process, by name."""
+        self._replacements: dict[str, Component] = {}
+        """The replacements of components that go into another process, by name."""
         self._isolated = frozenset(one.after.name for one in plan.steps if isinstance(one, Isolate))
         """The components that do."""
         self._table: Final[Mapping[type[Step], Callable[[Any], Awaitable[None]]]] = {
@@ -152,9 +152,9 @@ class Application:
         try:
             for step in self.plan.steps:
                 if isinstance(step, Isolate):
-                    self._beside[step.after.name] = await self._made_beside(step)
+                    self._replacements[step.after.name] = await self._make_replacement(step)
         except BaseException:
-            await self._end_beside()
+            await self._end_replacements()
             raise
 
     async def forth(self) -> None:
@@ -240,7 +240,7 @@ class Application:
         for component in reversed(tuple(parked.values())):
             await kernel.registry.end_parked(component)
         await self._composites.end()
-        await self._end_beside()
+        await self._end_replacements()
 
     # -- components ------------------------------------------------------------------------------------------------
 
@@ -306,23 +306,23 @@ class Application:
         old = self._component(name)
         if isinstance(old, RemoteComponent) is bool(step.after.isolation):
             return
-        new = self._beside.pop(name, None) or await self._made_beside(step)
+        new = self._replacements.pop(name, None) or await self._make_replacement(step)
         await exchange(self._kernel, old, new)
         self._held.discard(old)
 
-    async def _made_beside(self, step: Isolate) -> Component:
-        """The instance for the component's place, whose process runs: made while the component still runs."""
+    async def _make_replacement(self, step: Isolate) -> Component:
+        """Make the instance for the component's place, and its process, while the component still runs."""
         limits = step.after.limits if step.after.isolation else None
-        return await beside(self._kernel, self._component(step.after.name), limits)
+        return await make_replacement(self._kernel, self._component(step.after.name), limits)
 
-    async def _end_beside(self) -> None:
-        """Those that came to no place end."""
-        made, self._beside = self._beside, {}
+    async def _end_replacements(self) -> None:
+        """End the replacements that came to no place."""
+        made, self._replacements = self._replacements, {}
         for component in made.values():
             await self._kernel.registry.end_parked(component)
 
     async def _let_go(self) -> None:
-        """Who went into another process has in-ports that are open or closed as always."""
+        """Let go of the in-ports of components that went into another process: they open and close as always."""
         for name in self._isolated:
             if name in self._kernel.components:
                 await hold_at(self._kernel.components[name], False)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.clock import to_ns
 from aiorts.errors import DeclarationError, StateError
-from aiorts.kernel.execution.cell import MadeAnew, cell
+from aiorts.kernel.execution.cell import MadeByClass, cell
 from aiorts.kernel.loop.bus import Event
 from aiorts.kernel.ports import InPort
 from aiorts.kernel.ports.connector import unread_at
@@ -42,7 +42,7 @@ of a connector into an event port."""
 _CHANGING: Final = (ENTRY, EXIT)
 
 
-class StateMachine(MadeAnew):
+class StateMachine(MadeByClass):
     """The machine of one component: its active states, and a way to send it events."""
 
     __slots__ = (

@@ -137,8 +137,8 @@ class KernelSide(PortKernelSide, Protocol):
         """A context has stopped."""
 
 
-class MadeAnew:
-    """An attribute that the component's class makes wherever the component is: it goes into no other process."""
+class MadeByClass:
+    """An attribute that the class makes for each instance: it goes into no other process with the component."""
 
     __slots__ = ()
 
