@@ -1,4 +1,4 @@
-"""What is said again and again of one thing: at once, then at growing distances, with how often it was left out."""
+"""Repeated lines of one thing: the first at once, the next at growing distances, with how often they were left out."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ _FIRST_NS: Final = 10_000_000_000
 _LONGEST_NS: Final = 3_600_000_000_000
 """The first and the longest distance; each is twice the one before."""
 _MOST: Final = 256
-"""Things that are known at the most; the one that was said first is forgotten."""
+"""Things that are known, at most; the one that was asked about longest ago is forgotten."""
 
 
 class Rarely:
-    """When what repeats is said. Time comes as nanoseconds of any clock that never goes back."""
+    """Decides when a thing that repeats is said. Time comes as nanoseconds of any clock that never goes back."""
 
     def __init__(self) -> None:
         self._said: dict[Hashable, tuple[int, int, int]] = {}
-        """Of each thing when it was said last, the distance to the next time, and how often it was left out since."""
+        """By thing: when it was said last, the distance to the next time, and how often it was left out since."""
 
     def left_out(self, what: Hashable, now_ns: int) -> int | None:
-        """How often it was left out since it was said last, where it is to be said now; None: it is left out, too.
+        """Whether to say it now: the count of times it was left out since the last one. None: it is left out again.
 
-        After twice the distance without it, it begins anew.
+        After twice the distance without it, the distance is the first one again.
         """
         at_ns, distance_ns, count = self._said.pop(what, (0, 0, 0))
         if distance_ns and now_ns < at_ns + distance_ns:

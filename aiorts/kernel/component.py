@@ -51,7 +51,7 @@ LINK_LOST: Final = ("continue", "deactivate", "error")
 
 
 class Elsewhere:
-    """What the stand-in of a component has besides, whose code runs in another process or in another kernel."""
+    """The further interface of a stand-in, whose component runs in another process or in another kernel."""
 
     async def ask(self, operation: str, **arguments: Any) -> Any:
         """The answer of the component's process or kernel to an operation of control."""

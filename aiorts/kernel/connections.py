@@ -436,6 +436,6 @@ class Connections:
 
 
 def _connecting(ports: Sequence[Any]) -> Connecting | None:
-    """Who connects these; None where they are data ports."""
+    """The maker of connectors between these; None where they are data ports."""
     those = (one.connecting for one in ports if isinstance(one, PortDeclaration))
     return next((one for one in those if one is not None), None)

@@ -228,7 +228,7 @@ class Microkernel:
         await self.aclose()
 
     def request_stop(self, status: int = 0) -> bool:
-        """Request an orderly end, from any thread, of who awaits `wait_stop_requested`; whether any code has so far."""
+        """Request an orderly end, from any thread: `wait_stop_requested` returns. Says whether any code awaited it."""
         self.exit_status = status or int(self._has_faulted)
         self.call_on_loop(self._await_stop)
         return self._stop_requested.awaited

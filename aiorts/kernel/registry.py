@@ -190,7 +190,7 @@ class Registry:
         notify(self._kernel.services, "component_added", component)
 
     def is_assembled(self) -> None:
-        """All that the run was to begin with is there: tell who listens, once."""
+        """All that the run was to begin with is there: publish it, once."""
         if not self.assembled:
             self.assembled = True
             self._kernel.bus.publish(Assembled())

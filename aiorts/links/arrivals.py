@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _AWAITED: Final = 1_000
 """Components that are not there whose coming one other kernel is told of."""
 _UNTOLD: Final = 1_000
-"""Links that ended while the other kernel was away, of which it is told, at the most."""
+"""Links that ended while the other kernel was away, of which it is told, at most."""
 _STARTED: Final = "{} is being started"
 
 

@@ -582,7 +582,7 @@ class Ends:
         return [end for end in found if end is not None]
 
     async def sent(self, connectors: Iterable[Connector], within: float = _LAST_SECONDS) -> None:
-        """Wait until what was written to these connectors is acknowledged, so many seconds and no longer than 1 s."""
+        """Wait until what was written to these connectors is acknowledged, `within` so many seconds and at most 1 s."""
         ends = [end for one in connectors if (end := self.writers.get(one)) is not None]
         waits = [idle for one in ends if (idle := one.link.idle()) is not None]
         if waits and within > 0:

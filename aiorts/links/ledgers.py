@@ -131,7 +131,7 @@ class Ledgers:
         return replace(joined, read=_ages(connector.statistics))
 
     def changed(self, changed: ConnectorChanged) -> None:
-        """The reader's end is measured while the writer's end is: it is told with the next question."""
+        """Ask the reader's end, which is measured while the writer's end is: each question says whether that is."""
         connector = self._links.kernel.connectors.get(changed.connector.name)
         if connector is None or changed.connector.measure == changed.before.measure:
             return
@@ -217,7 +217,7 @@ def _join(link: WriterLink, there: _Report) -> LinkLedger:
 
 
 def _ages(found: ConnectorStatistics) -> dict[str, tuple[int, ...]]:
-    """What is measured at the reader's end."""
+    """The spans measured at the reader's end, as `LinkLedger.read` has them."""
     both = (("waited", found.latency), ("age", found.age))
     made: dict[str, tuple[int, ...]] = {
         what: spans.figures for what, spans in both if spans is not None and spans.count
@@ -226,7 +226,7 @@ def _ages(found: ConnectorStatistics) -> dict[str, tuple[int, ...]]:
 
 
 def _further(body: bytes, kinds: tuple[type, ...], kind: type[T]) -> T | None:
-    """The field behind these, of a kernel that sends it."""
+    """The field behind these; None: the other kernel does not send it."""
     try:
         *_, found = fields(body, (*kinds, kind), longer=True)
     except LinkError:

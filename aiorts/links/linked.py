@@ -38,7 +38,7 @@ class Drain(Protocol):
 
     @property
     def round_trip_ns(self) -> int | None:
-        """From sending to acknowledgement, smoothed; None: not measured yet."""
+        """The time from sending to acknowledgement, smoothed; None: not measured yet."""
         ...
 
     def pump(self) -> None:
@@ -80,7 +80,8 @@ class Linked(FeaturedTransport):
 
     def glance(self) -> tuple[int, int, Mapping[str, int]]:
         written, buffered, dropped = super().glance()
-        return written, buffered, added(dropped, self._link.drained()[2]) if self._link is not None else dropped
+        link = self._link
+        return written, buffered, dropped if link is None else added(dropped, link.drained()[2])
 
     def _pump(self) -> None:
         if self._link is not None:

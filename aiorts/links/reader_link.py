@@ -30,11 +30,10 @@ if TYPE_CHECKING:
     from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 
 _MEASURED: Final = 1_000
-"""Reads that are timed at the most for another kernel: putting more in order for each answer takes too long."""
+"""Reads that are timed for another kernel, at most: putting more in order for each answer takes too long."""
 _PATIENCE_NS: Final = 25_000_000
-"""How long a sample waits for room that would displace another: what was written one after the other comes
-together, and a reader that keeps up has room for it a few turns of the loop later. A sample waits twice as long at the
-most."""
+"""How long a sample waits for room before it displaces another one, and at most twice as long. Samples written one
+after the other come together, and a reader that keeps up has room for them a few turns of the loop later."""
 
 
 class ReaderLink(LinkSide[ReaderEnd]):
@@ -66,13 +65,13 @@ class ReaderLink(LinkSide[ReaderEnd]):
         """Called when a sample that waited for room is in the reader's buffer, or was refused."""
         self._waiting: Waiting | None = None
         self._lost_before: Mapping[str, int] = {}
-        """What its connector had dropped when there was this writer's end first."""
+        """The samples that its connector had dropped, by reason, when the present writer's end came."""
         self._ages = connector.profile.lifespan is not None
         self._displaces = _displaces(connector.profile)
         self._patience = Wakening(kernel, self._displace)
-        """Ends the time for which what would displace another sample waits."""
+        """The timer at which samples that wait for room displace others."""
         self._patient_to = 0
-        """What has come up to this number waits no longer then; 0: nothing waits."""
+        """The number of the last sample that waits no longer then; 0: none waits."""
         # Its reader is in a third kernel: each sample waits for the answer from there, and so does its writer.
         self._confirms = connector.in_.is_far and connector.profile.subscription is Subscription.FLUSH
         if isinstance(connector.out, FarOutPort):
@@ -85,7 +84,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
         return bool(self._waits or self.end.held)
 
     def measure(self, count: int) -> None:
-        """The writer's end times its last `count` samples: so does this one, unless it is measured anyway."""
+        """Time the last `count` samples, as the writer's end does; one that is measured anyway stays as it is."""
         connector, connections = self.connector, self._kernel.connections
         is_wanted = count > 0
         if is_wanted is self._is_measured_for_writer or (is_wanted and connector.profile.measure):
@@ -131,7 +130,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self._wakening.at(due)
 
     def _losses(self) -> dict[str, int]:
-        """What was lost of what this writer's end has sent, which knows itself of what was refused."""
+        """Samples of this writer's end that were lost, by reason. It counts those that were refused itself."""
         dropped, before = transport_of(self.connector).glance()[2], self._lost_before
         return {reason: dropped[reason] - before.get(reason, 0) for reason in dropped if reason not in FATES}
 
@@ -221,12 +220,12 @@ class ReaderLink(LinkSide[ReaderEnd]):
             self._be_patient()
 
     def _be_patient(self) -> None:
-        """Let what has come until now wait for room, for a while."""
+        """Let the samples that have come until now wait for room, for a while."""
         self._patient_to = self.end.newest or self._waits
         self._patience.at(self._now() + _PATIENCE_NS)
 
     def _displace(self) -> None:
-        """What has waited for long enough takes the place of the oldest samples."""
+        """Put the samples that have waited long enough into the place of the oldest ones."""
         while (entry := self._waiting) is not None and self._waits <= self._patient_to:
             transport = transport_of(self.connector)
             if transport.give_up(entry):
@@ -265,8 +264,8 @@ def _always_waits(_sample: Any) -> bool:
 def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
     """The options of the connector at the reader's end, by those that the link was made with.
 
-    What finds the reader's buffer full waits at the reader's end. Where the connector overwrites, it does so for a
-    moment, and then takes the place of the oldest sample. Else the window is used up, and the writer's buffer decides.
+    A sample that finds the reader's buffer full waits at the reader's end. Where the connector overwrites, it waits for
+    a moment and then takes the place of the oldest one. Else the window is used up, and the writer's buffer decides.
     With flush the writer waits for the answer, so the policy of the full buffer is the reader's own.
     """
     options: dict[str, Any] = {"timeout": None, "allow_duplicate": True}
@@ -285,7 +284,7 @@ def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
 
 
 def _displaces(profile: ConnectorProfile) -> bool:
-    """Whether what finds the buffer full takes the place of the oldest sample; with flush its writer waits for that."""
+    """Whether a sample that finds the buffer full replaces the oldest one; with flush its writer waits for that."""
     is_chosen = profile.dataflow is Dataflow.PULL or profile.push is Push.NEW
     return profile.full is FullPolicy.OVERWRITE and profile.subscription is not Subscription.FLUSH and not is_chosen
 

@@ -250,7 +250,7 @@ def without_isolation(wanted: Wanted) -> Wanted:
 
 
 def as_it_stands(now: Wanted, wanted: Wanted, kernel: Microkernel) -> Wanted:
-    """The system with what services say of components that are not those of their classes (`stands_for`)."""
+    """The wanted system, with the components for which services have others (`stands_for`) as they are now."""
     there = [name for name in now.components if name in kernel.components]
     names = {name for name in there if stand_in_of(kernel.services, name)}
     if not names:

@@ -62,7 +62,7 @@ class Snapshot:
         return self._states.get((context, component), _NOWHERE)[1] is _ACTIVE
 
     def was_active_somewhere(self, component: str) -> bool:
-        """Whether a component was active in a context."""
+        """Whether a component was active in any context."""
         return any(self.was_active(context, name) for context, name in self._states if name == component)
 
     def ended(self) -> frozenset[str]:

@@ -105,7 +105,7 @@ def _not_here(port: Port[Any]) -> StateError:
 
 
 class FarLedger(Protocol):
-    """What both ends of a connector count; its text says it."""
+    """The counts of both ends of a connector; its text says them."""
 
     @property
     def read(self) -> Mapping[str, Sequence[int]] | None:
@@ -125,7 +125,7 @@ class FarPorts(Protocol):
         ...
 
     async def ledger(self, connector: Connector) -> FarLedger:
-        """What is counted of a connector at both ends. LinkError: the other kernel says nothing."""
+        """The counts of both ends of a connector. LinkError: the other kernel says nothing."""
         ...
 
     def resolve(self, ports: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], Mapping[str, Any]]:

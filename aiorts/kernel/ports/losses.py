@@ -190,7 +190,7 @@ class Unconverted(Losses):
 
 
 class Early:
-    """The first sample of one kernel that came before its reader ever was active, and that no other followed."""
+    """Reports the first sample of a kernel that came before its reader ever was active, and that no other followed."""
 
     __slots__ = ("_kernel", "_missed", "_said", "_timer")
 
@@ -198,7 +198,7 @@ class Early:
         self._kernel = kernel
         self._said = False
         self._missed: list[Connector] = []
-        """Those that have dropped their first sample so, and are not looked at yet."""
+        """Connectors that have dropped their first sample so, until the next look."""
         self._timer: Cancellable | None = None
 
     def dropped_first(self, connector: Connector) -> None:
@@ -229,7 +229,7 @@ class Early:
     def _look(self) -> None:
         missed, self._missed, self._timer = self._missed, [], None
         for connector in missed:
-            # A periodic writer has sent more, and who is added to readers of a stream has missed nothing.
+            # A periodic writer has sent more, and a reader that is added to others of a stream has missed nothing.
             if not any(one._transport.delivered() > 0 for one in (connector, *connector.out._connectors)):
                 self._report(connector)
                 return

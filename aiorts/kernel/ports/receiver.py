@@ -385,7 +385,7 @@ class Receiver:
         """A reader waited for nothing."""
 
     def arrived(self, transport: Transport, displaced: int) -> None:
-        """A sample of `transport` is in its queue, so many of the oldest ones out of it.
+        """A sample of `transport` is in its queue, and so many of the oldest ones are `displaced`.
 
         The writer holds the lock.
         """

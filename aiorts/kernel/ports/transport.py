@@ -652,7 +652,7 @@ class Transport:
             self.drop("overwritten")
             if self.losses:
                 self.losses.begin(self.connector)
-        self.push_in(self.stamp_in(sample), displaced=int(replaces))
+        self.push_in(self.stamp_in(sample), displaced=replaces)
         return True
 
     def drop_these(self, reason: str, samples: Collection[Any]) -> None:
@@ -671,7 +671,7 @@ class Transport:
         return sample if self.connector.profile.stamp is not _READ else stamped(sample, self.clock.time_ns())
 
     def push_in(self, sample: Any, *, displaced: int = 0) -> None:
-        """Append; so many of the oldest samples of this connector made room for it."""
+        """Append; `displaced` is how many of the oldest samples of this connector made room for it."""
         if self.times is None:
             self.queue.append(sample)
             self.receiver.arrived(self, displaced)

@@ -35,9 +35,9 @@ BATCH_BYTES: Final = 32_768
 FATES: Final = ("rejected", "undecodable")
 """Why samples are not in the reader's buffer."""
 LOSSES: Final = ("overwritten", "superseded", "inactive", "expired", "unconverted", "disconnected")
-"""Why samples are lost that were in the reader's buffer."""
+"""Reasons for which the reader's buffer loses samples."""
 REFUSED: Final = "refused"
-"""What counts for any other reason that an acknowledgement gives: whoever sends it could name a new one each time."""
+"""The reason that stands for any other one of an acknowledgement: the other end could name a new one each time."""
 
 _WIDEST: Final = 0xFFFF
 _HEAD: Final = struct.Struct("<BBHI")
@@ -191,7 +191,7 @@ def losses_of(frame: Buffer, count: int) -> dict[str, int]:
 
 
 def _pairs_of(frame: Buffer, count: int) -> Iterator[tuple[int, str]]:
-    """Numbers, each with its word."""
+    """The pairs of a number and a word behind the head of a frame."""
     place = _NUMBERED.size
     for _ in range(count):
         if len(frame) < place + _FATE.size:

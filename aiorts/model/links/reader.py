@@ -88,7 +88,7 @@ class ReaderEnd:
         """When it is asked for (again); None: the writer's end knows of it."""
         self._want_pause_ns = 0
         self._lost: Mapping[str, int] = {}
-        """What was lost of what was in the reader's buffer, by reason."""
+        """Samples that the reader's buffer has lost, by reason."""
         self.tell_ns = 0
         """When `lost` is to be called; 0: nothing was acknowledged since."""
         self._up = self._was_up = self._hello = self._tells_lost = self._ended = False
@@ -277,7 +277,7 @@ class ReaderEnd:
             self._ack_ns = now + ACK_NS
 
     def lost(self, losses: Mapping[str, int]) -> None:
-        """So much was lost of what this writer's end has sent and was in the buffer, in all: it is told so."""
+        """Tell the writer's end how many of its samples the reader's buffer has lost in all, by reason."""
         self.tell_ns = 0
         if losses != self._lost:
             self._lost, self._tells_lost = losses, True

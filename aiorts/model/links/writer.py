@@ -47,8 +47,8 @@ class WriterEnd:
         epoch: of this end.
         window: samples that may be unacknowledged, 1 to 65,535.
         window_bytes: the same in bytes; one larger sample goes alone.
-        least: the same at the beginning, and while the reader does not keep up, so that the writer's buffer decides
-            soon; it doubles with each round trip in which the reader does. None: it is always the whole window.
+        least: the window at the beginning, and while the reader does not keep up, so that the writer's buffer decides
+            soon. It doubles with each round trip in which the reader keeps up. None: it is always whole.
     """
 
     def __init__(
@@ -60,15 +60,15 @@ class WriterEnd:
         self.peer_ended = False
         """Whether the reader's end was disconnected."""
         self.lost: Mapping[str, int] = {}
-        """What the reader's end has lost of what was acknowledged, by reason, as it has said last."""
+        """Acknowledged samples that the reader's end has lost, by reason, as it has said last."""
         self._window, self._window_bytes = window, window_bytes
         self._narrows = least is not None
         self._least = self._open = window if least is None else min(least, window)
-        """The least, and what is open of the window now."""
+        """The smallest window, and the present one."""
         self._judged, self._late_ns = 0, 0
-        """A number of which is seen how soon it is in the reader's buffer, 0: none; and from when on that is late."""
+        """The number of the sample whose time into the reader's buffer is taken, 0: none; and when that is late."""
         self._fills = self._slow = False
-        """Whether that one was the last for which the window was open; whether the reader does not keep up."""
+        """Whether that sample has filled the window; whether the reader does not keep up."""
         self._peer_epoch = 0
         self._kept: dict[int, tuple[bytes, Sequence[memoryview], bool]] = {}
         """What is not acknowledged, by number, without a gap."""
@@ -144,7 +144,7 @@ class WriterEnd:
         return LinkState.STALLED if waits else LinkState.UP
 
     def is_unanswered(self, now: int) -> bool:
-        """Whether nobody answers on this channel: another one may lead to the reader's end."""
+        """Whether no answer comes on this channel: another one may lead to the reader's end."""
         return self._up and not self._greeted and now - self._heard_ns >= UNANSWERED_NS
 
     # -- samples ---------------------------------------------------------------------------------------------------
@@ -164,7 +164,7 @@ class WriterEnd:
 
     @property
     def round_trip_ns(self) -> int | None:
-        """From sending to acknowledgement, smoothed; None: not measured yet."""
+        """The time from sending to acknowledgement, smoothed; None: not measured yet."""
         return self._trip_ns or None
 
     @property
@@ -176,8 +176,10 @@ class WriterEnd:
         """Take one sample; returns its number. There is room. `confirm`: have it acknowledged at once."""
         number = self._next
         self._next += 1
-        if self._narrows and (now > self._late_ns or not self._judged or len(self._kept) + 1 >= self._open):
-            confirm |= self._judge(now, number)
+        if self._narrows:
+            fills = len(self._kept) + 1 >= self._open
+            if fills or not self._judged or now > self._late_ns:
+                confirm |= self._judge(now, number, fills)
         self._kept[number] = (head, parts, confirm)
         if self.date is not None:
             self._dates[number] = self.date
@@ -261,10 +263,9 @@ class WriterEnd:
             if not self._slow:
                 self._open = min(2 * self._open, self._window)
 
-    def _judge(self, now: int, number: int) -> bool:
-        """Look whether the reader keeps up. Returns whether this sample is to be acknowledged at once: it is the last
-        for which the window is open."""
-        fills = len(self._kept) + 1 >= self._open
+    def _judge(self, now: int, number: int, fills: bool) -> bool:
+        """Look whether the reader keeps up. Returns whether this sample is to be acknowledged at once: it `fills` a
+        window that is not whole."""
         if not self._judged or (fills and not self._fills):
             self._judged, self._fills = number, fills
             self._late_ns = now + _KEEPS_UP_NS + 2 * self._trip_ns

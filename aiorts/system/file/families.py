@@ -152,7 +152,8 @@ def readers_first(names: Sequence[str], edges: Iterable[tuple[str, str]]) -> lis
 
 
 def activation_order(system: SystemFile) -> list[str]:
-    """Who runs for itself, each after those it sends to: the first sample of a source finds its reader active."""
+    """The order in which components and composites are activated, each after those it sends to: the first sample of a
+    source finds its reader active."""
     composites = system.composites
     units = dict.fromkeys(root(composites, name) for name in (*system.components, *composites))
     edges = []
