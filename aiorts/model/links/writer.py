@@ -62,9 +62,9 @@ class WriterEnd:
         self.lost: Mapping[str, int] = {}
         """Acknowledged samples that the reader's end has lost, by reason, as it has said last."""
         self._window, self._window_bytes = window, window_bytes
-        self._narrows = least is not None
         self._least = self._open = window if least is None else min(least, window)
         """The smallest window, and the present one."""
+        self._narrows = self._least < window
         self._judged, self._late_ns = 0, 0
         """The number of the sample whose time into the reader's buffer is taken, 0: none; and when that is late."""
         self._fills = self._slow = False
