@@ -112,7 +112,7 @@ MUTATIONS = [
     Mutation("return member.state is not _INACTIVE and not member.left", "return not member.left", "contexts"),
     Mutation("while self._requested and self._requested[0].done():", "while False:", "contexts"),
     Mutation(
-        "if error is not None and context.runner.stopping and issubclass(type(error), ClosedError):",
+        "if error is not None and host.stopping and issubclass(type(error), ClosedError):",
         "if False:",
         "contexts ports",
     ),
@@ -138,7 +138,11 @@ MUTATIONS = [
         "if component.name in self._finished or component.has_finished:",
         "system",
     ),
-    Mutation("if writer in edges and reader in edges:", "if writer in edges:", "system"),
+    Mutation(
+        "if writer in edges and reader in edges and writer not in without",
+        "if writer in edges and writer not in without",
+        "system",
+    ),
     Mutation('if "order" in table and "members" not in table:', "if False:", "system"),
     Mutation("STALLED = 70", "STALLED = 71", "cli/test_exits.py::test_the_table_is_what_scripts_may_rely_on"),
     Mutation("if not equals or not param:", "if not equals:", "cli/test_run_component.py"),
