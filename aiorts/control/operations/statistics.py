@@ -10,7 +10,6 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from functools import partial
-from itertools import accumulate
 from time import perf_counter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
@@ -18,7 +17,7 @@ from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right
-from aiorts.control.operations.wiring import ports_of
+from aiorts.control.operations.wiring import places_of
 from aiorts.control.pace import looks_of
 from aiorts.control.session import Session, Stream
 from aiorts.control.ticking import Ticking
@@ -59,7 +58,7 @@ _COUNT: Final = 1000
 _MEASURED: Final = 16
 """Connectors that a stream may have measured."""
 _MEASURED_IN_ALL: Final = 64
-"""The same of all streams of a kernel."""
+"""Connectors that all streams of a kernel may have measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +75,7 @@ class Chosen:
 
 @dataclass(frozen=True, slots=True)
 class ContextCounters:
-    """What a context has done, as `ContextStatistics` counts it."""
+    """The counters of a context, as `ContextStatistics` has them."""
 
     rate: float | None
     """Hz; None where it has none."""
@@ -91,7 +90,7 @@ class ContextCounters:
 
 @dataclass(frozen=True, slots=True)
 class ComponentCounters:
-    """How a component is, and what its ports have counted."""
+    """The states of a component, and the counters of its ports."""
 
     states: Mapping[str, str]
     """Lifecycle state by context."""
@@ -100,9 +99,9 @@ class ComponentCounters:
     overdue: Mapping[str, OverdueHook] = field(default_factory=lambda: _NOTHING)
     """The hook that runs longer than its deadline, by context."""
     calls: Mapping[str, ServiceStatistics] = field(default_factory=lambda: _NOTHING)
-    """Through each interface, as `ComponentReport.calls` has them."""
+    """The calls through each interface, as `ComponentReport.calls` has them."""
     thread_writes: Mapping[str, ThreadWriteStatistics] = field(default_factory=lambda: _NOTHING)
-    """Of each out-port where a thread wrote."""
+    """The writes of other threads, by out-port."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,10 +126,10 @@ class Counters:
 
 @dataclass(frozen=True, slots=True)
 class CounterChanges(Counters):
-    """The counters that are other ones than in the items before; of the first item, and after a loss, all."""
+    """The counters that have changed since the items before; in the first item, and after a loss, all."""
 
     whole: bool = False
-    """Whether it has all, and what was said before is void."""
+    """Whether it has all counters, in place of those of the items before."""
     gone: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
     """The names that are not there any more, by kind: "connectors", "contexts", ..."""
 
@@ -159,7 +158,7 @@ def _put(made: _Made, counted: Iterable[_One]) -> Iterator[None]:
 
 
 def _rest(kernel: Microkernel, given: Chosen) -> Iterator[_One]:
-    """What need not be of one moment."""
+    """All counters but those of connectors: these need not be of one moment."""
     for name, wire in tuple(_chosen(kernel.connectors, given.timed)):
         if found := _timed(wire):
             yield "timed", name, found
@@ -252,7 +251,11 @@ def _measure(session: Session, given: Measured) -> tuple[str, ...]:
 def _hold(
     session: Session, connectors: Sequence[str], count: int, keep: Callable[[Callable[[], object]], object]
 ) -> tuple[str, ...]:
-    """Have connectors measured until what is kept is called; those that are measured anyway stay as they are."""
+    """Measure connectors until the functions that `keep` was given are called.
+
+    Returns:
+        the connectors that are measured for sessions and streams only; others that are measured stay as they are.
+    """
     wires = [_wire(session, name) for name in connectors]
     for wire in wires:
         if wire not in _HELD:
@@ -296,7 +299,7 @@ class Following(Chosen):
 
 
 _STREAMED: Final[WeakKeyDictionary[Microkernel, int]] = WeakKeyDictionary()
-"""How many connectors streams have measured in a kernel, each as often as it is."""
+"""By kernel, how many connectors its streams measure; one that several streams measure counts several times."""
 
 
 def _follow(session: Session, given: Following, stream: Stream) -> tuple[str, ...]:
@@ -313,7 +316,9 @@ def _measure_for(session: Session, connectors: tuple[str, ...], stream: Stream) 
     if count > _MEASURED:
         raise ConfigurationError(f"counters: {count} connectors to be measured; at most {_MEASURED} for a stream")
     if (held := _STREAMED.get(kernel, 0)) + count > _MEASURED_IN_ALL:
-        raise BusyError(f"counters: {held} connectors are measured for streams, {count} more asked for; at most 64")
+        raise BusyError(
+            f"counters: {held} connectors are measured for streams, {count} more asked for; at most {_MEASURED_IN_ALL}"
+        )
     _STREAMED[kernel] = held + count
 
     def release() -> None:
@@ -332,7 +337,7 @@ class _Following:
         self._pace = looks_of(kernel)
         self._timed = tuple(dict.fromkeys((*given.timed, *given.measured)))
         self._known: dict[tuple[str, str], Any] = {}
-        """What the client has, by kind and name."""
+        """The counters that the client has, by kind and name."""
         self._task: asyncio.Task[None] | None = None
         stream.on_close(self._close)
 
@@ -378,7 +383,7 @@ class _Following:
         kernel, given = self._kernel, self._given
         wires: dict[str, Any] = {**kernel.connectors, **kernel.service_connectors}
         if given.at:
-            wires = {name: one for name, one in wires.items() if _is_at(self._at, ports_of(one))}
+            wires = {name: one for name, one in wires.items() if not self._at.isdisjoint(places_of(one))}
         names = tuple(name for name, _ in _chosen(wires, given.connectors))
         components = tuple(kernel.components) if given.components is None else given.components
         if given.at:
@@ -392,10 +397,6 @@ class _Following:
     def _close(self) -> None:
         if self._task is not None:
             self._task.cancel()
-
-
-def _is_at(those: frozenset[str], ports: Iterable[str]) -> bool:
-    return any(one in those for port in ports for one in accumulate(port.split("."), "{}.{}".format))
 
 
 @dataclass(frozen=True, slots=True)
