@@ -1,29 +1,27 @@
-"""Operations that measure: counters of what there is, chosen values at a rate, and what a connector is measured by.
+"""Operations that measure: counters, once or at a rate, sizes of samples, and how long samples take.
 
-The counters are asked for again and again while a system works, so they are made in one look on the loop, as lists and
-dicts that go into a frame as they are. None of them takes a sample.
+The counters are asked for again and again while a system works, so they are lists and dicts that go into a frame as
+they are, and a long look is taken in turns. None of them takes a sample.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Iterable, Iterator, Mapping
 from dataclasses import field
-from functools import partial
 from time import perf_counter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
-from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
+from aiorts.control.measuring import SPANS, measure, measure_for
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.wiring import places_of
 from aiorts.control.pace import looks_of
 from aiorts.control.session import Session, Stream
 from aiorts.control.ticking import Ticking
 from aiorts.control.turns import in_turns
-from aiorts.control.values import Done
-from aiorts.errors import AiortsError, BusyError, ConfigurationError, WiringError
+from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.kernel.execution.cell import cell, standing_error
 from aiorts.kernel.execution.member import overdue_hooks
 from aiorts.kernel.loop.tasks import kernel_task
@@ -35,7 +33,7 @@ from aiorts.model.lifecycle import OverdueHook
 from aiorts.model.options import MAX_LENGTH
 from aiorts.model.profile import ThreadWriteStatistics
 from aiorts.model.service_profile import ServiceStatistics
-from aiorts.observe import Monitor, Reading, calls, thread_writes
+from aiorts.observe import calls, thread_writes
 from aiorts.wire import MsgpackCodec
 
 if TYPE_CHECKING:
@@ -54,11 +52,6 @@ _One: TypeAlias = tuple[str, str, Any]
 _KINDS: Final = ("connectors", "service_connectors", "timed", "contexts", "components")
 _NEVER: Final = object()
 _FASTEST: Final = 50.0
-_COUNT: Final = 1000
-_MEASURED: Final = 16
-"""Connectors that a stream may have measured."""
-_MEASURED_IN_ALL: Final = 64
-"""Connectors that all streams of a kernel may have measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,53 +226,15 @@ class Measured:
     """Connectors that are to be measured as long as the session lasts."""
 
     connectors: tuple[str, ...]
-    count: int = _COUNT
+    count: int = SPANS
     """Sends and reads over which latency and age are taken."""
-
-
-_HELD: Final[dict[Connector, int]] = {}
-"""Sessions for which a connector is measured that else is not."""
 
 
 def _measure(session: Session, given: Measured) -> tuple[str, ...]:
     """Switch `measure` on where it is off; returns the connectors that are measured for sessions only."""
     if not 1 <= given.count <= MAX_LENGTH:
         raise ConfigurationError(f"measure: count = {given.count}: expected 1 to {MAX_LENGTH} samples")
-    return _hold(session, given.connectors, given.count, session.keep)
-
-
-def _hold(
-    session: Session, connectors: Sequence[str], count: int, keep: Callable[[Callable[[], object]], object]
-) -> tuple[str, ...]:
-    """Measure connectors until the functions that `keep` was given are called.
-
-    Returns:
-        the connectors that are measured for sessions and streams only; others that are measured stay as they are.
-    """
-    wires = [_wire(session, name) for name in connectors]
-    for wire in wires:
-        if wire not in _HELD:
-            if wire.profile.measure:
-                continue  # it was made so
-            session.kernel.connections.measure(wire, count)
-        _HELD[wire] = _HELD.get(wire, 0) + 1
-        keep(partial(_let_go, session.kernel, wire))
-    return tuple(wire.name for wire in wires if wire in _HELD)
-
-
-def _let_go(kernel: Microkernel, wire: Connector) -> None:
-    _HELD[wire] -= 1
-    if not _HELD[wire]:
-        del _HELD[wire]
-        if not wire.closed:
-            kernel.connections.measure(wire, 0)
-
-
-def _wire(session: Session, name: str) -> Connector:
-    known = session.kernel.connectors
-    if name not in known:
-        raise WiringError(f"{name}: no such connector; there are {', '.join(tuple(known)[:20]) or 'none'}")
-    return known[name]
+    return measure(session, given.connectors, given.count, session.keep)
 
 
 # -- a stream of counters ----------------------------------------------------------------------------------------------
@@ -298,34 +253,13 @@ class Following(Chosen):
     """Items a second of the kernel's clock, of the real one in simulated time: up to 50."""
 
 
-_STREAMED: Final[WeakKeyDictionary[Microkernel, int]] = WeakKeyDictionary()
-"""By kernel, how many connectors its streams measure; one that several streams measure counts several times."""
-
-
 def _follow(session: Session, given: Following, stream: Stream) -> tuple[str, ...]:
     """Send counters at a rate; returns the connectors that are measured for sessions and streams only."""
     if not 0.0 < given.rate <= _FASTEST:
         raise ConfigurationError(f"counters: rate = {given.rate!r}: expected a number of Hz above 0 and up to 50")
-    measured = _measure_for(session, given.measured, stream)
+    measured = measure_for(session, given.measured, stream)
     stream.on_close(Ticking(session.kernel, given.rate, _Following(session.kernel, given, stream).look).close)
     return measured
-
-
-def _measure_for(session: Session, connectors: tuple[str, ...], stream: Stream) -> tuple[str, ...]:
-    kernel, count = session.kernel, len(connectors)
-    if count > _MEASURED:
-        raise ConfigurationError(f"counters: {count} connectors to be measured; at most {_MEASURED} for a stream")
-    if (held := _STREAMED.get(kernel, 0)) + count > _MEASURED_IN_ALL:
-        raise BusyError(
-            f"counters: {held} connectors are measured for streams, {count} more asked for; at most {_MEASURED_IN_ALL}"
-        )
-    _STREAMED[kernel] = held + count
-
-    def release() -> None:
-        _STREAMED[kernel] -= count
-
-    stream.on_close(release)
-    return _hold(session, connectors, _COUNT, stream.on_close)
 
 
 class _Following:
@@ -424,46 +358,6 @@ def _size(connector: Connector) -> Size:
         return None, str(error)
 
 
-@dataclass(frozen=True, slots=True)
-class Watched:
-    """Values that are looked at, by their paths as `Kernel.monitor` has them."""
-
-    paths: tuple[str, ...]
-    rate: float = 10.0
-    """Hz of the kernel's clock; of the real one in simulated time."""
-
-
-def _monitor(session: Session, given: Watched, stream: Stream) -> Done:
-    kernel = session.kernel
-    began = perf_counter()
-    monitor = Monitor(kernel, tuple(dict.fromkeys(given.paths)), given.rate)
-    took, pace = perf_counter() - began, looks_of(kernel)  # it has looked at each path, as it does for each reading
-    stream.on_close(monitor.close)
-    if isinstance(kernel.clock, SimulatedClock):
-
-        def look() -> None:
-            if not pace.due():
-                pace.spend(took)
-                stream.send(monitor.look())
-
-        stream.on_close(Ticking(kernel, given.rate, look).close)
-        return Done()
-
-    over: asyncio.Future[None] = kernel.loop.create_future()
-    stream.on_close(partial(over.set_result, None))
-
-    async def send_all() -> None:
-        async for reading in monitor:
-            stream.send(reading)
-            pace.spend(took)
-            if due := pace.due():
-                await asyncio.wait((over,), timeout=due)  # readings that fall into it are counted as missed
-        stream.finish()
-
-    kernel_task(kernel.loop, send_all(), "aiorts control monitor")
-    return Done()
-
-
 ROWS: Final = (
     Operation(
         "counters",
@@ -475,7 +369,6 @@ ROWS: Final = (
         item=CounterChanges,
     ),
     Operation("measure", "Measure connectors for the session.", Measured, tuple[str, ...], Right.OPERATE, _measure),
-    Operation("monitor", "Stream chosen values at a rate.", Watched, Done, Right.VIEW, _monitor, item=Reading),
     Operation("sizes", "Encoded size of samples.", Wires, Mapping[str, Size], Right.VIEW, _sizes, idempotent=True),
     Operation("statistics", "The counters.", Chosen, Counters, Right.VIEW, _statistics, idempotent=True),
 )
