@@ -46,16 +46,8 @@ PROVISIONAL: Final = Tier(
     ),
     frozenset(
         (
-            *(
-                "look-into",
-                "control",
-                "operations",
-                "save-system",
-                "change-system",
-                "measure-live",
-                "samples-live",
-                "live-log",
-            ),
+            *("look-into", "control", "operations", "save-system", "change-system", "measure-live", "samples-live"),
+            "live-log",
             *("connect-processes", "links", "isolate-components", "move", "services", "goals", "state-machines"),
             *("composites", "supervise", "connect-by-rules", "observe", "events"),
         )

@@ -34,8 +34,8 @@ class Operation:
     arguments: type[Any]
     """A frozen dataclass of what is in `args`."""
     result: Any
-    """The type of the result; of an operation that streams, of what it says when it begins. Of an answer, a field that
-    has a default may be left out."""
+    """The type of the result; of an operation that streams, of what it says when it begins. A field of it that has a
+    default may be missing in an answer."""
     right: Right
     run: Callable[..., Any]
     """Carries it out on the kernel's loop: `run(session, arguments)`, and the stream as a third where it streams.

@@ -18,8 +18,8 @@ class Pace:
 
     Args:
         share: of each second, what may be used.
-        most: seconds that can be saved up, and that can be owed: a process that was stopped has used nothing of the
-            time that went by, and nobody is to wait for long after it.
+        most: seconds that can be saved up, and that can be owed. The bound of the debt keeps clients from waiting long
+            after the process was stopped for a time: it has used nothing of that time.
     """
 
     def __init__(self, share: float, most: float) -> None:
@@ -29,7 +29,7 @@ class Pace:
         self._at = time.monotonic()
 
     def spend(self, seconds: float) -> None:
-        """So much has been used."""
+        """Count these seconds as used."""
         self._fill()
         self._left = max(-self._most, self._left - seconds)
 
@@ -48,5 +48,5 @@ _PACES: Final[WeakKeyDictionary[Microkernel, Pace]] = WeakKeyDictionary()
 
 
 def looks_of(kernel: Microkernel) -> Pace:
-    """What the streams of all clients that look into a kernel again and again may take of its loop together."""
+    """The share of a kernel's loop that all streams which look into it again and again have together."""
     return _PACES.setdefault(kernel, Pace(*_LOOKS))

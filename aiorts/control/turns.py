@@ -1,4 +1,4 @@
-"""What takes long on the loop, a little at a time, so that everything else of the kernel goes on."""
+"""Long work on the loop, done in turns, so that everything else of the kernel goes on."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 HOLD_SECONDS: Final = 0.001
-"""For which a look holds the loop, before that has its turn."""
+"""How long a turn of such work may hold the loop."""
 
 
 def in_turns(kernel: Microkernel, steps: Iterator[object], made: T) -> T | Awaitable[T]:
-    """`made`, once all steps are done: at once where they take less than a turn, else with turns of the loop between.
+    """Take all steps, and return `made`: at once where they take less than a turn, else an awaitable of it.
 
-    In simulated time it is at once: a task would be one more that is ready at this instant.
+    In simulated time they are taken at once: a task would be one more that is ready at this instant.
     """
     until = perf_counter() + HOLD_SECONDS
     simulated = isinstance(kernel.clock, SimulatedClock)

@@ -211,7 +211,7 @@ _AT_THE_WRITER: Final[tuple[tuple[str, type[Any], Any], ...]] = (
 
 
 _USUAL_APART: Final[Mapping[str, Any]] = {"subscription": Subscription.NEW, "push": Push.ALL}
-"""Options of a connector to another process, where nobody says them."""
+"""The defaults of a connector to another process, where they differ from those within one."""
 
 
 def link_options(
@@ -273,7 +273,7 @@ def chosen_options(profile: ConnectorProfile, usual_length: int | None = None) -
 
 
 def said_options(profile: ConnectorProfile, usual_length: int | None = None) -> dict[str, Any]:
-    """The same, of a connector to another process, without what is usual there where nobody says it."""
+    """The options that `chosen_options` has of a connector to another process, without the defaults of such a one."""
     options = chosen_options(profile, usual_length)
     usual = _USUAL_APART if all(options.get(key) == value for key, value in _USUAL_APART.items()) else {}
     return {key: value for key, value in options.items() if key not in (*usual, "on_link_lost")}

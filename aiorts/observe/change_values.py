@@ -7,6 +7,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
+from aiorts.kernel.loop.bus import Assembled
 from aiorts.late import dataclass
 from aiorts.model.plain import plain
 from aiorts.observe.profiles import (
@@ -24,8 +25,8 @@ SECTIONS: Final[Mapping[str, type]] = {
     "contexts": ContextReport,
 }
 
-_ASSEMBLED: Final = "Assembled"
-"""The kind of event after which the profile as a whole is another one."""
+_ASSEMBLED: Final = Assembled.__name__
+"""The kind of event that changes the profile itself, and no part of it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Which values an element of a parameter, or the value of one of its keys, may have; None: nothing is said."""
+    """The allowed values of one element of a parameter, or of one of its keys; None: no such limit."""
 
     ge: float | None = None
     gt: float | None = None
@@ -68,9 +68,9 @@ class ParameterReport:
     file: str = ""
     """"read" or "write" when the value names a file that the component reads, or writes."""
     elements: tuple[Limits, ...] | None = None
-    """Of a tuple whose elements have limits of their own: those of each; else what is said above is of every one."""
+    """The limits of each element of a tuple; None where the limits above hold for all of them."""
     keys: Mapping[str, Limits] | None = None
-    """Of a mapping with fixed keys: the limits of each value."""
+    """The limits of each value of a mapping with fixed keys; None for any other parameter."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import platform
 import sys
+from dataclasses import fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakKeyDictionary
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
     from aiorts.services import ServiceConnector
 
-_BOUNDS: Final = ("ge", "gt", "le", "lt", "choices", "pattern")
+_BOUNDS: Final = tuple(one.name for one in fields(Limits))
 _frozen: Final = MappingProxyType
 _KNOWN: Final[WeakKeyDictionary[type, _Kind]] = WeakKeyDictionary()
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
 import aiorts.observe.profiling  # noqa: F401 - late in two threads at once, pytest's rewriting may fail (CPython 3.11)
+from control_parts import WAIT
 
 
 @pytest.fixture(autouse=True)
@@ -16,3 +20,22 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     with tempfile.TemporaryDirectory(prefix="aiorts-") as folder:
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
         yield folder
+
+
+@pytest.fixture
+def completed() -> Callable[..., set[str]]:
+    """A function that returns what bash completes behind `aiorts WORDS`, in a process of its own; the last word is the
+    one that is completed."""
+
+    def complete(*words: str) -> set[str]:
+        line = {"COMP_WORDS": " ".join(("aiorts", *words)), "COMP_CWORD": str(len(words))}
+        done = subprocess.run(
+            [sys.executable, "-m", "aiorts"],
+            env={**os.environ, "_AIORTS_COMPLETE": "bash_complete", **line},
+            capture_output=True,
+            text=True,
+            timeout=WAIT,
+        )
+        return {one.partition(",")[2] for one in done.stdout.splitlines()}
+
+    return complete

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -81,18 +79,11 @@ async def test_who_only_looks_has_nothing_imported() -> None:
 
 @pytest.mark.slow(kept_by="test_types_are_named_at_once_and_described_when_they_are_wanted")
 @pytest.mark.anyio
-async def test_the_shell_completes_types_and_their_parameters(tmp_path: Path) -> None:
+async def test_the_shell_completes_types_and_their_parameters(
+    tmp_path: Path, completed: Callable[..., set[str]]
+) -> None:
     (tmp_path / "offered_gain2.py").write_text(OFFERED.replace("Gain(", "Gainer("))
-
-    def completed(*words: str) -> set[str]:
-        environment = {**os.environ, "COMP_WORDS": " ".join(("aiorts", "comp", "create", *words))}
-        environment |= {"_AIORTS_COMPLETE": "bash_complete", "COMP_CWORD": str(len(words) + 2)}
-        done = subprocess.run(
-            [sys.executable, "-m", "aiorts"], env=environment, capture_output=True, text=True, timeout=WAIT
-        )
-        return {line.partition(",")[2] for line in done.stdout.splitlines()}
-
     async with Kernel(plugins=Catalogue((tmp_path,)), services={"control": {"name": "typed"}}):
-        assert await asyncio.to_thread(completed, "Gai") == {"Gainer"}
+        assert await asyncio.to_thread(completed, "comp", "create", "Gai") == {"Gainer"}
         await asked("typed", components=["Gainer"])
-        assert await asyncio.to_thread(completed, "Gainer", "typed/one", "") == {"gain="}
+        assert await asyncio.to_thread(completed, "comp", "create", "Gainer", "typed/one", "") == {"gain="}

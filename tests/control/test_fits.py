@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import subprocess
-import sys
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import pytest
@@ -83,19 +81,10 @@ async def test_each_other_port_fits_or_is_refused_in_the_words_of_connect() -> N
 
 @pytest.mark.slow(kept_by="test_each_other_port_fits_or_is_refused_in_the_words_of_connect")
 @pytest.mark.anyio
-async def test_the_shell_completes_ports_that_fit_the_first_one() -> None:
-    def completed(*words: str) -> set[str]:
-        line = " ".join(("aiorts", "con", *words))
-        environment = {**os.environ, "COMP_WORDS": line, "COMP_CWORD": str(len(words) + 1)}
-        environment["_AIORTS_COMPLETE"] = "bash_complete"
-        done = subprocess.run(
-            [sys.executable, "-m", "aiorts"], env=environment, capture_output=True, text=True, timeout=WAIT
-        )
-        return {line.partition(",")[2] for line in done.stdout.splitlines()}
-
+async def test_the_shell_completes_ports_that_fit_the_first_one(completed: Callable[..., set[str]]) -> None:
     async with controlled("completing") as kernel:
         await kernel.create(Many, "many0")
-        assert await asyncio.to_thread(completed, "counter0.out", "") == {"many0.level", "many0.metres"}
-        assert await asyncio.to_thread(completed, "counter0.out", "many0.m") == {"many0.metres"}
-        there = await asyncio.to_thread(completed, "completing/counter0.out", "completing/")
+        assert await asyncio.to_thread(completed, "con", "counter0.out", "") == {"many0.level", "many0.metres"}
+        assert await asyncio.to_thread(completed, "con", "counter0.out", "many0.m") == {"many0.metres"}
+        there = await asyncio.to_thread(completed, "con", "completing/counter0.out", "completing/")
         assert there == {"completing/many0.level", "completing/many0.metres"}

@@ -26,12 +26,8 @@ type = "parts.py:Counter"
 LINES = {
     Right.VIEW: (
         *("ls", "cat counter0", "find counter0", "top --once", "print counter0.out --count 1", "conf counter0"),
-        *(
-            "hz counter0.out --count 1 --interval 0.1",
-            "bw counter0.out --count 1 --interval 0.1",
-            "vlog",
-            "fsm counter0",
-        ),
+        *("hz counter0.out --count 1 --interval 0.1", "bw counter0.out --count 1 --interval 0.1"),
+        *("vlog", "fsm counter0"),
         *("watch --for 0.1", "conf --dump dump.toml", "con", "ctx", "save", "record counter0.out --for 0.1"),
     ),
     Right.OPERATE: (

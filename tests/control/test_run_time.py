@@ -212,5 +212,5 @@ async def test_a_kernel_within_another_program_says_at_once_whose_it_is(capsys: 
         assert "E-STATE" in text
         assert f"process {os.getpid()} (" in text
         awaited = asyncio.ensure_future(kernel.wait_stop_requested())
-        assert await awaited == 0  # it was asked to end, and whoever waits for that later does end it
+        assert await awaited == 0  # the request of before is kept for a program that waits later
         assert kernel.request_stop()

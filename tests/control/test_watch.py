@@ -258,8 +258,8 @@ type = "parts.py:Echo"
 
 @pytest.mark.slow
 def test_who_is_replayed_stays_so_whatever_is_changed(tmp_path: Path) -> None:
-    """Its in-ports were connected anew, where nobody reads, its code ran once its file was changed, and each change
-    began the replay again beside the one that ran."""
+    """A change connected its in-ports, which no code reads, and began the replay again beside the one that ran; after a
+    change of its file its code ran."""
     with RecordingWriter(tmp_path / "run.mcap") as writer:
         port = writer.add_port("echo.out", TimedDouble)
         for number in range(6000):

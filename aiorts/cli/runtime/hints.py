@@ -23,7 +23,7 @@ _LEFT: Final = ("inactive", "disconnected")
 
 
 class Drops:
-    """Losses of the connectors that are to deliver every sample, counted before the kernel ends and told afterwards."""
+    """Losses of the connectors that are to deliver every sample, counted before the kernel ends and said afterwards."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._before = [

@@ -41,7 +41,7 @@ class Printing(KernelService):
 
     @classmethod
     def prepare(cls, ports: tuple[str, ...], kernel: Kernel) -> None:
-        """Have these out-ports of this kernel printed."""
+        """Give the kernel this service, which prints these out-ports."""
         kernel.service(cls).wanted = ports
 
     def starting(self) -> None:

@@ -45,19 +45,6 @@ from aiorts.system import Ending, Finding
 __all__ = ("Construct", "Options", "checked", "execute", "log_of", "prepared")
 
 Construct: TypeAlias = Callable[[Kernel], Coroutine[Any, Any, None]]
-
-
-def prepared(make: Construct, *steps: Callable[[Kernel], None]) -> Construct:
-    """Make the system after these steps, each of which gives the kernel a service."""
-
-    async def made(kernel: Kernel) -> None:
-        for step in steps:
-            step(kernel)
-        await make(kernel)
-
-    return made
-
-
 """Makes the system in a kernel."""
 _INITIALIZE_SECONDS = 30.0
 """What a component may take to be initialised: one that hangs is told of, and not waited for till somebody looks."""
@@ -85,6 +72,17 @@ class _Run:
         """A line of the command itself, unless only errors are asked for."""
         if self.log.levels.default <= logging.WARNING:
             self.log.tell(code, message, level="warning")
+
+
+def prepared(make: Construct, *steps: Callable[[Kernel], None]) -> Construct:
+    """Make the system after these steps, each of which gives the kernel a service."""
+
+    async def made(kernel: Kernel) -> None:
+        for step in steps:
+            step(kernel)
+        await make(kernel)
+
+    return made
 
 
 def execute(

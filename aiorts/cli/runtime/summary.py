@@ -27,7 +27,7 @@ class Summary:
         self._found["error"] = {"code": code, "text": text}
 
     def prepare(self, kernel: Kernel) -> None:
-        """Have the profile of this kernel taken when it ends."""
+        """Give the kernel a service that takes its profile when it ends."""
         kernel.service(_Look).found = self._found
 
     def document(self, status: int) -> dict[str, Any]:

@@ -254,8 +254,10 @@ def _settings(ready: Sequence[str], program: str, runs: str, file: Settings, opt
 
 
 def _program(system: SystemFile) -> tuple[str, str]:
-    """What a system is called where nobody named it: its file, or the folder of one that is called system.toml; and
-    the path of the file."""
+    """The default name of a run, and the path of its file.
+
+    The name is that of the file without its ending, or of the folder where the file is called system.toml.
+    """
     path = Path(system.path).absolute()
     return path.stem if path.stem != "system" else path.parent.name or path.stem, str(path)
 
@@ -323,7 +325,7 @@ def _alone(
 
 
 def _runs(cls: type[Component]) -> str:
-    """What is run where a component runs alone: its file and class."""
+    """The file and class of a component that runs alone, as the setting `runs` of control names them."""
     file = getattr(sys.modules.get(cls.__module__), "__file__", None) or cls.__module__
     return f"{file}:{cls.__qualname__}"
 

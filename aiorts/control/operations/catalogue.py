@@ -41,17 +41,17 @@ class ComponentType:
     """A type of component that `create` takes by its name."""
 
     source: str
-    """Who offers it: "package NAME VERSION", "folder PATH" or "file PATH"."""
+    """The place that offers it: "package NAME VERSION", "folder PATH" or "file PATH"."""
     target: str
     """"module:Class"; of a single file "FILE.py:Class"."""
     unknown: str = ""
     """Why the rest is not known: it is not imported yet, or cannot be; "" where it is."""
     doc: str = ""
-    """What the class says of itself, at most 2,000 characters."""
+    """The docstring of the class, at most 2,000 characters of it."""
     ports: tuple[PortProfile, ...] = ()
-    """Those of its class; it may add others when it is created."""
+    """The ports that its class declares; a component may add others when it is created."""
     params: Mapping[str, ParameterReport] = field(default_factory=lambda: _NOTHING)
-    """With the default as the value."""
+    """Its parameters, each with the default as the value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,25 +59,25 @@ class ContextKind:
     """A kind of context that `start_context` takes by its name."""
 
     source: str
-    """As of a type of component."""
+    """As `ComponentType.source`."""
     target: str
     unknown: str = ""
-    """As of a type of component."""
+    """As `ComponentType.unknown`."""
     doc: str = ""
     options: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
-    """What it takes, by name: the kinds of value in words; none is any."""
+    """Its keyword arguments, by name: the kinds of value in words; none is any."""
 
 
 @dataclass(frozen=True, slots=True)
 class Offered:
-    """What packages and folders offer a kernel, by name."""
+    """The types and kinds that packages and folders offer a kernel, by name."""
 
     components: Mapping[str, ComponentType]
     contexts: Mapping[str, ContextKind]
 
 
 def _catalogue(session: Session, given: Described) -> Offered | Awaitable[Offered]:
-    """What is imported is described; what is named is imported first, beside the loop."""
+    """Describe all types and kinds that are imported; import those that are named first, in another thread."""
     offers = session.kernel.plugins
     named: list[Extension] = []
     for names, kind, what in (
@@ -136,7 +136,7 @@ def _of_context(cls: type[Context]) -> dict[str, Any]:
 
 
 def _needed(given: Described) -> Right:
-    """Who only looks has no code run: importing a package does."""
+    """Importing runs the code of a package, so a client with the right to look has none imported."""
     return Right.OPERATE if given.components or given.contexts else Right.VIEW
 
 

@@ -1,20 +1,30 @@
-"""Operations that look: what there is, and how it is. None of them waits in simulated time, or changes anything."""
+"""Operations that look: what there is, how it is, and chosen values at a rate.
+
+None of them waits in simulated time, or changes anything.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import os
 from collections.abc import Awaitable
+from functools import partial
+from time import perf_counter
 from types import MappingProxyType
 from typing import Final
 
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Nothing, Operation, Right
-from aiorts.control.session import Session
+from aiorts.control.pace import looks_of
+from aiorts.control.session import Session, Stream
+from aiorts.control.ticking import Ticking
 from aiorts.control.turns import HOLD_SECONDS
-from aiorts.control.values import Names
+from aiorts.control.values import Done, Names
 from aiorts.kernel.execution.cell import standing_error
 from aiorts.kernel.execution.member import overdue_hooks
-from aiorts.observe import SystemProfile, system_profile, system_profile_in_turns
+from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.late import dataclass
+from aiorts.observe import Monitor, Reading, SystemProfile, system_profile, system_profile_in_turns
 
 
 def _names(session: Session, _: Nothing) -> Names:
@@ -56,7 +66,48 @@ def _origin(session: Session, _: Nothing) -> str:
     return session.kernel.origin
 
 
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """Values that are looked at, by their paths as `Kernel.monitor` has them."""
+
+    paths: tuple[str, ...]
+    rate: float = 10.0
+    """Hz of the kernel's clock; of the real one in simulated time."""
+
+
+def _monitor(session: Session, given: Watched, stream: Stream) -> Done:
+    kernel = session.kernel
+    began = perf_counter()
+    monitor = Monitor(kernel, tuple(dict.fromkeys(given.paths)), given.rate)
+    took, pace = perf_counter() - began, looks_of(kernel)  # it has looked at each path, as it does for each reading
+    stream.on_close(monitor.close)
+    if isinstance(kernel.clock, SimulatedClock):
+
+        def look() -> None:
+            if not pace.due():
+                pace.spend(took)
+                stream.send(monitor.look())
+
+        stream.on_close(Ticking(kernel, given.rate, look).close)
+        return Done()
+
+    over: asyncio.Future[None] = kernel.loop.create_future()
+    stream.on_close(partial(over.set_result, None))
+
+    async def send_all() -> None:
+        async for reading in monitor:
+            stream.send(reading)
+            pace.spend(took)
+            if due := pace.due():
+                await asyncio.wait((over,), timeout=due)  # readings that fall into it are counted as missed
+        stream.finish()
+
+    kernel_task(kernel.loop, send_all(), "aiorts control monitor")
+    return Done()
+
+
 ROWS: Final = (
+    Operation("monitor", "Stream chosen values at a rate.", Watched, Done, Right.VIEW, _monitor, item=Reading),
     Operation("names", "What is in the kernel, by name.", Nothing, Names, Right.VIEW, _names, idempotent=True),
     Operation("origin", "The text of the system file, if any.", Nothing, str, Right.VIEW, _origin, idempotent=True),
     Operation("profile", "The whole profile.", Nothing, SystemProfile, Right.VIEW, _profile, idempotent=True),

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _Entry: TypeAlias = (
     ComponentEntry | ConnectionEntry | ContextEntry | Places | tuple[Mapping[str, Any], ...] | bool | None
 )
-"""What a step changes."""
+"""The value that a step changes, before or after."""
 _DECIDED: Final = 120.0
 """Seconds that a change waits for the decision, while others change theirs; then it is taken back."""
 _open: Final[WeakKeyDictionary[Session, tuple[asyncio.Future[str], asyncio.Task[Applied]]]] = WeakKeyDictionary()
@@ -72,15 +72,16 @@ class PlannedStep:
     sign: Literal["+", "-", "~"]
     """+ for what comes, - for what goes, ~ for what changes."""
     text: str
-    """What it does, in one line."""
+    """The step in one line."""
     name: str = ""
-    """Of a connector."""
+    """The name of its connector."""
     component: ComponentEntry | None = None
     connection: ConnectionEntry | None = None
     context: ContextEntry | str | None = None
     before: _Entry = None
-    """Of what changes."""
+    """The value that changes, as it is before the step."""
     after: _Entry = None
+    """The value after it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +112,10 @@ class Changed:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the file is going to lie."""
+    """The place of the file that is going to be written."""
 
     folder: str
-    """Files and plugins below it are named as counted from there."""
+    """Its folder: files and plugins below it are named by their path from there."""
 
 
 class _Answer(Made):
@@ -194,7 +195,7 @@ async def _decide(session: Session, given: Decision) -> _Answer:
 
 
 def _changed(kernel: Microkernel, plan: Plan) -> Iterator[str]:
-    """The components of which who wanted the plan is the operator, now that it is carried out."""
+    """The components that a plan has changed: the client that wanted it is their operator now."""
     from aiorts.model.wanted.steps import Activate, Configure, Create, Isolate, Move, Reload, RenewContext, Supervise
 
     for step in plan.steps:

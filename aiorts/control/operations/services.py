@@ -72,13 +72,13 @@ class MethodTypes:
     """The types of a method, each as the text of a JSON Schema."""
 
     parameters: Mapping[str, str]
-    """By name, in order: of what is read as its value; with its default, where it has one."""
+    """By name, in order: the schema of what is read as its value, with its default where it has one."""
     required: tuple[str, ...]
     """The parameters that have to be given."""
     returns: str
-    """Of the result, as it is answered; of a method that answers with a goal, of the goal's."""
+    """The schema of the result, as it is answered; where that is a goal, of the goal's result."""
     feedback: str | None = None
-    """Of a method that answers with a goal: of the goal's feedback."""
+    """The schema of the feedback of a method that answers with a goal; None of any other method."""
 
 
 @dataclass(frozen=True, slots=True)

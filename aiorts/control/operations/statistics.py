@@ -1,30 +1,27 @@
-"""Operations that measure: counters of what there is, chosen values at a rate, and what a connector is measured by.
+"""Operations that measure: counters, once or at a rate, sizes of samples, and how long samples take.
 
-The counters are asked for again and again while a system works, so they are made in one look on the loop, as lists and
-dicts that go into a frame as they are. None of them takes a sample.
+The counters are asked for again and again while a system works, so they are lists and dicts that go into a frame as
+they are, and a long look is taken in turns. None of them takes a sample.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Iterable, Iterator, Mapping
 from dataclasses import field
-from functools import partial
-from itertools import accumulate
 from time import perf_counter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
-from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
+from aiorts.control.measuring import SPANS, measure, measure_for
 from aiorts.control.operation import Operation, Right
-from aiorts.control.operations.wiring import ports_of
+from aiorts.control.operations.wiring import places_of
 from aiorts.control.pace import looks_of
 from aiorts.control.session import Session, Stream
 from aiorts.control.ticking import Ticking
 from aiorts.control.turns import in_turns
-from aiorts.control.values import Done
-from aiorts.errors import AiortsError, BusyError, ConfigurationError, WiringError
+from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.kernel.execution.cell import cell, standing_error
 from aiorts.kernel.execution.member import overdue_hooks
 from aiorts.kernel.loop.tasks import kernel_task
@@ -36,7 +33,7 @@ from aiorts.model.lifecycle import OverdueHook
 from aiorts.model.options import MAX_LENGTH
 from aiorts.model.profile import ThreadWriteStatistics
 from aiorts.model.service_profile import ServiceStatistics
-from aiorts.observe import Monitor, Reading, calls, thread_writes
+from aiorts.observe import calls, thread_writes
 from aiorts.wire import MsgpackCodec
 
 if TYPE_CHECKING:
@@ -55,11 +52,6 @@ _One: TypeAlias = tuple[str, str, Any]
 _KINDS: Final = ("connectors", "service_connectors", "timed", "contexts", "components")
 _NEVER: Final = object()
 _FASTEST: Final = 50.0
-_COUNT: Final = 1000
-_MEASURED: Final = 16
-"""Connectors that a stream may have measured."""
-_MEASURED_IN_ALL: Final = 64
-"""The same of all streams of a kernel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +68,7 @@ class Chosen:
 
 @dataclass(frozen=True, slots=True)
 class ContextCounters:
-    """What a context has done, as `ContextStatistics` counts it."""
+    """The counters of a context, as `ContextStatistics` has them."""
 
     rate: float | None
     """Hz; None where it has none."""
@@ -91,7 +83,7 @@ class ContextCounters:
 
 @dataclass(frozen=True, slots=True)
 class ComponentCounters:
-    """How a component is, and what its ports have counted."""
+    """The states of a component, and the counters of its ports."""
 
     states: Mapping[str, str]
     """Lifecycle state by context."""
@@ -100,9 +92,9 @@ class ComponentCounters:
     overdue: Mapping[str, OverdueHook] = field(default_factory=lambda: _NOTHING)
     """The hook that runs longer than its deadline, by context."""
     calls: Mapping[str, ServiceStatistics] = field(default_factory=lambda: _NOTHING)
-    """Through each interface, as `ComponentReport.calls` has them."""
+    """The calls through each interface, as `ComponentReport.calls` has them."""
     thread_writes: Mapping[str, ThreadWriteStatistics] = field(default_factory=lambda: _NOTHING)
-    """Of each out-port where a thread wrote."""
+    """The writes of other threads, by out-port."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,10 +119,10 @@ class Counters:
 
 @dataclass(frozen=True, slots=True)
 class CounterChanges(Counters):
-    """The counters that are other ones than in the items before; of the first item, and after a loss, all."""
+    """The counters that have changed since the items before; in the first item, and after a loss, all."""
 
     whole: bool = False
-    """Whether it has all, and what was said before is void."""
+    """Whether it has all counters, in place of those of the items before."""
     gone: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
     """The names that are not there any more, by kind: "connectors", "contexts", ..."""
 
@@ -159,7 +151,7 @@ def _put(made: _Made, counted: Iterable[_One]) -> Iterator[None]:
 
 
 def _rest(kernel: Microkernel, given: Chosen) -> Iterator[_One]:
-    """What need not be of one moment."""
+    """All counters but those of connectors: these need not be of one moment."""
     for name, wire in tuple(_chosen(kernel.connectors, given.timed)):
         if found := _timed(wire):
             yield "timed", name, found
@@ -234,49 +226,15 @@ class Measured:
     """Connectors that are to be measured as long as the session lasts."""
 
     connectors: tuple[str, ...]
-    count: int = _COUNT
+    count: int = SPANS
     """Sends and reads over which latency and age are taken."""
-
-
-_HELD: Final[dict[Connector, int]] = {}
-"""Sessions for which a connector is measured that else is not."""
 
 
 def _measure(session: Session, given: Measured) -> tuple[str, ...]:
     """Switch `measure` on where it is off; returns the connectors that are measured for sessions only."""
     if not 1 <= given.count <= MAX_LENGTH:
         raise ConfigurationError(f"measure: count = {given.count}: expected 1 to {MAX_LENGTH} samples")
-    return _hold(session, given.connectors, given.count, session.keep)
-
-
-def _hold(
-    session: Session, connectors: Sequence[str], count: int, keep: Callable[[Callable[[], object]], object]
-) -> tuple[str, ...]:
-    """Have connectors measured until what is kept is called; those that are measured anyway stay as they are."""
-    wires = [_wire(session, name) for name in connectors]
-    for wire in wires:
-        if wire not in _HELD:
-            if wire.profile.measure:
-                continue  # it was made so
-            session.kernel.connections.measure(wire, count)
-        _HELD[wire] = _HELD.get(wire, 0) + 1
-        keep(partial(_let_go, session.kernel, wire))
-    return tuple(wire.name for wire in wires if wire in _HELD)
-
-
-def _let_go(kernel: Microkernel, wire: Connector) -> None:
-    _HELD[wire] -= 1
-    if not _HELD[wire]:
-        del _HELD[wire]
-        if not wire.closed:
-            kernel.connections.measure(wire, 0)
-
-
-def _wire(session: Session, name: str) -> Connector:
-    known = session.kernel.connectors
-    if name not in known:
-        raise WiringError(f"{name}: no such connector; there are {', '.join(tuple(known)[:20]) or 'none'}")
-    return known[name]
+    return measure(session, given.connectors, given.count, session.keep)
 
 
 # -- a stream of counters ----------------------------------------------------------------------------------------------
@@ -295,32 +253,13 @@ class Following(Chosen):
     """Items a second of the kernel's clock, of the real one in simulated time: up to 50."""
 
 
-_STREAMED: Final[WeakKeyDictionary[Microkernel, int]] = WeakKeyDictionary()
-"""How many connectors streams have measured in a kernel, each as often as it is."""
-
-
 def _follow(session: Session, given: Following, stream: Stream) -> tuple[str, ...]:
     """Send counters at a rate; returns the connectors that are measured for sessions and streams only."""
     if not 0.0 < given.rate <= _FASTEST:
         raise ConfigurationError(f"counters: rate = {given.rate!r}: expected a number of Hz above 0 and up to 50")
-    measured = _measure_for(session, given.measured, stream)
+    measured = measure_for(session, given.measured, stream)
     stream.on_close(Ticking(session.kernel, given.rate, _Following(session.kernel, given, stream).look).close)
     return measured
-
-
-def _measure_for(session: Session, connectors: tuple[str, ...], stream: Stream) -> tuple[str, ...]:
-    kernel, count = session.kernel, len(connectors)
-    if count > _MEASURED:
-        raise ConfigurationError(f"counters: {count} connectors to be measured; at most {_MEASURED} for a stream")
-    if (held := _STREAMED.get(kernel, 0)) + count > _MEASURED_IN_ALL:
-        raise BusyError(f"counters: {held} connectors are measured for streams, {count} more asked for; at most 64")
-    _STREAMED[kernel] = held + count
-
-    def release() -> None:
-        _STREAMED[kernel] -= count
-
-    stream.on_close(release)
-    return _hold(session, connectors, _COUNT, stream.on_close)
 
 
 class _Following:
@@ -332,7 +271,7 @@ class _Following:
         self._pace = looks_of(kernel)
         self._timed = tuple(dict.fromkeys((*given.timed, *given.measured)))
         self._known: dict[tuple[str, str], Any] = {}
-        """What the client has, by kind and name."""
+        """The counters that the client has, by kind and name."""
         self._task: asyncio.Task[None] | None = None
         stream.on_close(self._close)
 
@@ -378,7 +317,7 @@ class _Following:
         kernel, given = self._kernel, self._given
         wires: dict[str, Any] = {**kernel.connectors, **kernel.service_connectors}
         if given.at:
-            wires = {name: one for name, one in wires.items() if _is_at(self._at, ports_of(one))}
+            wires = {name: one for name, one in wires.items() if not self._at.isdisjoint(places_of(one))}
         names = tuple(name for name, _ in _chosen(wires, given.connectors))
         components = tuple(kernel.components) if given.components is None else given.components
         if given.at:
@@ -392,10 +331,6 @@ class _Following:
     def _close(self) -> None:
         if self._task is not None:
             self._task.cancel()
-
-
-def _is_at(those: frozenset[str], ports: Iterable[str]) -> bool:
-    return any(one in those for port in ports for one in accumulate(port.split("."), "{}.{}".format))
 
 
 @dataclass(frozen=True, slots=True)
@@ -423,46 +358,6 @@ def _size(connector: Connector) -> Size:
         return None, str(error)
 
 
-@dataclass(frozen=True, slots=True)
-class Watched:
-    """Values that are looked at, by their paths as `Kernel.monitor` has them."""
-
-    paths: tuple[str, ...]
-    rate: float = 10.0
-    """Hz of the kernel's clock; of the real one in simulated time."""
-
-
-def _monitor(session: Session, given: Watched, stream: Stream) -> Done:
-    kernel = session.kernel
-    began = perf_counter()
-    monitor = Monitor(kernel, tuple(dict.fromkeys(given.paths)), given.rate)
-    took, pace = perf_counter() - began, looks_of(kernel)  # it has looked at each path, as it does for each reading
-    stream.on_close(monitor.close)
-    if isinstance(kernel.clock, SimulatedClock):
-
-        def look() -> None:
-            if not pace.due():
-                pace.spend(took)
-                stream.send(monitor.look())
-
-        stream.on_close(Ticking(kernel, given.rate, look).close)
-        return Done()
-
-    over: asyncio.Future[None] = kernel.loop.create_future()
-    stream.on_close(partial(over.set_result, None))
-
-    async def send_all() -> None:
-        async for reading in monitor:
-            stream.send(reading)
-            pace.spend(took)
-            if due := pace.due():
-                await asyncio.wait((over,), timeout=due)  # readings that fall into it are counted as missed
-        stream.finish()
-
-    kernel_task(kernel.loop, send_all(), "aiorts control monitor")
-    return Done()
-
-
 ROWS: Final = (
     Operation(
         "counters",
@@ -474,7 +369,6 @@ ROWS: Final = (
         item=CounterChanges,
     ),
     Operation("measure", "Measure connectors for the session.", Measured, tuple[str, ...], Right.OPERATE, _measure),
-    Operation("monitor", "Stream chosen values at a rate.", Watched, Done, Right.VIEW, _monitor, item=Reading),
     Operation("sizes", "Encoded size of samples.", Wires, Mapping[str, Size], Right.VIEW, _sizes, idempotent=True),
     Operation("statistics", "The counters.", Chosen, Counters, Right.VIEW, _statistics, idempotent=True),
 )

@@ -48,4 +48,4 @@ _ROWS: Final = (
     *wiring.ROWS,
 )
 OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType({row.name: row for row in _ROWS})
-"""What a kernel can be asked for, by name."""
+"""The operations that a kernel offers its clients, by name."""

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Iterator, Mapping
 from dataclasses import field, replace
 from functools import partial
+from itertools import accumulate
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -56,9 +57,10 @@ class Wire:
     both_ends: str = ""
     """Of a link, where it was asked for: the ledger from the writer to the reader, or why there is none now."""
     read: Mapping[str, tuple[int, ...]] | None = None
-    """Of a link, where it was asked for and is measured: how old samples were as the reader read them ("age", by their
-    stamps; "within" how far that may be off) and how long they had waited in its buffer ("waited"): how many, p50, p99
-    and maximum in nanoseconds. None: the reader's end has not answered, or is of a release that does not say it."""
+    """The figures of the reader's end of a link, where they were asked for and are measured: "age", how old samples
+    were as they were read, by their stamps, "within", how far that may be off, and "waited", how long they were in the
+    reader's buffer. Each is the number of samples, p50, p99 and maximum in nanoseconds. None: the reader's end has not
+    answered, or is of a release without these figures."""
     service: ServiceConnectorProfile | None = None
     """Of service ports: who answers whom."""
     calls: ServiceStatistics | None = None
@@ -162,11 +164,7 @@ def _found(session: Session, given: Wires) -> list[Any]:
     if given.names:
         return [known[name] for name in dict.fromkeys(given.names)]
     at = frozenset(given.at)
-    return [one for one in known.values() if all(_is_at(path, one) for path in at)]
-
-
-def _is_at(path: str, connector: Any) -> bool:
-    return any(port == path or port.startswith(f"{path}.") for port in ports_of(connector))
+    return [one for one in known.values() if not at or at <= places_of(one)]
 
 
 def _check_port(session: Session, path: str) -> None:
@@ -192,6 +190,11 @@ def ports_of(connector: Any) -> tuple[str, ...]:
     if isinstance(connector.profile, ConnectorProfile):
         return connector.out.path, connector.in_.path
     return tuple(connector.profile.ports)
+
+
+def places_of(connector: Any) -> set[str]:
+    """The paths by which clients name the ends of a connector: its ports, and what these are parts of."""
+    return {path for port in ports_of(connector) for path in accumulate(port.split("."), "{}.{}".format)}
 
 
 def _needed(given: Wiring) -> Right:

@@ -20,7 +20,7 @@ LOOKING: Final = 192
 OF_ONE: Final = {Right.VIEW: 16, Right.OPERATE: 128, Right.CODE: 128}
 """Connections of one client, by its right."""
 CALLS: Final = {Right.VIEW: 256, Right.OPERATE: 1_024, Right.CODE: 1_024}
-"""Calls of one client without their last answer, by the right that it may have."""
+"""Calls of one client without their last answer, by the right that the kernel allows it."""
 _KNOWN: Final = 1_024
 """Clients that are known, connected or not."""
 
@@ -51,8 +51,8 @@ class Client:
         self._used, self._used_at = self.used(now) + seconds, now
 
     def check_calls(self, what: str, allowed: Right) -> None:
-        """Raise BusyError unless it may have another call, of as many as who is `allowed` that much may have."""
-        # Who may operate and only looks has no fewer: a recording taps 450 ports with the right to look.
+        """Raise BusyError unless it may have another call; `allowed` is the right that the kernel allows it."""
+        # Not the right that it asked for: a recording asks to look only, and taps 450 ports.
         most = CALLS[allowed]
         if self.calls >= most:
             raise BusyError(f"{what}: {most} calls of {self.name} wait already; wait for their answers")

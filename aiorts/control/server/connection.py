@@ -70,7 +70,7 @@ class Connection:
         self.carried = carried
         """Whether another carrier has let it in."""
         self.right = self._allowed = client.right
-        """What it may do: as much as it wants of what the kernel allows."""
+        """The right of its session, which it may ask for in its hello, and the right that the kernel allows it."""
         self.since = time.monotonic()
         self.session: Session | None = None
         self.closed = False
@@ -344,7 +344,7 @@ class Connection:
 
 
 def _least(allowed: Right, wanted: object) -> Right:
-    """What a client may do that wants this right; who says nothing of it wants all that the kernel allows."""
+    """The smaller of the allowed right and the one that a hello asks for; the allowed one where it asks for none."""
     if wanted is None:
         return allowed
     for right in Right:

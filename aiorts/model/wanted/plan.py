@@ -111,7 +111,7 @@ def planning(
 
 
 def _kept(now: Wanted, wanted: Wanted, moved: Set[str]) -> Iterator[str]:
-    """What keeps components from another process."""
+    """Why components cannot be moved to another process."""
     for name in sorted(moved):
         if now.components[name].type != wanted.components[name].type:
             yield f"{name}: its type and its isolation change; apply one after the other"
@@ -149,7 +149,7 @@ def _is_apart(system: Wanted, context: str) -> bool:
 
 
 def _code(one: ComponentEntry) -> tuple[str, str]:
-    """What cannot be exchanged while the component holds what its replacement needs."""
+    """The type and process of a component: changing either makes another instance."""
     return one.type, one.isolation
 
 

@@ -32,7 +32,7 @@ class Step:
 
     @property
     def text(self) -> str:
-        """What it does, in one line."""
+        """The step in one line."""
         raise NotImplementedError
 
     def to_plain(self) -> dict[str, Any]:
@@ -149,11 +149,16 @@ class _Change(Step):
 
 
 @dataclass(frozen=True, slots=True)
-class Configure(_Change):
-    """Put parameters, sets or the active set in force, between two cycles."""
+class _ComponentChange(_Change):
+    """A component becomes another one of its name, and back."""
 
     before: ComponentEntry
     after: ComponentEntry
+
+
+@dataclass(frozen=True, slots=True)
+class Configure(_ComponentChange):
+    """Put parameters, sets or the active set in force, between two cycles."""
 
     @property
     def text(self) -> str:
@@ -161,11 +166,8 @@ class Configure(_Change):
 
 
 @dataclass(frozen=True, slots=True)
-class Reload(_Change):
+class Reload(_ComponentChange):
     """Put an instance of another type in the component's place, or of the newer code of its type."""
-
-    before: ComponentEntry
-    after: ComponentEntry
 
     @property
     def text(self) -> str:
@@ -174,11 +176,8 @@ class Reload(_Change):
 
 
 @dataclass(frozen=True, slots=True)
-class Isolate(_Change):
+class Isolate(_ComponentChange):
     """Put a component that is in no context into a process of its own, or back into that of its kernel."""
-
-    before: ComponentEntry
-    after: ComponentEntry
 
     @property
     def text(self) -> str:
@@ -189,11 +188,8 @@ class Isolate(_Change):
 
 
 @dataclass(frozen=True, slots=True)
-class Supervise(_Change):
+class Supervise(_ComponentChange):
     """Change what is done when a component fails, is started, is replaced, or loses its operator."""
-
-    before: ComponentEntry
-    after: ComponentEntry
 
     @property
     def text(self) -> str:

@@ -17,14 +17,14 @@ def span_text(ns: float) -> str:
 
 
 def within_text(within_ns: int | None) -> str:
-    """What stands behind a span that may be off by so much; "?": it says nothing."""
+    """The text behind a span that may be off by so much; "?": by too much to show the span."""
     if within_ns is None:
         return ""
     return "?" if within_ns > EXACT else f" +- {span_text(within_ns)}"
 
 
 def span_plain(spans: Sequence[int] | None) -> dict[str, int] | None:
-    """What the kernel says of the spans it has taken, in nanoseconds."""
+    """Measured spans of a kernel's answer as JSON has them, in nanoseconds."""
     if spans is None:
         return None
     count, p50, p99, most = spans
@@ -43,14 +43,14 @@ def spans_text(found: Mapping[str, Sequence[int]], *kinds: str) -> str:
 
 
 def read_text(read: Mapping[str, Sequence[int]]) -> str:
-    """What the reader's end of a link has measured."""
+    """The figures of the reader's end of a link as text."""
     if "waited" not in read:
         return "nothing was read since it is measured"
     return f"{spans_text(read, 'age', 'waited')}  samples {read['waited'][0]}"
 
 
 def read_plain(read: Mapping[str, Sequence[int]] | None) -> dict[str, Any] | None:
-    """The same, by name; None: the reader's end does not say it."""
+    """The figures of the reader's end of a link as JSON has them; None: that end does not send them."""
     if read is None:
         return None
     within = {"age_within_ns": read["within"][0]} if "within" in read else {}

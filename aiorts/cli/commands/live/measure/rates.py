@@ -204,7 +204,7 @@ def _spans(found: Mapping[str, Any]) -> str:
 
 
 def _at_read(running: Running, edge: Edge) -> tuple[str, dict[str, Any] | None]:
-    """What the reader's end of a link has measured, or why it is not known, in words and by name."""
+    """The figures of the reader's end of a link as text, or why they are not known, and as JSON has them."""
     try:
         (wire,) = running.client.call("connectors", names=[edge.name], both_ends=True)
     except AbsentError:

@@ -1,0 +1,85 @@
+"""Measures connectors as long as a session or a stream lasts: how long samples take, and how old they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
+
+from aiorts.control.session import Session, Stream
+from aiorts.errors import BusyError, ConfigurationError, WiringError
+
+if TYPE_CHECKING:
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.connector import Connector
+
+SPANS: Final = 1000
+"""Sends and reads over which latency and age are taken, unless a client says another number."""
+_MEASURED: Final = 16
+"""Connectors that a stream may have measured."""
+_MEASURED_IN_ALL: Final = 64
+"""Connectors that all streams of a kernel may have measured."""
+_HELD: Final[dict[Connector, int]] = {}
+"""How many sessions and streams have a connector measured that else is not."""
+
+
+def measure(
+    session: Session, connectors: Sequence[str], count: int, keep: Callable[[Callable[[], object]], object]
+) -> tuple[str, ...]:
+    """Measure connectors until the functions that `keep` was given are called.
+
+    Returns:
+        the connectors that are measured for sessions and streams only; others that are measured stay as they are.
+    """
+    wires = [_wire(session, name) for name in connectors]
+    for wire in wires:
+        if wire not in _HELD:
+            if wire.profile.measure:
+                continue  # it was made so
+            session.kernel.connections.measure(wire, count)
+        _HELD[wire] = _HELD.get(wire, 0) + 1
+        keep(partial(_let_go, session.kernel, wire))
+    return tuple(wire.name for wire in wires if wire in _HELD)
+
+
+def _let_go(kernel: Microkernel, wire: Connector) -> None:
+    _HELD[wire] -= 1
+    if not _HELD[wire]:
+        del _HELD[wire]
+        if not wire.closed:
+            kernel.connections.measure(wire, 0)
+
+
+def _wire(session: Session, name: str) -> Connector:
+    known = session.kernel.connectors
+    if name not in known:
+        raise WiringError(f"{name}: no such connector; there are {', '.join(tuple(known)[:20]) or 'none'}")
+    return known[name]
+
+
+_STREAMED: Final[WeakKeyDictionary[Microkernel, int]] = WeakKeyDictionary()
+"""By kernel, how many connectors its streams measure; one that several streams measure counts several times."""
+
+
+def measure_for(session: Session, connectors: tuple[str, ...], stream: Stream) -> tuple[str, ...]:
+    """Measure connectors as long as a stream lasts; returns those that are measured for sessions and streams only.
+
+    Raises:
+        ConfigurationError: they are more than a stream may have measured. BusyError: more than all streams may have.
+        WiringError: there is no such connector.
+    """
+    kernel, count = session.kernel, len(connectors)
+    if count > _MEASURED:
+        raise ConfigurationError(f"counters: {count} connectors to be measured; at most {_MEASURED} for a stream")
+    if (held := _STREAMED.get(kernel, 0)) + count > _MEASURED_IN_ALL:
+        raise BusyError(
+            f"counters: {held} connectors are measured for streams, {count} more asked for; at most {_MEASURED_IN_ALL}"
+        )
+    _STREAMED[kernel] = held + count
+
+    def release() -> None:
+        _STREAMED[kernel] -= count
+
+    stream.on_close(release)
+    return measure(session, connectors, SPANS, stream.on_close)
