@@ -57,7 +57,6 @@ class Source:
         """Ports that were watched in vain; tried again when it is known anew what runs."""
         self._outdated = asyncio.Event()
         """Whether it is to be asked what runs."""
-        self._outdated.set()
 
     async def run(self) -> str:
         """Look until the kernel has ended; returns why it has."""
@@ -117,8 +116,10 @@ class Source:
         del self._taps[port]
 
     async def _follow_events(self) -> None:
-        async for _ in self._client.stream("events", kinds=_EVENTS):
-            self._outdated.set()
+        async with self._client.stream("events", kinds=_EVENTS) as events:
+            self._outdated.set()  # what ran before is asked for once no event after it is missed
+            async for _ in events:
+                self._outdated.set()
         raise ClosedError(f"{self._client.entry.name}: has ended")
 
     async def _follow_time(self) -> None:
