@@ -68,8 +68,6 @@ class Connection(_Reading, H11Protocol):
         """It waits for its first request."""
         super().connection_made(transport)
         self._look()
-        if len(self._waiting) > WAITING:
-            next(iter(self._waiting)).transport.abort()
 
     def data_received(self, data: bytes) -> None:
         """Something of a request has come."""
@@ -93,10 +91,16 @@ class Connection(_Reading, H11Protocol):
             self._wait_no_more()
         elif not self.transport.is_closing():
             self._waiting[self] = None
+            if len(self._waiting) > WAITING:
+                next(iter(self._waiting))._give_way()
             if state is h11.SEND_BODY:  # the guard has a limit of its own for that, and says so
                 self._hurry_no_more()
             elif self._late is None:
                 self._late = self.loop.call_later(REQUEST_SECONDS, self.transport.abort)
+
+    def _give_way(self) -> None:
+        self._wait_no_more()  # its loss is reported later, and more may come until then
+        self.transport.abort()
 
     def _wait_no_more(self) -> None:
         self._waiting.pop(self, None)

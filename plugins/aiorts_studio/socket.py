@@ -60,10 +60,12 @@ class Sockets:
         self._strangers[asking] = None
         try:
             if len(self._strangers) > STRANGERS:
-                next(iter(self._strangers)).cancel()
+                first = next(iter(self._strangers))
+                del self._strangers[first]  # it ends later, and more may come until then
+                first.cancel()
             await asyncio.wait((asking,), timeout=GREETING_SECONDS)
         finally:
-            del self._strangers[asking]
+            self._strangers.pop(asking, None)
             gives_way = asking.cancelled()
             asking.cancel()
         if gives_way or not asking.done():
