@@ -110,7 +110,7 @@ class Api:
             return lambda request: answer()
 
         home, docs = document_of("aiorts studio", _HOME), page(self._described)
-        app: Any = Starlette(
+        app = Starlette(
             routes=[
                 Route("/", fixed(lambda: HTMLResponse(home))),
                 Route("/docs", fixed(lambda: HTMLResponse(docs))),
@@ -126,7 +126,7 @@ class Api:
             exception_handlers={AiortsError: _problem, HTTPException: _http_problem},
         )
         app.router.redirect_slashes = False
-        return app  # type: ignore[no-any-return]
+        return app
 
     async def _page(self, request: Request) -> Response:
         from starlette.responses import Response

@@ -20,7 +20,7 @@ WAITING: Final = 128
 """Connections without a whole request; of more the one that came first gives way."""
 
 
-class _Reading:
+class _Reading(asyncio.Protocol):
     """Mixed in: a client that does not read is cut off."""
 
     transport: Any
@@ -29,18 +29,18 @@ class _Reading:
 
     def pause_writing(self) -> None:
         """The client does not take what is sent."""
-        super().pause_writing()  # type: ignore[misc]
+        super().pause_writing()
         self._stalled = self.loop.call_later(STALL_SECONDS, self.transport.abort)
 
     def resume_writing(self) -> None:
         """It takes it again."""
-        super().resume_writing()  # type: ignore[misc]
+        super().resume_writing()
         self._forget()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """It has gone."""
         self._forget()
-        super().connection_lost(exc)  # type: ignore[misc]
+        super().connection_lost(exc)
 
     def _forget(self) -> None:
         if self._stalled is not None:

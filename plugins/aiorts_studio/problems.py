@@ -25,8 +25,6 @@ _STATUS: Final[Mapping[str, int]] = MappingProxyType(
 )
 STATUSES: Final = (400, 401, 403, 404, 405, 408, 409, 413, 415, 429, 503, 504)
 """Of all answers that are problems."""
-UNKNOWN: Final = "E-DENIED"
-"""The code of an answer to who has no token."""
 
 
 class HttpError(AiortsError):

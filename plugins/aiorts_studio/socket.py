@@ -69,9 +69,8 @@ class Sockets:
             gives_way = asking.cancelled()
             asking.cancel()
         if gives_way or not asking.done():
-            raise HttpError(
-                401, "E-DENIED", "said no token" if not gives_way else "gave way to those that came after it"
-            )
+            why = "gave way to those that came after it" if gives_way else "said no token"
+            raise HttpError(401, "E-DENIED", why)
         message = asking.result()
         if message["type"] == "websocket.disconnect":
             return None
