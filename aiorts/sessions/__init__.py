@@ -1,7 +1,7 @@
 """Sessions with running kernels: the protocol, where kernels are found, and the client's end.
 
-It stands below links and is imported by short-lived commands: it does not know the kernel, and asyncio in `AsyncClient`
-alone, which is imported late. The kernel's end is `aiorts.control`.
+It stands below links and is imported by short-lived commands: it does not know the kernel, and only `AsyncClient`,
+which is imported late, uses asyncio. The kernel's end is `aiorts.control`.
 """
 
 from __future__ import annotations

@@ -334,7 +334,7 @@ _shared: Final[list[Kernels]] = []
 
 @contextmanager
 def sharing() -> Iterator[None]:
-    """Have all commands until the end of the block, whatever they need, use the sessions that are open now."""
+    """Share the sessions that are open now with all commands until the end of the block, whichever right they need."""
     with kernels() as found:
         _shared.append(found)
         try:

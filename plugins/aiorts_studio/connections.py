@@ -13,15 +13,15 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 REQUEST_SECONDS: Final = 10.0
-"""Within which the head of a request has to be there."""
+"""Seconds within which the head of a request has to be there."""
 STALL_SECONDS: Final = 30.0
-"""After which a client is cut off that does not take what is sent."""
+"""Seconds after which a client that does not take what is sent is cut off."""
 WAITING: Final = 128
 """Connections without a whole request; of more the one that came first gives way."""
 
 
 class _Reading(asyncio.Protocol):
-    """Mixed in: a client that does not read is cut off."""
+    """A mixin of protocols: a client that does not read is cut off."""
 
     transport: Any
     loop: Any
@@ -56,7 +56,7 @@ class Connection(_Reading, H11Protocol):
     """A connection that takes one request after the other.
 
     Args:
-        waiting: those of this server that have no whole request.
+        waiting: the connections of this server that have no whole request; it puts itself there.
     """
 
     def __init__(self, *args: Any, waiting: dict[Connection, None], **options: Any) -> None:
