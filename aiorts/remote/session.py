@@ -1,4 +1,4 @@
-"""A kernel's session with another one, through whose control table it asks."""
+"""A kernel's session with another kernel, whose control operations it calls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WITHIN: Final = 4.5
 
 
 class KernelSession(AsyncClient):
-    """What this kernel asks another one: all that it allows, since parameters may name files."""
+    """A session with another kernel, with every right that it gives: parameters may name files."""
 
     @classmethod
     async def over(cls, connected: socket.socket, address: str, who: str) -> Self:

@@ -1,7 +1,7 @@
 """Sessions with running kernels: the protocol, where kernels are found, and the client's end.
 
-It stands below links and is imported by short-lived commands: it does not know the kernel, and asyncio in `AsyncClient`
-alone, which is imported late. The kernel's end is `aiorts.control`.
+It stands below links and is imported by short-lived commands: it does not know the kernel, and only `AsyncClient`,
+which is imported late, uses asyncio. The kernel's end is `aiorts.control`.
 """
 
 from __future__ import annotations
@@ -92,6 +92,7 @@ __all__ = (
     "answer_in",
     "change_all",
     "entries",
+    "fitting",
     "framed",
     "frames",
     "has_frame",
@@ -99,7 +100,6 @@ __all__ = (
     "is_glob",
     "is_supported",
     "kernels",
-    "fitting",
     "likely",
     "offered",
     "open_all",

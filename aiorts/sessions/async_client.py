@@ -37,7 +37,7 @@ class AsyncClient(BaseClient):
     `AsyncStream`.
 
     Any number of calls and streams go on at once. A call that is cancelled, and a stream that is left, end in the
-    kernel, too. A stream that nobody reads is held up, and nothing else is. When the kernel ends, all calls and streams
+    kernel, too. A stream that is not read is held up, and nothing else is. When the kernel ends, all calls and streams
     raise ClosedError, once what had come before is taken; `CutOff` where the kernel runs on.
 
     Attributes:
@@ -55,7 +55,7 @@ class AsyncClient(BaseClient):
         self._session.credit = ITEMS
         self._wire = _Wire(self._heard, self._hung_up)
         self._awaited: dict[Call | None, Callable[[], object]] = {}
-        """By call, what is done when something comes for it, or the session ends; None: the kernel's hello."""
+        """By call, the function to call when something comes for it, or the session ends; None: the kernel's hello."""
 
     @classmethod
     @asynccontextmanager
@@ -184,7 +184,7 @@ class AsyncClient(BaseClient):
         return call
 
     async def _next(self, call: Call, wait: float | None) -> Answer:
-        """The next that comes for a call; what has come before the session ended comes before its error.
+        """The next answer of a call; answers from before the session's end come before its error.
 
         Raises:
             ClosedError: the call was given up meanwhile, or the session has ended.
@@ -213,7 +213,7 @@ class AsyncClient(BaseClient):
                 self._awaited.pop(call, None)
 
     async def _in_time(self, awaited: Awaitable[object], wait: float | None, why: str = "") -> None:
-        """NoAnswerError: it is not so within `wait` seconds."""
+        """Wait for something, `wait` seconds at most; NoAnswerError: it did not come, with `why` or `silence`."""
         limit = asyncio.timeout(wait)
         try:
             async with limit:
@@ -252,7 +252,7 @@ class AsyncClient(BaseClient):
                 self._wake(call)
             if self.hello:
                 self._wake(None)
-        except (LookupError, TypeError, ValueError) as fault:  # of who takes the items of a stream
+        except (LookupError, TypeError, ValueError) as fault:  # of a `take` of `follow`
             self._session.end(WireError(f"{self.entry.address}: says what is no answer: {fault!r}"))
         if not self.is_open:
             self._end()
@@ -262,7 +262,10 @@ class AsyncClient(BaseClient):
             wake()
 
     def _hung_up(self, error: Exception | None) -> None:
-        """The other end has closed, and maybe ends: what is killed closes its sockets one after the other."""
+        """End the session of a socket that the other end has closed.
+
+        A kernel that still listens is looked at again: a process that is killed closes its sockets one after the other.
+        """
         if self.is_open and error is None and self.hello and is_listed(self.entry):
             asyncio.get_running_loop().call_later(CLOSING_SECONDS, self._look_again)
         else:
@@ -412,7 +415,7 @@ class _Wire(asyncio.Protocol):
             self.transport.close()
 
     async def wait_closed(self) -> None:
-        """Wait until it is closed; who is cancelled meanwhile closes it at once."""
+        """Wait until it is closed; where the wait is cancelled, it is closed at once."""
         try:
             if not self._closed.done():
                 await asyncio.wait([self._closed])
@@ -467,4 +470,4 @@ def _tell(news: asyncio.Future[None]) -> None:
 
 
 def _nothing() -> None:
-    """Nobody is to be told."""
+    """Do nothing: the default of `AsyncClient.lost`."""

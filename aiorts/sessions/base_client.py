@@ -1,4 +1,4 @@
-"""What the clients have in common, whether they block or run on a loop: a kernel's entry, and the session with it."""
+"""The base of the clients, of the blocking one and of that on a loop: a kernel's entry, and the session with it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from aiorts.sessions.session import Call, ClientSession, Heard
 TIMEOUT: Final = 5.0
 """Seconds that a call waits for its answer."""
 END: Final = object()
-"""What a stream gives when it is over."""
+"""The value that a stream gives when it is over."""
 
 
 class CutOff(ClosedError):
@@ -65,7 +65,7 @@ class BaseClient:
         return came
 
     def _ended(self, *, served: bool) -> ClosedError:
-        """Why nothing comes any more.
+        """The error for a session in which nothing comes any more.
 
         Args:
             served: whether the kernel still listens.
@@ -79,7 +79,7 @@ class BaseClient:
 
 
 def refusal(entry: Entry, error: OSError) -> ControlError:
-    """What it means that a socket cannot be connected."""
+    """The error for a kernel whose socket cannot be connected."""
     if isinstance(error, ConnectionRefusedError | FileNotFoundError):
         return AbsentError(f"{entry.address}: is gone; `aiorts ls` shows what runs")
     return ControlError(f"{entry.address}: {entry.path}: {error.strerror}")

@@ -17,8 +17,7 @@ from threading import Condition, Thread
 from types import TracebackType
 from typing import Any, Final, Self
 
-from aiorts import errors
-from aiorts.errors import AbsentError, AiortsError, NoAnswerError
+from aiorts.errors import AbsentError, AiortsError, ClosedError, NoAnswerError
 from aiorts.late import dataclass
 from aiorts.sessions.base_client import END, TIMEOUT, BaseClient, refusal
 from aiorts.sessions.folder import Entry, discard, is_served
@@ -142,7 +141,7 @@ class Client(BaseClient):
             while self._session.error is None:
                 self._take()
         finally:
-            self._end(errors.ClosedError(f"{self.entry.address}: is not read any more"))
+            self._end(ClosedError(f"{self.entry.address}: is not read any more"))
 
     def __enter__(self) -> Self:
         return self
@@ -275,7 +274,7 @@ class Client(BaseClient):
         except (TimeoutError, BlockingIOError):
             return
         except OSError as error:
-            self._end(errors.ClosedError(f"{self.entry.address}: the session has ended ({error.strerror})"))
+            self._end(ClosedError(f"{self.entry.address}: the session has ended ({error.strerror})"))
             return
         if not data:
             if self._session.error is None:  # not by this end
@@ -336,7 +335,7 @@ class Stream:
             return END
         try:
             answer = self.client._next(self._call, timeout)
-        except errors.ClosedError:
+        except ClosedError:
             self.missed += self._call.missed_last()
             raise
         self.missed += answer.missed
@@ -405,7 +404,7 @@ def open_all(
         try:
             client = Client(entry, right=right, patience=until - time.monotonic())
             number = client.begin(operation, **arguments)
-        except errors.AbsentError:
+        except AbsentError:
             continue
         except (AiortsError, OSError) as error:
             silent.append(Silent(entry, _why(entry, error)))
@@ -418,7 +417,7 @@ def open_all(
         answer = answers.get(client, client.silence)
         if client in answers and not isinstance(answer, AiortsError):
             opened.append((client, answer))
-        elif isinstance(answer, errors.AbsentError):  # it went meanwhile
+        elif isinstance(answer, AbsentError):  # it went meanwhile
             client.close()
         else:
             client.close()

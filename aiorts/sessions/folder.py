@@ -29,7 +29,7 @@ LONGEST_PATH: Final = 107
 """Bytes of a socket's path that the system takes."""
 FURTHER: Final = "AIORTS_FOLDERS"
 CLOSING_SECONDS: Final = 0.1
-"""In which a process that is killed closes its sockets, one after the other."""
+"""Seconds in which a process that is killed closes its sockets, one after the other."""
 _PRIVATE: Final = 0o700
 _LARGEST_FILE: Final = 16 << 20
 _SUFFIXES: Final = (".json", ".part", ".sock")
@@ -130,7 +130,7 @@ def _entries(folder: Path) -> list[Entry]:
 
 
 def entry_at(path: str) -> Entry:
-    """The entry of a socket; where no file is beside it, or one that lists several, the socket says who it is."""
+    """The entry of the kernel at a socket; without a file next to it that lists one kernel, hello says which it is."""
     found = _read(Path(path).with_suffix(".json")) or ()
     return found[0] if len(found) == 1 else Entry(path, 0, "", path)
 
@@ -151,7 +151,7 @@ def is_served(entry: Entry) -> bool:
 
 
 def is_listed(entry: Entry) -> bool:
-    """What `is_served` is, at one look: of a kernel that is ending it may be wrong."""
+    """Whether the kernel of an entry listens at it, by one look: of a kernel that is ending, this may be wrong."""
     if not entry.path:
         return False
     said = {(one.address, one.epoch) for one in _read(Path(entry.path).with_suffix(".json")) or ()}

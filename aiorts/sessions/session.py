@@ -30,8 +30,8 @@ from aiorts.sessions.protocol import (
 ITEMS: Final = 4_096
 """Items of a stream that are kept for a taker that is behind, where its credit is limited."""
 WINDOW: Final = 1_024
-"""Items of a stream that a kernel may send to a taker on a loop before more are taken: of half of them it hears in
-time, also while it holds calls back for half a second."""
+"""Items of a stream that a kernel may send to a taker on a loop before more are taken. New credit is given after half
+of them: in time, even where the kernel holds calls back for half a second."""
 BYTES: Final = 32 << 20
 """Bytes of them, as they came; one alone may be larger."""
 
@@ -114,9 +114,9 @@ class Call:
     def __init__(self, number: int, *, streams: bool, window: int = 0) -> None:
         self.number, self.streams, self.window = number, streams, window
         self.given_up = False
-        """Whether this end wants nothing of it any more."""
+        """Whether this end has cancelled or left it."""
         self.due = 0
-        """Items that were taken, and for which the kernel has no new credit yet."""
+        """Items that were taken, and for which the kernel has got no new credit yet."""
         self.state: CallState = "opening"
         self._kept: deque[Answer] = deque()
         self._came = self._taken = 0
@@ -155,7 +155,7 @@ class Call:
         return missed
 
     def give_up(self) -> None:
-        """Want nothing of it any more: the answers that are kept are dropped."""
+        """Drop the answers that are kept: this end has cancelled or left the call."""
         self.given_up = True
         self._kept.clear()
 

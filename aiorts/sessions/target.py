@@ -334,7 +334,7 @@ _shared: Final[list[Kernels]] = []
 
 @contextmanager
 def sharing() -> Iterator[None]:
-    """Have all commands until the end of the block, whatever they need, use the sessions that are open now."""
+    """Share the sessions that are open now with all commands until the end of the block, whichever right they need."""
     with kernels() as found:
         _shared.append(found)
         try:
@@ -450,7 +450,7 @@ def likely(incomplete: str) -> list[str]:
 
 def fitting(word: str, incomplete: str) -> list[str]:
     """The ports that can be connected with the port that a word means, in its kernel, as far as they begin so."""
-    with kernels(PATIENCE) as found:
+    with kernels(PATIENCE, right="view") as found:
         try:
             port = found.find(word)
             fits = port.client.call("fits", PATIENCE, port=port.path, fitting=True)
@@ -462,7 +462,7 @@ def fitting(word: str, incomplete: str) -> list[str]:
 
 def offered() -> dict[str, list[str]]:
     """The types of components that can be created in what runs: by name the parameters, as far as they are known."""
-    with kernels(PATIENCE) as found:
+    with kernels(PATIENCE, right="view") as found:
         types: dict[str, list[str]] = {}
         for one in found.running:
             with suppress(AiortsError):

@@ -51,7 +51,7 @@ class Serving:
     # -- the kernel ------------------------------------------------------------------------------------------------
 
     async def show(self, client: AsyncClient) -> str:
-        """Show a kernel until it ends, with a session that ends then, too; returns why it has."""
+        """Show a kernel until it ends, and close the session; returns why the kernel ended."""
         async with aclosing(client):
             self._session = client.entry.name, client.entry.epoch
             self._trouble("kernel", "")

@@ -1,4 +1,4 @@
-"""What looks into one kernel for all viewers: which ports run, and the samples of those that are watched."""
+"""The view of one kernel for all viewers: the ports that run, and the samples of those that are watched."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SILENCE: Final = 2.0
 
 
 class Audience(Protocol):
-    """Who is called with what was seen."""
+    """The receiver of everything that a `Source` sees."""
 
     def ports(self, found: Mapping[str, Kind]) -> None:
         """The out-ports that run now."""
@@ -41,7 +41,7 @@ class Source:
 
     Args:
         client: the session with it.
-        audience: who is called.
+        audience: called with all that is seen.
     """
 
     def __init__(self, client: AsyncClient, audience: Audience) -> None:
@@ -54,10 +54,9 @@ class Source:
         """Of the ports that run."""
         self._taps: dict[str, tuple[asyncio.Task[None], Kind]] = {}
         self._refused: set[str] = set()
-        """Ports that were watched in vain; tried again when it is known anew what runs."""
+        """Watched ports that cannot be tapped; tried again after the next look at what runs."""
         self._outdated = asyncio.Event()
-        """Whether it is to be asked what runs."""
-        self._outdated.set()
+        """Whether the ports that run have to be asked for again."""
 
     async def run(self) -> str:
         """Look until the kernel has ended; returns why it has."""
@@ -106,7 +105,7 @@ class Source:
                         self._audience.trouble(port, f"samples that cannot be shown: {error}")
                     if missed:
                         self._audience.lost(port, missed)
-                    await asyncio.sleep(0)  # of many that have come, all at once would hold viewers up
+                    await asyncio.sleep(0)  # between items: many that have come at once would hold viewers up
         except ClosedError:
             raise
         except AiortsError as error:
@@ -117,8 +116,10 @@ class Source:
         del self._taps[port]
 
     async def _follow_events(self) -> None:
-        async for _ in self._client.stream("events", kinds=_EVENTS):
-            self._outdated.set()
+        async with self._client.stream("events", kinds=_EVENTS) as events:
+            self._outdated.set()  # what ran before is asked for once no event after it is missed
+            async for _ in events:
+                self._outdated.set()
         raise ClosedError(f"{self._client.entry.name}: has ended")
 
     async def _follow_time(self) -> None:
@@ -128,7 +129,7 @@ class Source:
             await asyncio.sleep(_TICK)
 
     async def _look(self) -> None:
-        """Ask what runs, now and each time that it is outdated."""
+        """Ask what runs, now and each time that this is outdated."""
         while True:
             await self._outdated.wait()
             self._outdated.clear()
@@ -144,7 +145,7 @@ class Source:
             self._tap_watched()
 
     async def _asked(self, operation: str, **arguments: object) -> Any:
-        """What the kernel says, however long that takes; viewers are informed where it takes long."""
+        """The kernel's answer, however long it takes; viewers are informed when it takes long."""
         loop = asyncio.get_running_loop()
         silent = loop.call_later(_SILENCE, lambda: self._audience.trouble("", self._client.silence))
         try:

@@ -52,7 +52,7 @@ PAGES: Final = MappingProxyType(
         ".svg": "image/svg+xml",
     }
 )
-"""Of the files that pages are made of: what each is, by the ending of its name."""
+"""The media types of the files that pages are made of, by the endings of their names."""
 _STYLE: Final = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem }
 :root { color-scheme: light dark }
@@ -67,16 +67,16 @@ The page that shows them is not there yet.</p>
 
 
 class Api:
-    """What one server answers.
+    """The application of one server: everything that it answers.
 
     Args:
         scheme, ours: as `Guard` takes them.
         right: what tokens allow.
-        say: takes lines for who started the server.
+        say: shows a line to the user who started the server.
         pages: files of the user's own pages, by their names in the address.
 
     Attributes:
-        exchanged: is called when a code was exchanged.
+        exchanged: called when a code was exchanged.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Api:
         self._pages = pages
         self.codes = Codes(self._ended)
         self.under_way = UnderWay()
-        self.exchanged: Callable[[], object] = _at_once
+        self.exchanged: Callable[[], object] = _ignore
         self._say = say
         self._visitors: dict[Holder, Visitor] = {}
         self._endings: set[asyncio.Task[None]] = set()
@@ -110,7 +110,7 @@ class Api:
             return lambda request: answer()
 
         home, docs = document_of("aiorts studio", _HOME), page(self._described)
-        app: Any = Starlette(
+        app = Starlette(
             routes=[
                 Route("/", fixed(lambda: HTMLResponse(home))),
                 Route("/docs", fixed(lambda: HTMLResponse(docs))),
@@ -126,7 +126,7 @@ class Api:
             exception_handlers={AiortsError: _problem, HTTPException: _http_problem},
         )
         app.router.redirect_slashes = False
-        return app  # type: ignore[no-any-return]
+        return app
 
     async def _page(self, request: Request) -> Response:
         from starlette.responses import Response
@@ -312,5 +312,5 @@ async def _http_problem(request: Request, error: Exception) -> Response:
     return await _problem(request, HttpError(error.status_code, code, text, error.headers or {}))
 
 
-def _at_once() -> None:
-    """Where nobody is to be told."""
+def _ignore() -> None:
+    """Do nothing: the default of `Api.exchanged`."""

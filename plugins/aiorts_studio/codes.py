@@ -1,7 +1,7 @@
 """Codes, and the tokens for which clients exchange them. It decides; the clock is passed in, and nothing waits.
 
-A code is read by a person or from a file, so it is good once and for a minute. Whoever uses it a second time may have
-stolen it, or may have been robbed of it: the token that it gave ends.
+A code is read by a person or from a file, so it is good once and for a minute. A second use means that one of its two
+users has stolen it: the token that it gave ends.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from typing import Final
 from aiorts.errors import DeniedError
 
 CODE_SECONDS: Final = 60.0
-"""For which a code is good."""
+"""Seconds for which a code is good."""
 TRIES: Final = 10
-"""Wrong codes after which the one that is good is none any more."""
+"""Wrong codes after which the good one is refused, too."""
 TOKENS: Final = 16
-"""At a time; beyond that the one that was used longest ago ends. A kernel takes as many sessions of a viewer."""
+"""Good tokens at a time; of more the one used longest ago ends. A kernel takes as many sessions of a viewer."""
 _BYTES: Final = 20
-"""Of a code and of a token: 160 bits."""
+"""The length of a code and of a token: 160 bits."""
 
 
 class Fault(Enum):
@@ -60,7 +60,7 @@ class Holder:
     """A client that holds a token.
 
     Attributes:
-        number: of the client, for lines that must not show its token.
+        number: the number of the client, for lines that must not show its token.
         used_at: when it asked for something last.
     """
 
@@ -74,13 +74,13 @@ class Codes:
     """The codes of one server, and the tokens that they gave.
 
     Args:
-        ended: is told of each token that has ended, and why; "" where that is as it should be.
+        ended: called with the holder of each token that has ended, and why; "" where its end was asked for.
     """
 
     def __init__(self, ended: Callable[[Holder, str], None]) -> None:
         self._ended = ended
         self._code = ""
-        """The one that is good; "": none is."""
+        """The code that is good now; "": none is."""
         self._until = 0.0
         self._tries = 0
         self._holders: list[Holder] = []

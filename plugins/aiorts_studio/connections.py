@@ -13,15 +13,15 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 REQUEST_SECONDS: Final = 10.0
-"""Within which the head of a request has to be there."""
+"""Seconds within which the head of a request has to be there."""
 STALL_SECONDS: Final = 30.0
-"""After which a client is cut off that does not take what is sent."""
+"""Seconds after which a client that does not take what is sent is cut off."""
 WAITING: Final = 128
 """Connections without a whole request; of more the one that came first gives way."""
 
 
-class _Reading:
-    """Mixed in: a client that does not read is cut off."""
+class _Reading(asyncio.Protocol):
+    """A mixin of protocols: a client that does not read is cut off."""
 
     transport: Any
     loop: Any
@@ -29,18 +29,18 @@ class _Reading:
 
     def pause_writing(self) -> None:
         """The client does not take what is sent."""
-        super().pause_writing()  # type: ignore[misc]
+        super().pause_writing()
         self._stalled = self.loop.call_later(STALL_SECONDS, self.transport.abort)
 
     def resume_writing(self) -> None:
         """It takes it again."""
-        super().resume_writing()  # type: ignore[misc]
+        super().resume_writing()
         self._forget()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """It has gone."""
         self._forget()
-        super().connection_lost(exc)  # type: ignore[misc]
+        super().connection_lost(exc)
 
     def _forget(self) -> None:
         if self._stalled is not None:
@@ -56,7 +56,7 @@ class Connection(_Reading, H11Protocol):
     """A connection that takes one request after the other.
 
     Args:
-        waiting: those of this server that have no whole request.
+        waiting: the connections of this server that have no whole request; it puts itself there.
     """
 
     def __init__(self, *args: Any, waiting: dict[Connection, None], **options: Any) -> None:
@@ -68,8 +68,6 @@ class Connection(_Reading, H11Protocol):
         """It waits for its first request."""
         super().connection_made(transport)
         self._look()
-        if len(self._waiting) > WAITING:
-            next(iter(self._waiting)).transport.abort()
 
     def data_received(self, data: bytes) -> None:
         """Something of a request has come."""
@@ -93,10 +91,16 @@ class Connection(_Reading, H11Protocol):
             self._wait_no_more()
         elif not self.transport.is_closing():
             self._waiting[self] = None
+            if len(self._waiting) > WAITING:
+                next(iter(self._waiting))._give_way()
             if state is h11.SEND_BODY:  # the guard has a limit of its own for that, and says so
                 self._hurry_no_more()
             elif self._late is None:
                 self._late = self.loop.call_later(REQUEST_SECONDS, self.transport.abort)
+
+    def _give_way(self) -> None:
+        self._wait_no_more()  # its loss is reported later, and more may come until then
+        self.transport.abort()
 
     def _wait_no_more(self) -> None:
         self._waiting.pop(self, None)

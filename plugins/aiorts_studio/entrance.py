@@ -1,4 +1,4 @@
-"""How the same user gets a new code, and how a browser is led to the server: by files that only this user can open."""
+"""New codes for the same user, and the way of a browser to the server: by files that only this user can open."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from aiorts_studio.codes import CODE_SECONDS, Codes
 
 _PRIVATE: Final = 0o600
 _SECONDS: Final = 5.0
-"""Within which a server gives a code."""
+"""Seconds within which a server gives a code."""
 _LONGEST: Final = 4_096
 
 
 class Invitation(NamedTuple):
-    """Where a server is, and a code for it."""
+    """The address of a server, and a code for it."""
 
     url: str
     code: str
@@ -76,7 +76,7 @@ class Entrance:
             await writer.wait_closed()
 
     async def show(self, invitation: Invitation) -> None:
-        """Have the user's browser open the server; no address with a code is an argument of a process."""
+        """Open the server in the user's browser; no argument of a process has the code in it."""
         self._redirect = path = _redirect(invitation)
         self._removal = asyncio.get_running_loop().call_later(CODE_SECONDS, self.remove_redirect)
         await to_thread.run_sync(webbrowser.open, path.as_uri())

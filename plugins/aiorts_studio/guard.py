@@ -1,4 +1,4 @@
-"""What every request must look like, and the headers that every answer has: a layer of ASGI around all that is served.
+"""Checks of every request, and headers of every answer: a layer of ASGI around all that is served.
 
 Any page of a browser may send requests to this machine. Its Origin says which page it is; the Host says by which name
 it came, which is another than this machine's when a page has its own name lead here (DNS rebinding).
@@ -33,7 +33,7 @@ HEADERS: Final[Mapping[str, str]] = MappingProxyType(
         "cache-control": "no-store",
     }
 )
-"""Of every answer."""
+"""The headers of every answer."""
 STRANGERS_BODY: Final = 1 << 10
 """Bytes of a request without a token, which has a code in it at most."""
 BODY: Final = 64 << 10
@@ -41,13 +41,11 @@ BODY: Final = 64 << 10
 LARGE_BODY: Final = 512 << 10
 """Bytes of a request that has the text of a file in it."""
 BODY_SECONDS: Final = 10.0
-"""Within which a request has to be there whole."""
+"""Seconds within which a request has to be there whole."""
 EXCHANGE: Final = "/api/token"
-"""Where a code is exchanged for a token."""
+"""The path at which a code is exchanged for a token."""
 _CLOSED: Final = 1008
 """The status of a WebSocket that is refused: it breaks a policy."""
-
-
 _USUAL: Final[Mapping[str, int]] = MappingProxyType({"http": 80, "https": 443})
 """The ports that a browser leaves out."""
 
@@ -138,7 +136,8 @@ class Guard:
 async def _body(receive: Receive, most: int) -> bytes:
     """The whole body of a request. HttpError: it is too large, or does not come.
 
-    Of one that is too large some is passed over: who closes before it was taken may take the answer back.
+    The rest of one that is too large is read, up to a limit, and dropped: a client that still sends when the connection
+    is closed may lose the answer.
     """
     body, size, more, late = bytearray(), 0, True, False
     try:

@@ -75,7 +75,7 @@ class Visitor:
     """A client with a token: its sessions with kernels, and what it has under way.
 
     Args:
-        holder: of its token.
+        holder: the client, as its token names it.
         right: the most that it may do.
     """
 
@@ -88,7 +88,7 @@ class Visitor:
         self.closed = False
 
     async def session(self, entry: Entry) -> AsyncClient:
-        """The session with a kernel; it begins with the first call, and anew when it has ended.
+        """The session with a kernel; it begins with the first call, and again after it has ended.
 
         Raises:
             AiortsError: the kernel does not answer, or refuses.
@@ -154,7 +154,7 @@ class Visitor:
 
 
 async def _at_once() -> None:
-    """For who takes every item at once."""
+    """The credit of a client that takes every item at once."""
 
 
 def _is_open(opening: asyncio.Task[AsyncClient]) -> bool:
@@ -164,20 +164,21 @@ def _is_open(opening: asyncio.Task[AsyncClient]) -> bool:
 async def lines_of(
     stream: AsyncStream, credit: Callable[[], Awaitable[object]] = _at_once
 ) -> AsyncIterator[Mapping[str, Any]]:
-    """What a stream that has begun says, as clients are told: that it began, each item, its end.
+    """The messages to the client of a stream: that it began, each item, its end.
 
     Args:
+        stream: has begun.
         credit: waits until the client takes an item.
 
     Raises:
         AiortsError: its kernel ended, or failed.
     """
     yield {"began": stream.began}
-    told = 0
+    counted = 0
     while True:
         await credit()
         item = await stream.next()
-        missed, told = stream.missed - told, stream.missed
+        missed, counted = stream.missed - counted, stream.missed
         if item is END:
             yield {"end": stream.result, "missed": missed}
             return

@@ -1,4 +1,4 @@
-"""How much one client, and all clients together, may have under way. It decides; the clock is passed in."""
+"""Limits of what one client, and all clients together, may ask. They decide; the clock is passed in."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Bucket:
 
 
 class UnderWay:
-    """What is under way, by who asked and by kernel."""
+    """The calls and streams under way, by client and by kernel."""
 
     def __init__(self) -> None:
         self._counts: Counter[int | str] = Counter()

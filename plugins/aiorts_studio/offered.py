@@ -11,11 +11,11 @@ from aiorts.errors import RecordError
 from aiorts_studio.problems import HttpError
 
 LARGE: Final = frozenset(("apply", "change", "load_configuration", "plan"))
-"""Those whose arguments are the text of a file."""
+"""The operations whose arguments are the text of a file."""
 _LOOK: Final = 10.0
 """Seconds that an operation may take which only looks."""
 _CHANGE: Final = 60.0
-"""And one that changes something; its `timeout`, where it has one, is added."""
+"""Seconds that an operation may take which changes something; its `timeout`, where it has one, is added."""
 _LONGEST: Final = 3_600.0
 """Seconds that any call is waited for."""
 

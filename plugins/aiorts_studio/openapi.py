@@ -125,7 +125,7 @@ def _json(schema: Json) -> Json:
 
 
 def _lines(operation: Operation, answers: Schemas) -> Json:
-    """Of an operation that streams: each line is one of these."""
+    """The answers of an operation that streams: lines, each of one of these kinds."""
     missed = {"missed": {"type": "integer", "description": "Items that were dropped before it."}}
     lines = {
         "began": {"began": answers.of(operation.result)},

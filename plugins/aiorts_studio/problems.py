@@ -24,18 +24,16 @@ _STATUS: Final[Mapping[str, int]] = MappingProxyType(
     }
 )
 STATUSES: Final = (400, 401, 403, 404, 405, 408, 409, 413, 415, 429, 503, 504)
-"""Of all answers that are problems."""
-UNKNOWN: Final = "E-DENIED"
-"""The code of an answer to who has no token."""
+"""The statuses of all answers that are problems."""
 
 
 class HttpError(AiortsError):
-    """What is wrong with a request, with the status that HTTP has for it."""
+    """An error of a request, with the status that HTTP has for it."""
 
     def __init__(self, status: int, code: str, text: str, headers: Mapping[str, str] = MappingProxyType({})) -> None:
         super().__init__(text)
         self.status = status
-        self.code = code  # type: ignore[misc] # it has that of what it stands for
+        self.code = code  # type: ignore[misc] # of each error its own
         self.headers = headers
 
 

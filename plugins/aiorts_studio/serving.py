@@ -1,4 +1,4 @@
-"""The server: it listens, and answers until it is told to end."""
+"""The server: it listens, and answers until its end."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ _LAST: Final = 1
 _HEAD: Final = 16 << 10
 """Bytes of the head of a request."""
 _PING: Final = 20.0
+"""Seconds between signs of life of a WebSocket, and seconds that its client has to answer one."""
 
 
 def bound(host: str, port: int) -> socket.socket:
@@ -44,7 +45,7 @@ def bound(host: str, port: int) -> socket.socket:
 
 
 def secured(certificates: Path, name: str, address: str) -> tuple[ssl.SSLContext, list[str]]:
-    """What the server shows to others by TLS, and the host names and addresses that its certificate is for.
+    """The TLS context of the server, and the addresses that its certificate is for.
 
     Raises:
         ConfigurationError: the folder has no certificate of this name that is good, or it is for other addresses.
@@ -109,7 +110,7 @@ def _server(config: uvicorn.Config) -> Any:
     import uvicorn
 
     class Server(uvicorn.Server):
-        """Waits for its end, where uvicorn looks ten times a second, and leaves signals to who started it."""
+        """Waits for its end, where uvicorn looks ten times a second, and leaves signals to its caller."""
 
         def __init__(self, config: uvicorn.Config) -> None:
             super().__init__(config)

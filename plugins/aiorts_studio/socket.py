@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from aiorts_studio.api import Api
 
 GREETING_SECONDS: Final = 5.0
-"""Within which a client has to say its token."""
+"""Seconds within which a client has to say its token."""
 STRANGERS: Final = 32
-"""WebSockets that have said none; of more the one that came first gives way."""
+"""WebSockets that have said no token; of more the one that came first gives way."""
 CREDIT: Final = 4_096
 """Items that a stream may be ahead of its client."""
 _REFUSED: Final = 1008
@@ -44,7 +44,7 @@ class Sockets:
         self._by_client: dict[int, asyncio.Event] = {}
 
     async def attend(self, socket: WebSocket) -> None:
-        """Carry one until it ends."""
+        """Serve one WebSocket until it ends."""
         await socket.accept()
         try:
             visitor = await self._greeted(socket)
@@ -60,16 +60,17 @@ class Sockets:
         self._strangers[asking] = None
         try:
             if len(self._strangers) > STRANGERS:
-                next(iter(self._strangers)).cancel()
+                first = next(iter(self._strangers))
+                del self._strangers[first]  # it ends later, and more may come until then
+                first.cancel()
             await asyncio.wait((asking,), timeout=GREETING_SECONDS)
         finally:
-            del self._strangers[asking]
+            self._strangers.pop(asking, None)
             gives_way = asking.cancelled()
             asking.cancel()
         if gives_way or not asking.done():
-            raise HttpError(
-                401, "E-DENIED", "said no token" if not gives_way else "gave way to those that came after it"
-            )
+            why = "gave way to those that came after it" if gives_way else "said no token"
+            raise HttpError(401, "E-DENIED", why)
         message = asking.result()
         if message["type"] == "websocket.disconnect":
             return None
@@ -182,7 +183,7 @@ class _Carrier:
     async def _say(self, message: Mapping[str, Any]) -> None:
         from starlette.websockets import WebSocketDisconnect
 
-        with suppress(WebSocketDisconnect):  # who reads notices
+        with suppress(WebSocketDisconnect):  # the end that reads notices
             await self._socket.send_text(json_out(message).decode())
 
 

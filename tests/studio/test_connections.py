@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from contextlib import suppress
 
 import pytest
@@ -48,6 +49,23 @@ async def test_of_many_without_a_whole_request_the_first_gives_way(sent: str, mo
         await ended(streams[0][0])
         await ended(streams[1][0])
         assert (await client.ask("GET", "/api/kernels")).status == 200
+        for _, writer in streams:
+            writer.close()
+
+
+async def test_of_many_that_come_at_once_no_more_wait_than_may(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "WAITING", 3)
+    monkeypatch.setattr(connections, "REQUEST_SECONDS", 10 * WAIT)
+    async with site() as client:
+        came = [socket.socket() for _ in range(20)]
+        for one in came:
+            one.setblocking(False)
+            with suppress(BlockingIOError):
+                one.connect((HOST, client.port))
+        streams = [await asyncio.open_connection(sock=one) for one in came]
+        for reader, _ in streams[:-3]:
+            await ended(reader)
+        assert not any(reader.at_eof() for reader, _ in streams[-3:])
         for _, writer in streams:
             writer.close()
 

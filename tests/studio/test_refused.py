@@ -166,6 +166,19 @@ async def test_of_many_that_say_no_token_the_first_gives_way() -> None:
         await asyncio.gather(*(one.close() for one in sockets))
 
 
+async def test_of_many_that_come_at_once_no_more_say_no_token_than_may(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aiorts_studio.socket.GREETING_SECONDS", 10 * WAIT)
+    monkeypatch.setattr("aiorts_studio.socket.STRANGERS", 3)
+    async with site() as client:
+        url, options = f"ws://{client.host}/api/socket", {"origin": client.origin, "close_timeout": 0.1}
+        sockets = await asyncio.gather(*(connect(url, **options) for _ in range(10)))  # type: ignore[arg-type]
+        async with asyncio.timeout(WAIT):
+            while len([one for one in sockets if one.close_code is not None]) < 7:
+                await asyncio.sleep(0.01)
+        assert {one.close_reason for one in sockets} == {None, "gave way to those that came after it"}
+        await asyncio.gather(*(one.close() for one in sockets))
+
+
 # -- requests ----------------------------------------------------------------------------------------------------------
 
 

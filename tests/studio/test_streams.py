@@ -56,14 +56,20 @@ async def said(socket: ClientConnection) -> Any:
 
 
 async def test_lines_of_a_stream_come_until_the_client_goes() -> None:
-    async with controlled("robot"), site() as client:
+    async with controlled("robot") as kernel, site() as client:
+        out = kernel.components["counter0"].ports["out"]
+        usual = len(out._connectors)
         async with lines(client, "robot", "tap", port="counter0.out") as following:
             began = await following()
             assert began["began"]["port"] == "counter0.out"
             items = [await following() for _ in range(5)]
             assert [one.keys() for one in items] == [{"item", "missed"}] * 5
+            assert len(out._connectors) == usual + 1
             data = [one["item"]["data"] for one in items]
             assert data == [data[0] + step for step in range(5)]
+        async with asyncio.timeout(WAIT):
+            while len(out._connectors) > usual:
+                await asyncio.sleep(0.01)
         assert (await client.call("robot", "names")).status == 200
 
 
