@@ -7,7 +7,6 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
-from aiorts.kernel.loop.bus import Assembled
 from aiorts.late import dataclass
 from aiorts.model.plain import plain
 from aiorts.observe.profiles import (
@@ -25,7 +24,7 @@ SECTIONS: Final[Mapping[str, type]] = {
     "contexts": ContextReport,
 }
 
-_ASSEMBLED: Final = Assembled.__name__
+_ASSEMBLED: Final = "Assembled"  # the name of the event: who reads changes imports no kernel
 """The kind of event that changes the profile itself, and no part of it."""
 
 
