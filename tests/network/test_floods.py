@@ -34,7 +34,8 @@ BEFORE, GARBAGE = (2_500, 10_000) if CAMPAIGN else (50, 50)
 ROOM, GROWN = 64 << 20, 4 << 20
 """Bytes for all that wait at the same time, which the process keeps, and that it may grow by after them."""
 PLACE = 4 << 10
-"""Bytes that the engine keeps for each connection that waits beside the others: 2.0 to 3.1 KiB were measured."""
+"""Bytes that the engine keeps for each connection that waits beside the others: a bare engine, with nothing of ours, is
+17.6 MiB larger after 10,000 that follow 2,500, a kernel 19.7 MiB."""
 WORKED_OFF = 20.0 + 0.15 * GARBAGE
 """Seconds until the last of them is over, with a margin."""
 JOINS = 2.0
