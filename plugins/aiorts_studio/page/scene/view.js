@@ -14,10 +14,10 @@ const OWN_POINTER = ".box, .upon, .tip, .fold, .splitter";
 /** @param {HTMLElement} host @param {Scene} scene @returns {Moves} */
 export function moving(host, scene) {
   const still = matchMedia("(prefers-reduced-motion: reduce)");
-  const behaviour = zoom().scaleExtent([LEAST, MOST])
+  const behaviour = /** @type {import("../vendor/d3-zoom.js").ZoomBehavior<HTMLElement, unknown>} */ (zoom()).scaleExtent([LEAST, MOST])
     .filter((/** @type {any} */ event) => event.type === "wheel" || (!event.target.closest(OWN_POINTER) && !event.button) || (event.touches?.length ?? 0) > 1)
     .on("zoom", (/** @type {any} */ { transform }) => scene.setView({ x: transform.x, y: transform.y, k: transform.k }));
-  const area = select(host).call(behaviour).on("dblclick.zoom", null);
+  const area = /** @type {import("d3-selection").Selection<HTMLElement, unknown, any, any>} */ (select(host)).call(behaviour).on("dblclick.zoom", null);
   /** Motion shows where one has gone; who asked for none is there at once. @param {number} ms */
   const target = (ms) => (still.matches || !area.transition ? area : area.transition().duration(ms));
 
