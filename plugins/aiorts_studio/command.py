@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-@click.command(short_help="Serve what runs over HTTP.")
-@click.option("--api", is_flag=True, help="Serve the HTTP API.")
+@click.command(short_help="Show what runs in a browser.")
+@click.argument("kernels", metavar="[KERNEL]...", nargs=-1)
+@click.option("--api", is_flag=True, help="For programs: print no more than the address and the code.")
 @click.option("--url", is_flag=True, help="Print the address of the server that runs, and a new code.")
 @click.option("--port", type=click.IntRange(0, 65_535), default=0, help="Listen there; 0 is any that is free.")
 @click.option("--edit", is_flag=True, help="Clients may change what runs; else they only look.")
@@ -44,6 +45,7 @@ _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 )
 @click.option("--name", default="studio", show_default=True, help="Of the server, in its certificate.")
 def studio(
+    kernels: tuple[str, ...],
     api: bool,
     url: bool,
     port: int,
@@ -54,17 +56,19 @@ def studio(
     certificates: Path | None,
     name: str,
 ) -> int:
-    """Serve what runs over HTTP, to pages and programs of this machine.
+    """Show what runs in a browser, and serve it to programs over HTTP.
 
-    It prints its address, and on a second line a code. A client exchanges the code for a token; the code is good once
-    and for 60 s. It ends with Ctrl-C. There is no page yet that shows what runs: /docs has the API.
+    Without KERNEL it shows all systems of this user, also those that start later. It prints its address, and on a
+    second line a code, which the page asks for; the code is good once and for 60 s, and --url prints a new one. It ends
+    with Ctrl-C. /docs has the HTTP API.
     """
     if url:
         for one in invitations():
             _print(one)
         return exits.DONE
-    if not api:
-        raise click.UsageError("expected --api or --url; there is no page yet that shows what runs")
+    for word in kernels:
+        if word.endswith((".toml", ".xml")) or Path(word).is_file():
+            raise click.UsageError(f"{word}: is a file; `aiorts run {word}` runs it, and its name is given here")
     if (bind is None) != (certificates is None):
         raise ConfigurationError("--bind and --certs: beyond this machine there is TLS only; give both or neither")
     if bind is not None and edit:
@@ -79,11 +83,18 @@ def studio(
     right = Right.OPERATE if edit else Right.VIEW
     files = () if pages is None else sorted(pages.iterdir())
     shown = {one.name: one for one in files if one.suffix in PAGES and one.is_file()}
-    return asyncio.run(_serve(names, port, tls, right, shown, opens=opens))
+    return asyncio.run(_serve(names, port, tls, right, shown, kernels, opens=opens))
 
 
 async def _serve(
-    names: Sequence[str], port: int, tls: SSLContext | None, right: Right, pages: Mapping[str, Path], *, opens: bool
+    names: Sequence[str],
+    port: int,
+    tls: SSLContext | None,
+    right: Right,
+    pages: Mapping[str, Path],
+    kernels: Sequence[str],
+    *,
+    opens: bool,
 ) -> int:
     from aiorts_studio.api import Api
     from aiorts_studio.guard import hosts_of
@@ -95,7 +106,7 @@ async def _serve(
         loop.add_signal_handler(number, over.set)
     scheme = "http" if tls is None else "https"
     ours = hosts_of(scheme, names, listening.getsockname()[1])
-    api = Api(scheme, ours, right, _say, pages)
+    api = Api(scheme, ours, right, _say, pages, kernels)
     entrance = Entrance(f"{scheme}://{ours[0]}", api.codes)
     api.exchanged = entrance.remove_redirect
     async with entrance.open(), served(listening, api.app, tls):

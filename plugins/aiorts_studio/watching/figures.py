@@ -1,0 +1,92 @@
+"""The figures of a kernel: rates, losses and what waits, from its counters.
+
+Pure: items of the stream `counters` come in, rows for pages come out.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, TypeAlias
+
+from aiorts_studio.watching.scene import said_of, state_of
+
+Row: TypeAlias = list[Any]
+_KINDS: Final = ("connectors", "service_connectors", "timed", "contexts", "components")
+_LOOKS: Final = 6
+"""Looks over which rates are taken: one second of five a second."""
+
+
+class Figures:
+    """The counters of one kernel, and those of the second before."""
+
+    def __init__(self) -> None:
+        self.now: dict[str, dict[str, Any]] = {kind: {} for kind in _KINDS}
+        self.at_ns = 0
+        self._earlier: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_LOOKS)
+
+    def take(self, item: Mapping[str, Any]) -> None:
+        """Take an item of the stream: what has changed, or all."""
+        if item["whole"]:
+            self.__init__()  # type: ignore[misc] # the kernel, or the selection, is another
+        elif self.at_ns:
+            self._earlier.append((self.at_ns, dict(self.now["connectors"])))
+        self.at_ns = item["at_ns"]
+        for kind in _KINDS:
+            self.now[kind].update(item[kind])
+            for name in item["gone"].get(kind, ()):
+                self.now[kind].pop(name, None)
+
+    def edge(self, name: str) -> Row | None:
+        """The rate in Hz, drops, samples that wait, drops a second and by reason, the age and the round trip in ms."""
+        counted = self.now["connectors"].get(name)
+        if counted is None:
+            return None
+        written, _, buffered, dropped, _ = counted
+        lost, rate, losing = sum(dropped.values()), None, 0.0
+        if (before := self._before(name)) is not None:
+            at_ns, (written_then, _, _, dropped_then, _) = before
+            seconds = (self.at_ns - at_ns) / 1e9
+            rate = _digits((written - written_then) / seconds)
+            losing = _digits((lost - sum(dropped_then.values())) / seconds)
+        return [rate, lost, buffered, losing, dropped or None, self._age_ms(name), None]
+
+    def is_lossy(self, name: str) -> bool:
+        """Whether the connector has dropped samples."""
+        counted = self.now["connectors"].get(name)
+        return counted is not None and bool(counted[3])
+
+    def _before(self, name: str) -> tuple[int, Any] | None:
+        for at_ns, counted in self._earlier:
+            if name in counted and at_ns < self.at_ns:
+                return at_ns, counted[name]
+        return None
+
+    def _age_ms(self, name: str) -> float | None:
+        spans = self.now["timed"].get(name, {}).get("age")
+        return None if spans is None else round(spans[1] / 1e6, 3)
+
+    def box(self, name: str) -> Row | None:
+        """The state of a component, and what is said of it."""
+        found = self.now["components"].get(name)
+        if found is None:
+            return None
+        states, overdue = found["states"], found.get("overdue") or {}
+        return [state_of(states, failed=found["failed"]), said_of(states, overdue)]
+
+    def frame(self, context: str) -> Row | None:
+        """The lateness of a context in ms (p99), its overruns, and who was late last."""
+        found = self.now["contexts"].get(context)
+        return None if found is None else [round(found["lateness_p99_ns"] / 1e6, 1), found["overruns"], ""]
+
+
+def _digits(value: float) -> float:
+    """Three digits: more would flicker."""
+    return float(f"{value:.3g}")
+
+
+def different(rows: Mapping[int, Row], told: dict[int, Row], wanted: Iterable[int]) -> dict[int, Row]:
+    """The rows that a page has in view and was not told; they count as told from then on."""
+    found = {number: rows[number] for number in wanted if number in rows and told.get(number) != rows[number]}
+    told.update(found)
+    return found
