@@ -23,12 +23,17 @@ class Figures:
     def __init__(self) -> None:
         self.now: dict[str, dict[str, Any]] = {kind: {} for kind in _KINDS}
         self.at_ns = 0
+        self.trips: dict[str, float] = {}
+        """The round trips of links in ms, by connector."""
+        self.late: dict[str, str] = {}
+        """What made a context late most often, by context."""
         self._earlier: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_LOOKS)
 
     def take(self, item: Mapping[str, Any]) -> None:
         """Take an item of the stream: what has changed, or all."""
         if item["whole"]:
-            self.__init__()  # type: ignore[misc] # the kernel, or the selection, is another
+            self._earlier.clear()
+            self.now = {kind: {} for kind in _KINDS}
         elif self.at_ns:
             self._earlier.append((self.at_ns, dict(self.now["connectors"])))
         self.at_ns = item["at_ns"]
@@ -36,6 +41,15 @@ class Figures:
             self.now[kind].update(item[kind])
             for name in item["gone"].get(kind, ()):
                 self.now[kind].pop(name, None)
+
+    def take_part(self, part: Mapping[str, Any]) -> None:
+        """Take a look at links and contexts, as the operation `part` has them."""
+        for name, one in part["connectors"].items():
+            if (trip := one["ledger"]["round_trip_ns"]) is not None:
+                self.trips[name] = round(trip / 1e6, 3)
+        for name, one in part["contexts"].items():
+            missed = one["statistics"]["missed"]
+            self.late[name] = max(missed, key=missed.__getitem__) if missed else ""
 
     def edge(self, name: str) -> Row | None:
         """The rate in Hz, drops, samples that wait, drops a second and by reason, the age and the round trip in ms."""
@@ -49,7 +63,7 @@ class Figures:
             seconds = (self.at_ns - at_ns) / 1e9
             rate = _digits((written - written_then) / seconds)
             losing = _digits((lost - sum(dropped_then.values())) / seconds)
-        return [rate, lost, buffered, losing, dropped or None, self._age_ms(name), None]
+        return [rate, lost, buffered, losing, dropped or None, self._age_ms(name), self.trips.get(name)]
 
     def is_lossy(self, name: str) -> bool:
         """Whether the connector has dropped samples."""
@@ -75,9 +89,12 @@ class Figures:
         return [state_of(states, failed=found["failed"]), said_of(states, overdue)]
 
     def frame(self, context: str) -> Row | None:
-        """The lateness of a context in ms (p99), its overruns, and who was late last."""
+        """The lateness of a context in ms (p99; None without a rate), its overruns, and what most often made it late."""
         found = self.now["contexts"].get(context)
-        return None if found is None else [round(found["lateness_p99_ns"] / 1e6, 1), found["overruns"], ""]
+        if found is None:
+            return None
+        late = round(found["lateness_p99_ns"] / 1e6, 1) if found["rate"] else None
+        return [late, found["overruns"], self.late.get(context, "")]
 
 
 def _digits(value: float) -> float:

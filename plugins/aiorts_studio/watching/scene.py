@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import asyncio
 import re
+import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, Final, TypeAlias
 
 from aiorts.model.lifecycle import state_text
+from aiorts.sessions import Entry
 from aiorts_studio.watching.layout import Edge, Key, Layout, Route, Spot, meets
 
 Message: TypeAlias = dict[str, Any]
@@ -32,6 +34,10 @@ class View:
         key: the name by which it is known again after a restart.
         address: the address of the process that runs, or ran last.
         profile: the parts of its profile, as `changes` tells them.
+        lasting: its name that stays over restarts; "" is not known.
+        changes: how often its profile has changed.
+        settled: whether it was laid out after it was whole.
+        answered: when it answered last, by the monotonic clock.
         about: what the page says of it: "name", "state", "why", and others.
     """
 
@@ -39,6 +45,18 @@ class View:
     address: str
     about: dict[str, Any]
     profile: dict[str, Any] = field(default_factory=dict)
+    lasting: str = ""
+    changes: int = 0
+    settled: bool = False
+    answered: float = field(default_factory=time.monotonic)
+
+    def say(self, state: str, why: str) -> bool:
+        """Take whether it answers; False: that was known."""
+        if (state, why) == (self.about["state"], self.about["why"]):
+            return False
+        since = 0.0 if state == "live" else round(time.monotonic() - self.answered, 1)
+        self.about.update(state=state, why=why, since_s=since)
+        return True
 
     @property
     def components(self) -> Mapping[str, Any]:
@@ -59,6 +77,15 @@ class View:
         """What a service attached to the kernel says of itself."""
         found = (self.profile.get("services") or {}).get(name)
         return found if isinstance(found, dict) else {}
+
+
+def about(entry: Entry) -> dict[str, Any]:
+    """What the page says of a kernel before it has answered."""
+    host, _, name = entry.address.partition("/")
+    return {
+        "name": name, "host": host, "pid": entry.pid, "state": "silent", "why": "has not answered yet", "since_s": 0.0,
+        "simulated": False, "round_trip_ms": None,
+    }  # fmt: skip
 
 
 class Scene:
