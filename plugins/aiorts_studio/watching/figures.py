@@ -5,11 +5,11 @@ Pure: items of the stream `counters` come in, rows for pages come out.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Mapping
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, TypeAlias
 
-from aiorts_studio.watching.scene import said_of, state_of
+from aiorts_studio.watching.words import said_of, state_of
 
 Row: TypeAlias = list[Any]
 _KINDS: Final = ("connectors", "service_connectors", "timed", "contexts", "components")
@@ -51,7 +51,22 @@ class Figures:
             missed = one["statistics"]["missed"]
             self.late[name] = max(missed, key=missed.__getitem__) if missed else ""
 
-    def edge(self, name: str) -> Row | None:
+    def edge(self, names: Sequence[str]) -> Row | None:
+        """The figures of the connectors that an edge stands for, added up; the age and the round trip are the largest."""
+        rows = [row for name in names if (row := self._connector(name)) is not None]
+        if len(rows) < 2:
+            return rows[0] if rows else None
+        reasons: Counter[str] = Counter()
+        for row in rows:
+            reasons.update(row[4] or {})
+        sums = [
+            _digits(sum(row[at] or 0 for row in rows)) if at in (0, 3) else sum(row[at] for row in rows)
+            for at in range(4)
+        ]
+        largest = [max((row[at] for row in rows if row[at] is not None), default=None) for at in (5, 6)]
+        return [*sums, dict(reasons) or None, *largest]
+
+    def _connector(self, name: str) -> Row | None:
         """The rate in Hz, drops, samples that wait, drops a second and by reason, the age and the round trip in ms."""
         counted = self.now["connectors"].get(name)
         if counted is None:
@@ -89,7 +104,7 @@ class Figures:
         return [state_of(states, failed=found["failed"]), said_of(states, overdue)]
 
     def frame(self, context: str) -> Row | None:
-        """The lateness of a context in ms (p99; None without a rate), its overruns, and what most often made it late."""
+        """The lateness of a context in ms (p99; None without a rate), its overruns, and what made it late most."""
         found = self.now["contexts"].get(context)
         if found is None:
             return None

@@ -112,6 +112,12 @@ class _PageSocket:
                 call.add_done_callback(self._calls.discard)
             case "tidy":
                 self._studio.tidy()
+            case "move":
+                self._studio.move(whole(said, "id"), _number(said.get("x"), "x"), _number(said.get("y"), "y"))
+            case "fold":
+                self._studio.fold(whole(said, "id"), on=said.get("on") is True)
+            case "infrastructure":
+                pass  # the page itself hides it
             case "log":
                 self._follow(
                     "log",

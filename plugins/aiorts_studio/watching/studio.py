@@ -18,7 +18,8 @@ from aiorts_studio.watching.feeds import happening
 from aiorts_studio.watching.figures import Row, different
 from aiorts_studio.watching.page import FAR, Page
 from aiorts_studio.watching.plots import Shown, Tap
-from aiorts_studio.watching.scene import Scene, View, about
+from aiorts_studio.watching.scene import Scene
+from aiorts_studio.watching.view import View, about
 from aiorts_studio.watching.watch import Follower, Watch
 
 PAGES: Final = 16
@@ -230,6 +231,16 @@ class Studio:
 
     # -- what pages are told ---------------------------------------------------------------------------------------
 
+    def move(self, number: int, x: float, y: float) -> None:
+        """Put a box elsewhere."""
+        self.scene.move(number, x, y)
+        self.changed()
+
+    def fold(self, number: int, *, on: bool) -> None:
+        """Fold a frame into one box, or unfold it."""
+        self.scene.fold(number, on=on)
+        self.changed()
+
     def tidy(self) -> None:
         """Lay all out anew."""
         self.scene.tidy()
@@ -259,11 +270,14 @@ class Studio:
         """Tell each page the figures that it has in view and was not told."""
         if not pages or not watch.figures.at_ns:
             return
-        figures, numbers, key = watch.figures, self.scene.connectors, watch.view.key
-        edges = {number: name for name in figures.now["connectors"] if (number := numbers.get((key, name))) is not None}
+        figures, key = watch.figures, watch.view.key
+        edges: dict[int, list[str]] = {}
+        for name, number in self.scene.connectors.get(key, {}).items():
+            if name in figures.now["connectors"]:
+                edges.setdefault(number, []).append(name)
         wanted = frozenset[int]().union(*(page.seen["e"] for page in pages if not page.is_far))
         near = {number: row for number in wanted & edges.keys() if (row := figures.edge(edges[number])) is not None}
-        far = {number: [int(figures.is_lossy(name))] for number, name in edges.items()}
+        far: dict[int, Row] = {number: [int(any(map(figures.is_lossy, names)))] for number, names in edges.items()}
         boxes = self._rows("box", key, figures.now["components"], figures.box)
         frames = self._rows("frame", key, figures.now["contexts"], figures.frame)
         for page in pages:

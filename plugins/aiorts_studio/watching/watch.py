@@ -11,7 +11,7 @@ from typing import Any, Final, Protocol
 from aiorts.errors import AiortsError, NoAnswerError
 from aiorts.sessions import END, AsyncClient, AsyncStream
 from aiorts_studio.watching.figures import Figures
-from aiorts_studio.watching.scene import View
+from aiorts_studio.watching.view import View
 
 RATE: Final = 5.0
 """Looks a second at the counters of a kernel."""
