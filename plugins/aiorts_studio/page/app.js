@@ -14,7 +14,7 @@ import { Tree } from "./panels/tree.js";
 import { pointing } from "./scene/pointing.js";
 import { Scene } from "./scene/scene.js";
 import { outline } from "./scene/outline.js";
-import { Legend, Tools } from "./scene/tools.js";
+import { Empty, Legend, Tools } from "./scene/tools.js";
 import { moving } from "./scene/view.js";
 import { Banner, Below, Toast, room, splitters } from "./shell.js";
 import { SignIn } from "./sign_in.js";
@@ -24,6 +24,8 @@ import { walk } from "./walk.js";
 const html = htm.bind(h);
 const LOOKS_PER_SECOND = 10;
 const NOTICE_MS = 5000;
+/** The width from which on the legend has room beside the buttons, in px. */
+const WIDE = 1000;
 
 followTheme();
 render(html`<${Header} />`, room("header", ""));
@@ -36,7 +38,8 @@ render(html`<${Below} tabs=${{ Log, Events, Plots }} />`, below.appendChild(docu
 splitters(main, below);
 const upon = main.appendChild(document.createElement("div"));
 upon.className = "upon";
-render(html`<${Legend} /><${Tools} view=${view} />`, upon);
+render(html`<${Legend} first=${main.clientWidth > WIDE} /><${Tools} view=${view} />`, upon);
+render(html`<${Empty} />`, main.appendChild(document.createElement("div")));
 const over = document.body.appendChild(document.createElement("div"));
 const heard = document.body.appendChild(document.createElement("p"));
 heard.className = "heard";
@@ -91,6 +94,8 @@ effect(() => {
   void store.theme.value;
   scene.resize();
 });
+
+store.on("problem", ({ problem }) => store.tell(problem.detail ?? problem.title ?? problem.text ?? "The server refused it"));
 
 followAddress();
 const code = codeOfAddress();

@@ -31,12 +31,16 @@ export function endsOf(edge, boxes) {
 
 /** @typedef {"" | "busy" | "idle" | "full" | "lossy" | "down" | "waiting"} Tone */
 
+/** A buffer of fewer samples is full in most cycles, and nothing is wrong. */
+const LARGE = 4;
+
 /** How an edge fares, from its worst to its best. @param {Edge} edge @param {EdgeFigures | undefined} row @returns {Tone} */
 export function toneOf(edge, row) {
   if (edge.state !== "up") return edge.state;
   if (row?.lossy) return "lossy";
   if (!row || row.rate === null) return "";
-  if (row.backlog >= 0.8 * capacityOf(edge)) return "full";
+  const room = capacityOf(edge);
+  if (room >= LARGE && row.backlog >= 0.8 * room) return "full";
   return row.rate ? "busy" : "idle";
 }
 
@@ -100,7 +104,7 @@ export function boxSpoken(box, state, said, kernel) {
  * @param {Frame} frame @param {FrameFigures | undefined} row @returns {string}
  */
 export function frameSaid(frame, row) {
-  const late = row?.late === null || row?.late === undefined ? "" : `p99 ${number(row.late)} ms late`;
+  const late = !row?.late ? "" : `p99 ${number(row.late)} ms late`;
   const overruns = row?.overruns ? `${count(row.overruns)} overrun${row.overruns === 1 ? "" : "s"}${row.who ? `, most by ${row.who}` : ""}` : "";
   return [frame.said, late, overruns].filter(Boolean).join("  ·  ");
 }
@@ -110,4 +114,10 @@ export function kernelTrouble(kernel, since) {
   if (kernel.state === "live") return "";
   if (kernel.state === "silent") return `no answer for ${seconds(since)}`;
   return ["ended", kernel.why].filter(Boolean).join(": ");
+}
+
+/** Where a kernel runs. @param {Kernel} kernel */
+export function kernelSaid(kernel) {
+  const trip = kernel.round_trip_ms === null ? "" : `${number(kernel.round_trip_ms)} ms round trip`;
+  return [`process ${kernel.pid} on ${kernel.host}`, kernel.simulated ? "simulated time" : "", trip].filter(Boolean).join("  ·  ");
 }

@@ -12,7 +12,7 @@ const STRIPE = 22, BADGE = 44;
 
 /** @param {Box} box @param {Look} look */
 export function makeBox(box, look) {
-  const room = box.w - STRIPE - BADGE + 4;
+  const room = box.w - STRIPE - (look.state ? BADGE - 4 : 12);
   return make("g", {
     class: `box ${box.kind} ${box.infrastructure ? "infrastructure" : ""} ${classOf(look)}`, transform: `translate(${box.x} ${box.y})`,
     "data-box": box.id, role: "group", "aria-roledescription": "component", "aria-label": look.spoken,
@@ -23,12 +23,12 @@ export function makeBox(box, look) {
   make("rect", { class: "stripe", width: 4, height: 31, x: 10, y: 11, rx: 2 }),
   text("name", STRIPE, 24, box.name, room, font(look.sizes.name, true)),
   text(`type ${look.said ? "trouble" : ""}`, STRIPE, 43, look.said || box.type, room, font(look.sizes.text)),
-  badge(box, look.state),
+  ...(look.state ? [badge(box, look.state)] : []),
   ...box.ports.map((port) => makePort(box, port, look.sizes.text)));
 }
 
 /** The classes of a box that change while it runs. @param {Look} look */
-export const classOf = (look) => `is-${look.state} ${look.silent ? "silent" : ""} ${look.chosen ? "chosen" : ""}`;
+export const classOf = (look) => `is-${look.state || "unknown"} ${look.silent ? "silent" : ""} ${look.chosen ? "chosen" : ""}`;
 
 /** @param {Box} box @param {string} state */
 function badge(box, state) {

@@ -1,6 +1,6 @@
 /**
- * Draws one connector. Below its line lies a wider one in the colour of the ground: where two edges cross, one is seen
- * to pass over the other; where they join, there is a dot.
+ * Draws one connector. Where two edges cross, a piece in the colour of the ground lies below the upper one: it is seen to
+ * pass over the other. Where they join, there is a dot.
  */
 import { edgeSpoken, labelOf, toneOf } from "../words.js";
 import { rounded } from "./paths.js";
@@ -11,14 +11,18 @@ import { make } from "./svg.js";
 /** @typedef {{chosen: boolean, own: boolean, silent: boolean, crowded: boolean, small: boolean}} Look
  * crowded: another label is right below; small: text takes more room than at scale 1 */
 
-/** @param {Edge} edge @param {EdgeFigures | undefined} row @param {Look} look @param {Map<number, Box>} boxes @param {Point[]} joints @returns {Drawn} */
-export function makeEdge(edge, row, look, boxes, joints) {
+/**
+ * @param {Edge} edge @param {EdgeFigures | undefined} row @param {Look} look @param {Map<number, Box>} boxes
+ * @param {Point[]} joints @param {string} over its pieces above others
+ * @returns {Drawn}
+ */
+export function makeEdge(edge, row, look, boxes, joints, over) {
   const d = rounded(edge.points), tone = toneOf(edge, row), [x, y] = edge.label;
   const node = make("g", {
     class: edgeClass(edge, tone, look), "data-edge": edge.id, role: "img", "aria-roledescription": "connector",
     "aria-label": edgeSpoken(edge, boxes, tone), tabindex: -1,
   },
-  make("path", { class: "ground", d }), make("path", { class: "line", d }),
+  make("path", { class: "glow", d }), ...(over ? [make("path", { class: "ground", d: over })] : []), make("path", { class: "line", d }),
   ...(edge.link ? [make("path", { class: "core", d })] : []),
   make("path", { class: "hit", d }),
   ...joints.map(([cx, cy]) => make("circle", { class: "joint", cx, cy, r: 3.5 })));

@@ -37,6 +37,13 @@ export class Grid {
     this.filed[kind].delete(id);
   }
 
+  /** Other things of a kind in the cells of one. @param {Kind} kind @param {number} id @returns {Set<number>} */
+  beside(kind, id) {
+    const found = new Set((this.filed[kind].get(id) ?? []).flatMap((key) => [...(this.cells.get(key)?.[kind] ?? [])]));
+    found.delete(id);
+    return found;
+  }
+
   /** The things in the cells that a rectangle touches. @param {Rect} rect @returns {Record<Kind, Set<number>>} */
   find({ x0, y0, x1, y1 }) {
     const found = { boxes: new Set(), edges: new Set() };

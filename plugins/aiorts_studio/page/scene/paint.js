@@ -9,14 +9,14 @@ import { FAR_TEXT } from "./fonts.js";
  *   state: (box: Box) => string, silent: (kernel: string) => boolean, chosen: (kind: "box" | "edge", id: number) => boolean}} World */
 
 const COLOURS = ["edge", "busy", "lossy", "down", "box", "box-line", "lane", "line", "ink", "quiet", "accent", "on-state",
-  "active", "inactive", "error", "created", "ended", "silent"];
+  "active", "inactive", "error", "created", "ended", "silent", "full", "kernel"];
 /** The strokes of edges: those drawn later lie above. Each has one path: 2,000 strokes of their own cost far more. */
 const STROKES = /** @type {[string, string, number][]} */ ([["edge", "edge", 1.25], ["waiting", "edge", 1.25], ["full", "full", 1.75], ["down", "down", 2], ["lossy", "lossy", 2.25], ["chosen", "accent", 2.5]]);
 
 /** @param {Element} host @returns {Record<string, string>} */
 export function coloursOf(host) {
   const style = getComputedStyle(host);
-  return Object.fromEntries([...COLOURS, "full", "paper"].map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+  return Object.fromEntries(COLOURS.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 
 /** @param {CanvasRenderingContext2D} context @param {View} view @param {World} world @param {Record<string, string>} colours @param {number} ratio */
@@ -28,7 +28,7 @@ export function paint(context, { x, y, k }, world, colours, ratio) {
   for (const frame of world.frames) {
     context.beginPath();
     context.roundRect(frame.x, frame.y, frame.w, frame.h, 14);
-    context.fillStyle = colours.lane;
+    context.fillStyle = frame.kind === "kernel" || frame.kind === "host" ? colours.kernel : colours.lane;
     context.fill();
     context.lineWidth = 1 / k;
     context.strokeStyle = colours.line;

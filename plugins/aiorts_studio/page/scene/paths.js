@@ -55,3 +55,30 @@ export function away(points, [x, y]) {
   }
   return least;
 }
+
+/**
+ * Short pieces of a path around the points where it crosses others, to be drawn below it in the colour of the ground.
+ * @param {Point[]} points @param {Iterable<Point[]>} others @param {number} [reach] @returns {string} a path; "": there are none
+ */
+export function crossings(points, others, reach = 6) {
+  let path = "";
+  for (const other of others) {
+    for (let i = 1; i < points.length; i++) {
+      for (let j = 1; j < other.length; j++) {
+        const found = crossing(points[i - 1], points[i], other[j - 1], other[j]);
+        if (!found) continue;
+        const [x, y] = found;
+        path += points[i - 1][1] === points[i][1] ? `M${x - reach} ${y}H${x + reach}` : `M${x} ${y - reach}V${y + reach}`;
+      }
+    }
+  }
+  return path;
+}
+
+/** @param {Point} a @param {Point} b @param {Point} c @param {Point} d @returns {Point | null} where a to b crosses c to d, at a right angle and not at an end */
+function crossing(a, b, c, d) {
+  if ((a[1] === b[1]) === (c[1] === d[1])) return null;
+  const [[x0, y], [x1], [x, y0], [, y1]] = a[1] === b[1] ? [a, b, c, d] : [c, d, a, b];
+  const within = (/** @type {number} */ at, /** @type {number} */ one, /** @type {number} */ other) => at > Math.min(one, other) + 1 && at < Math.max(one, other) - 1;
+  return within(x, x0, x1) && within(y, y0, y1) ? [x, y] : null;
+}

@@ -8,13 +8,14 @@
  */
 import { effect } from "../vendor/preact-signals.js";
 import * as store from "../store.js";
-import { boxSpoken, frameSaid, kernelTrouble } from "../words.js";
+import { boxSpoken, frameSaid, kernelSaid, kernelTrouble } from "../words.js";
 import { classOf, makeBox } from "./box.js";
 import { makeEdge, updateEdge } from "./edge.js";
 import { FAR, sizesAt } from "./fonts.js";
 import { makeFrame, sayFrame } from "./frame.js";
 import { Grid, cellsOf } from "./grid.js";
 import { coloursOf, paint } from "./paint.js";
+import { crossings } from "./paths.js";
 import { make, html } from "./svg.js";
 import { World } from "./world.js";
 
@@ -90,8 +91,13 @@ export class Scene {
     for (const id of gone.edges ?? []) this.drop("edges", id);
     for (const box of boxes) this.putBox(box);
     const touched = this.world.takeEdges(store.edges.peek());
-    for (const edge of edges) this.grid.put("edges", edge.id, edge.points);
-    for (const id of new Set([...edges.map((one) => one.id), ...touched])) this.redraw(id);
+    for (const edge of edges) {
+      for (const id of this.grid.beside("edges", edge.id)) touched.add(id);   // those that it crossed
+      this.grid.put("edges", edge.id, edge.points);
+      for (const id of this.grid.beside("edges", edge.id)) touched.add(id);
+      touched.add(edge.id);
+    }
+    for (const id of touched) this.redraw(id);
     if (frames.length || gone.frames?.length) this.drawFrames();
     this.changed();
   }
@@ -111,6 +117,7 @@ export class Scene {
   redraw(id) {
     const old = this.edges.get(id), edge = store.edges.peek().get(id);
     if (!old || !edge) return;
+    if (!this.shown.edges.has(id)) return void this.edges.delete(id);   // drawn anew when it comes into view
     const drawn = this.edgeOf(edge), focus = old.node.contains(document.activeElement);
     this.edges.set(id, drawn);
     old.node.replaceWith(drawn.node);
@@ -164,14 +171,23 @@ export class Scene {
 
   /** @param {Edge} edge */
   edgeOf(edge) {
-    return makeEdge(edge, store.figures.peek().get(edge.id), this.lookOfEdge(edge), store.boxes.peek(), this.world.jointsOf(edge));
+    return makeEdge(edge, store.figures.peek().get(edge.id), this.lookOfEdge(edge), store.boxes.peek(), this.world.jointsOf(edge),
+      crossings(edge.points, this.beside(edge)));
+  }
+
+  /** The paths of other edges that run through the same cells. @param {Edge} edge */
+  * beside(edge) {
+    for (const id of this.grid.beside("edges", edge.id)) {
+      const other = store.edges.peek().get(id);
+      if (other) yield other.points;
+    }
   }
 
   /** @param {Frame} frame */
   frameSaid(frame) {
     const kernel = store.kernels.peek().get(frame.kernel);
-    const trouble = kernel && frame.kind === "kernel" ? kernelTrouble(kernel, this.world.since(kernel)) : "";
-    return trouble || frameSaid(frame, store.frameFigures.peek().get(frame.id));
+    if (kernel && frame.kind === "kernel") return kernelTrouble(kernel, this.world.since(kernel)) || kernelSaid(kernel);
+    return frameSaid(frame, store.frameFigures.peek().get(frame.id));
   }
 
   /** @param {Frame} frame */

@@ -1,7 +1,8 @@
 /** The buttons and the legend upon the scene. */
 import { h } from "../vendor/preact.js";
+import { useSignal } from "../vendor/preact-signals.js";
 import htm from "../vendor/htm.js";
-import { infrastructure, say } from "../store.js";
+import { boxes, connection, infrastructure, kernels, say } from "../store.js";
 import { copySelected, tidy } from "../walk.js";
 
 const html = htm.bind(h);
@@ -15,9 +16,19 @@ const SIGNS = [
   ["down", html`<g class="edge-of down"><path class="line" d="M0 8H20" /></g>`],
 ];
 
-export function Legend() {
-  return html`<ul class="legend" aria-label="Legend">${SIGNS.map(([word, sign]) => html`
-    <li><svg viewBox="0 0 20 16" aria-hidden="true">${sign}</svg>${word}</li>`)}</ul>`;
+/** @param {{first: boolean}} props first: whether it is open at first, as there is room for it */
+export function Legend({ first }) {
+  const open = useSignal(first);
+  return html`<div class="legend"><button aria-expanded=${open.value} onClick=${() => { open.value = !open.value; }}>Legend</button>
+    ${open.value && html`<ul aria-label="Legend">${SIGNS.map(([word, sign]) => html`
+      <li key=${word}><svg viewBox="0 0 20 16" aria-hidden="true">${sign}</svg>${word}</li>`)}</ul>`}</div>`;
+}
+
+/** What is said where there is nothing to see. */
+export function Empty() {
+  if (connection.value !== "live" || boxes.value.size || kernels.value.size) return null;
+  return html`<div class="empty" role="status"><b>Nothing runs yet</b>
+    <span>It appears here as soon as it does. For example:</span><code>aiorts run examples/roomba/system.toml</code></div>`;
 }
 
 /** @param {{view: import("./view.js").Moves}} props */

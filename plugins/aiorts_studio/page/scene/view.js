@@ -8,7 +8,8 @@ import * as store from "../store.js";
 const LEAST = 0.02, MOST = 3;
 /** What is around a picture that was fitted: room for the legend and the buttons below. */
 const MARGIN = { side: 24, top: 20, bottom: 68 };
-const MOST_FITTED = 1.2;
+/** The largest scale of a picture that was fitted: by the width there is, as a large screen is looked at from further away. */
+const mostFitted = (/** @type {number} */ width) => (width > 2200 ? 1.7 : 1.2);
 const OWN_POINTER = ".box, .upon, .tip, .fold, .splitter";
 
 /** @param {HTMLElement} host @param {Scene} scene @returns {Moves} */
@@ -26,7 +27,7 @@ export function moving(host, scene) {
       const bounds = boundsOf();
       if (!bounds || !scene.width) return;
       const [width, height] = [scene.width - 2 * MARGIN.side, scene.height - MARGIN.top - MARGIN.bottom];
-      const k = Math.max(LEAST, Math.min(MOST_FITTED, width / (bounds.x1 - bounds.x0), height / (bounds.y1 - bounds.y0)));
+      const k = Math.max(LEAST, Math.min(mostFitted(width), width / (bounds.x1 - bounds.x0), height / (bounds.y1 - bounds.y0)));
       const x = MARGIN.side + (width - (bounds.x1 - bounds.x0) * k) / 2 - bounds.x0 * k;
       const y = MARGIN.top + Math.max(0, (height - (bounds.y1 - bounds.y0) * k) / 2) - bounds.y0 * k;
       area.call(behaviour.transform, zoomIdentity.translate(x, y).scale(k));
