@@ -15,7 +15,9 @@ from aiorts_studio.offered import check_names, operation_of, patience
 from aiorts_studio.problems import HttpError, problem_of
 from aiorts_studio.socket import OVER, REFUSED, Sockets, close, said_in, whole
 from aiorts_studio.values import json_out
+from aiorts_studio.watching.feeds import EventFeed, Feed, LogFeed
 from aiorts_studio.watching.page import Page
+from aiorts_studio.watching.plots import FASTEST, Shown
 from aiorts_studio.watching.studio import PAGES, Studio
 
 if TYPE_CHECKING:
@@ -25,6 +27,10 @@ if TYPE_CHECKING:
 
 _CALLS: Final = 16
 """Calls of one page that may be under way."""
+_WATCHES: Final = 32
+"""Ports whose values one page may be shown."""
+_FIELDS: Final = 16
+"""Fields of one port that may be shown."""
 
 
 class PageSockets:
@@ -56,6 +62,8 @@ class _PageSocket:
         self._api, self._studio, self._socket, self._visitor = api, studio, socket, visitor
         self._page = Page()
         self._calls: set[asyncio.Task[None]] = set()
+        self._feeds: dict[str, Feed] = {}
+        self._shown: dict[int, tuple[str, str, Shown]] = {}
 
     async def carry(self) -> None:
         """Do what the page says, and send what it is told, until it goes."""
@@ -73,6 +81,10 @@ class _PageSocket:
         finally:
             for task in (sending, *self._calls):
                 task.cancel()
+            for kind in tuple(self._feeds):
+                self._follow(kind, None)
+            for number in tuple(self._shown):
+                self._unwatch(number)
             await self._studio.leave(page)
 
     async def _send(self) -> None:
@@ -100,8 +112,50 @@ class _PageSocket:
                 call.add_done_callback(self._calls.discard)
             case "tidy":
                 self._studio.tidy()
+            case "move":
+                self._studio.move(whole(said, "id"), _number(said.get("x"), "x"), _number(said.get("y"), "y"))
+            case "fold":
+                self._studio.fold(whole(said, "id"), on=said.get("on") is True)
+            case "infrastructure":
+                pass  # the page itself hides it
+            case "log":
+                self._follow(
+                    "log",
+                    LogFeed(self._page, *_words(said, "kernel", "level", "component")) if said.get("on") else None,
+                )
+            case "events":
+                self._follow("events", EventFeed(self._page) if said.get("on") else None)
+            case "watch":
+                self._watch(whole(said, "id"), said)
+            case "unwatch":
+                self._unwatch(whole(said, "id"))
             case kind:
                 raise RecordError(f"{kind!s:.40}: nothing that a page says")
+
+    def _follow(self, kind: str, feed: Feed | None) -> None:
+        """Follow this in place of what was followed before."""
+        if (before := self._feeds.pop(kind, None)) is not None:
+            self._studio.unfollow(before)
+        if feed is not None:
+            self._feeds[kind] = feed
+            self._studio.follow(feed)
+
+    def _watch(self, number: int, said: Mapping[str, Any]) -> None:
+        self._unwatch(number)
+        if len(self._shown) >= _WATCHES:
+            raise HttpError(429, "E-BUSY", f"{_WATCHES} ports are shown on this page already")
+        kernel, path = _words(said, "kernel", "path")
+        fields = said.get("fields", [])
+        if not isinstance(fields, list) or len(fields) > _FIELDS or not all(isinstance(one, str) for one in fields):
+            raise RecordError(f"fields: expected at most {_FIELDS} texts")
+        rate = min(max(_number(said.get("columns_per_s", 10.0), "columns_per_s"), 0.1), FASTEST)
+        shown = Shown(self._page, number, fields, rate)
+        self._shown[number] = kernel, path, shown
+        self._studio.show(kernel, path, shown)
+
+    def _unwatch(self, number: int) -> None:
+        if number in self._shown:
+            self._studio.hide(*self._shown.pop(number))
 
     async def _ask(self, number: int, said: Mapping[str, Any]) -> None:
         answer: dict[str, Any] = {"t": "told", "id": number}
@@ -133,3 +187,11 @@ def _number(value: Any, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
         raise RecordError(f"{name}: expected a number")
     return float(value)
+
+
+def _words(said: Mapping[str, Any], *names: str) -> tuple[str, ...]:
+    """The texts of these names; "" where there is none."""
+    words = tuple(said.get(name, "") for name in names)
+    if not all(isinstance(word, str) for word in words):
+        raise RecordError(f"{', '.join(names)}: expected texts")
+    return words
