@@ -54,9 +54,9 @@ async function made() {
   return files;
 }
 
+/** htm and uPlot have one export: the default. */
 function typesOf(name) {
-  return name === "htm" || name === "uplot"
-    ? `export * from "${name}";\nexport { default } from "${name}";\n` : `export * from "${name}";\n`;
+  return name === "htm" || name === "uplot" ? `export { default } from "${name}";\n` : `export * from "${name}";\n`;
 }
 
 /** The list of the files with version, licence and SHA-256, then the text of each licence. */

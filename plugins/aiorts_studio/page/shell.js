@@ -15,6 +15,12 @@ export function room(name, label, kind = "") {
 
 const open = signal(localStorage.getItem("aiorts-tab") ?? "");
 
+/** Show the panel of a tab. @param {string} name */
+export function openTab(name) {
+  open.value = name;
+  localStorage.setItem("aiorts-tab", name);
+}
+
 /** @param {{tabs: Record<string, () => any>}} props the panels by the names of their tabs */
 export function Below({ tabs }) {
   const names = Object.keys(tabs), shown = open.value in tabs ? open.value : "";

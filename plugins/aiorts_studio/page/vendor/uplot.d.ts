@@ -1,2 +1,1 @@
-export * from "uplot";
 export { default } from "uplot";
