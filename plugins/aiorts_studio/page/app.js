@@ -86,6 +86,7 @@ effect(() => {
   window.clearTimeout(clearing);
   clearing = window.setTimeout(() => { store.notice.value = ""; }, NOTICE_MS);
 });
+effect(() => { document.body.classList.toggle("bare", !store.selected.value); });   // the scene has the room until it is needed
 effect(() => {
   document.body.classList.toggle("old", store.connection.value !== "live");
   document.title = [...store.kernels.value.values()].map((one) => one.name).slice(0, 2).concat("aiorts studio").join(" · ");

@@ -31,14 +31,15 @@ function Live() {
 /** @returns {[string, string, boolean, (() => void) | null][]} value, words, whether it is bad, what leads there */
 function facts() {
   const rows = [...figures.value];
-  const passing = rows.reduce((sum, [, row]) => sum + (row.rate ?? 0), 0), lost = rows.reduce((sum, [, row]) => sum + row.dropped, 0);
+  const known = rows.filter(([, row]) => row.rate !== null), passing = known.reduce((sum, [, row]) => sum + (row.rate ?? 0), 0);
+  const lost = rows.reduce((sum, [, row]) => sum + row.dropped, 0);
   const worst = rows.reduce((most, one) => (one[1].dropped > (most?.[1].dropped ?? 0) ? one : most), /** @type {typeof rows[0] | null} */ (null));
   const late = [...frameFigures.value].reduce((most, one) => ((one[1].late ?? -1) > (most?.[1].late ?? -1) ? one : most), /** @type {[number, any] | null} */ (null));
   const live = [...kernels.value.values()], names = live.length === 1 ? live[0].name : `${live.length} kernels`;
   /** @type {[string, string, boolean, (() => void) | null][]} */
   const all = [
     [names, `${count(boxes.value.size)} components, ${count(edges.value.size)} connectors`, false, null],
-    [`${number(passing)}/s`, "samples in view", false, null],
+    [known.length ? `${number(passing)}/s` : "–", "samples in view", false, null],
     [count(lost), "samples dropped", lost > 0, worst ? () => choose("edge", worst[0], { focus: true }) : null],
   ];
   if (late && late[1].late !== null) {

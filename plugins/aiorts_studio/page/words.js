@@ -113,7 +113,7 @@ export function frameSaid(frame, row) {
 export function kernelTrouble(kernel, since) {
   if (kernel.state === "live") return "";
   if (kernel.state === "silent") return `no answer for ${seconds(since)}`;
-  return ["ended", kernel.why].filter(Boolean).join(": ");
+  return kernel.why.includes("ended") ? kernel.why : ["ended", kernel.why].filter(Boolean).join(": ");
 }
 
 /** Where a kernel runs. @param {Kernel} kernel */

@@ -7,6 +7,7 @@ const PAINTED = 11;
 
 export const FAR = 0.6;
 export const FAR_TEXT = `600 11.5px ${FAMILY}`;
+export const FAR_PORT = `11px ${FAMILY}`;
 
 const USUAL = { name: 14.5, text: 13.5, title: 15 };
 /** Scales below which text is made larger, to what fits the next one: few steps, since each draws all boxes anew. */

@@ -1,15 +1,17 @@
 /** Draws everything on one canvas, for scales at which text in a box would be too small to read. */
 import { letterOf, toneOf } from "../words.js";
 import { cut } from "./fitting.js";
-import { FAR_TEXT } from "./fonts.js";
+import { FAR_PORT, FAR_TEXT } from "./fonts.js";
 
 /** @import {Box, Edge, EdgeFigures, Frame} from "../types.js" */
 /** @typedef {{x: number, y: number, k: number}} View */
 /** @typedef {{frames: Iterable<Frame>, boxes: Iterable<Box>, edges: Iterable<Edge>, row: (id: number) => EdgeFigures | undefined,
- *   state: (box: Box) => string, silent: (kernel: string) => boolean, chosen: (kind: "box" | "edge", id: number) => boolean}} World */
+ *   state: (box: Box) => string, silent: (kernel: string) => boolean, chosen: (kind: "box" | "edge", id: number) => boolean, own: (edge: Edge) => boolean}} World */
 
+/** The scale from which on rows of ports are high enough for text, and for how many boxes it is drawn. */
+const PORTS = 0.46, MOST_WITH_PORTS = 150;
 const COLOURS = ["edge", "busy", "lossy", "down", "box", "box-line", "lane", "line", "ink", "quiet", "accent", "on-state",
-  "active", "inactive", "error", "created", "ended", "silent", "full", "kernel"];
+  "active", "inactive", "error", "created", "ended", "silent", "full", "kernel", "in", "out", "service"];
 /** The strokes of edges: those drawn later lie above. Each has one path: 2,000 strokes of their own cost far more. */
 const STROKES = /** @type {[string, string, number][]} */ ([["edge", "edge", 1.25], ["waiting", "edge", 1.25], ["full", "full", 1.75], ["down", "down", 2], ["lossy", "lossy", 2.25], ["chosen", "accent", 2.5]]);
 
@@ -35,21 +37,19 @@ export function paint(context, { x, y, k }, world, colours, ratio) {
     context.stroke();
   }
   paintEdges(context, k, world, colours);
-  const seen = [-x / k, -y / k, (width / ratio - x) / k, (height / ratio - y) / k];
-  for (const box of world.boxes) {
-    if (box.x < seen[2] && box.y < seen[3] && box.x + box.w > seen[0] && box.y + box.h > seen[1]) paintBox(context, k, box, world, colours);
-  }
+  const [left, top, right, bottom] = [-x / k, -y / k, (width / ratio - x) / k, (height / ratio - y) / k];
+  const seen = [...world.boxes].filter((box) => box.x < right && box.y < bottom && box.x + box.w > left && box.y + box.h > top);
+  for (const box of seen) paintBox(context, k, box, world, colours);
   // Text has its own size, whatever the scale is.
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.font = FAR_TEXT;
   context.textBaseline = "middle";
-  for (const box of world.boxes) {
-    if (box.w * k < 44 || box.h * k < 18 || box.x > seen[2] || box.y > seen[3] || box.x + box.w < seen[0] || box.y + box.h < seen[1]) continue;
-    const filled = letterOf(world.state(box)) === "E" && !world.silent(box.kernel);
-    context.fillStyle = filled ? colours["on-state"] : world.silent(box.kernel) ? colours.quiet : colours.ink;
-    const room = box.w * k - 16;
-    context.fillText(cut(box.name, room, FAR_TEXT), x + box.x * k + 9, y + box.y * k + Math.max(11, Math.min(box.h * k / 2, 16)));
+  for (const box of seen) {
+    if (box.w * k >= 44 && box.h * k >= 18) paintName(context, { x, y, k }, box, world, colours);
   }
+  if (k >= PORTS && seen.length <= MOST_WITH_PORTS) paintPorts(context, { x, y, k }, seen, world, colours);
+  context.font = FAR_TEXT;
+  context.textAlign = "left";
   for (const frame of world.frames) {
     if (frame.w * k < 60) continue;
     context.fillStyle = colours.quiet;
@@ -57,11 +57,37 @@ export function paint(context, { x, y, k }, world, colours, ratio) {
   }
 }
 
+/** @param {CanvasRenderingContext2D} context @param {View} view @param {Box} box @param {World} world @param {Record<string, string>} colours */
+function paintName(context, { x, y, k }, box, world, colours) {
+  const silent = world.silent(box.kernel), filled = letterOf(world.state(box)) === "E" && !silent;
+  context.fillStyle = filled ? colours["on-state"] : silent ? colours.quiet : colours.ink;
+  context.fillText(cut(box.name, box.w * k - 16, FAR_TEXT), x + box.x * k + 9, y + box.y * k + Math.max(11, Math.min(box.h * k / 2, 15)));
+}
+
+/** @param {CanvasRenderingContext2D} context @param {View} view @param {Box[]} boxes @param {World} world @param {Record<string, string>} colours */
+function paintPorts(context, { x, y, k }, boxes, world, colours) {
+  context.font = FAR_PORT;
+  for (const box of boxes) {
+    const silent = world.silent(box.kernel), filled = letterOf(world.state(box)) === "E" && !silent;
+    const left = x + box.x * k, right = left + box.w * k;
+    for (const port of box.ports) {
+      const at = y + (box.y + port.y) * k, first = port.side === "in";
+      context.fillStyle = silent ? colours.silent : colours[port.kind === "service" ? "service" : port.side];
+      context.fillRect((first ? left : right) - 2.5, at - 2.5, 5, 5);
+      context.fillStyle = filled ? colours["on-state"] : silent ? colours.quiet : colours.ink;
+      context.textAlign = first ? "left" : "right";
+      const beside = box.ports.some((one) => one.side !== port.side && Math.abs(one.y - port.y) < 20);
+      context.fillText(cut(port.name, box.w * k / (beside ? 2 : 1) - (beside ? 10 : 18), FAR_PORT), first ? left + 9 : right - 7, at + 0.5);
+    }
+  }
+  context.textAlign = "left";
+}
+
 /** @param {CanvasRenderingContext2D} context @param {number} k @param {World} world @param {Record<string, string>} colours */
 function paintEdges(context, k, world, colours) {
   const paths = new Map(STROKES.map(([tone]) => [tone, new Path2D()]));
   for (const edge of world.edges) {
-    const path = paths.get(world.chosen("edge", edge.id) ? "chosen" : toneOf(edge, world.row(edge.id))) ?? paths.get("edge");
+    const path = paths.get(world.own(edge) ? "chosen" : toneOf(edge, world.row(edge.id))) ?? paths.get("edge");
     path?.moveTo(...edge.points[0]);
     for (const point of edge.points) path?.lineTo(...point);
   }

@@ -98,7 +98,8 @@ export class Scene {
       touched.add(edge.id);
     }
     for (const id of touched) this.redraw(id);
-    if (frames.length || gone.frames?.length) this.drawFrames();
+    if (this.focused === null || !store.boxes.peek().has(this.focused)) this.focused = store.boxes.peek().keys().next().value ?? null;
+    if (frames.length || gone.frames?.length || !store.frames.peek().size) this.drawFrames();
     this.changed();
   }
 

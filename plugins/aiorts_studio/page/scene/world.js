@@ -32,6 +32,11 @@ export class World {
     return one?.kind === kind && one.id === id;
   };
 
+  own = (/** @type {Edge} */ edge) => {
+    const one = store.selected.peek();
+    return one?.kind === "edge" ? one.id === edge.id : one?.kind === "box" && (edge.from[0] === one.id || edge.to[0] === one.id);
+  };
+
   /** @param {Box} box */
   figuresOf(box) {
     return store.boxFigures.peek().get(box.id) ?? { state: box.state, said: box.said };
