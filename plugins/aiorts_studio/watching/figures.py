@@ -52,7 +52,7 @@ class Figures:
             self.late[name] = max(missed, key=missed.__getitem__) if missed else ""
 
     def edge(self, names: Sequence[str]) -> Row | None:
-        """The figures of the connectors that an edge stands for, added up; the age and the round trip are the largest."""
+        """The figures of the connectors that one edge stands for: sums, and the largest age and round trip."""
         rows = [row for name in names if (row := self._connector(name)) is not None]
         if len(rows) < 2:
             return rows[0] if rows else None

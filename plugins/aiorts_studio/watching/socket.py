@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Mapping
+from collections.abc import Coroutine, Mapping
 from contextlib import suppress
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
@@ -29,6 +29,8 @@ _CALLS: Final = 16
 """Calls of one page that may be under way."""
 _WATCHES: Final = 32
 """Ports whose values one page may be shown."""
+_PORTS: Final = 64
+"""Ports of one recording."""
 _FIELDS: Final = 16
 """Fields of one port that may be shown."""
 
@@ -68,7 +70,9 @@ class _PageSocket:
     async def carry(self) -> None:
         """Do what the page says, and send what it is told, until it goes."""
         page = self._page
-        page.put({"t": "hello", "right": self._api.right.value, "files": False, "period": 0.2})
+        page.put(
+            {"t": "hello", "right": self._api.right.value, "files": self._studio.recorder.can_record, "period": 0.2}
+        )
         sending = asyncio.create_task(self._send(), name="studio page")
         try:
             await self._studio.join(page)
@@ -107,9 +111,7 @@ class _PageSocket:
                 number = whole(said, "id")
                 if len(self._calls) >= _CALLS:
                     raise HttpError(429, "E-BUSY", f"{_CALLS} calls of this page are under way already")
-                call = asyncio.create_task(self._ask(number, said), name="studio call")
-                self._calls.add(call)
-                call.add_done_callback(self._calls.discard)
+                self._run(self._ask(number, said))
             case "tidy":
                 self._studio.tidy()
             case "move":
@@ -118,6 +120,8 @@ class _PageSocket:
                 self._studio.fold(whole(said, "id"), on=said.get("on") is True)
             case "infrastructure":
                 pass  # the page itself hides it
+            case "record":
+                self._record(said)
             case "log":
                 self._follow(
                     "log",
@@ -131,6 +135,29 @@ class _PageSocket:
                 self._unwatch(whole(said, "id"))
             case kind:
                 raise RecordError(f"{kind!s:.40}: nothing that a page says")
+
+    def _record(self, said: Mapping[str, Any]) -> None:
+        recorder = self._studio.recorder
+        if not said.get("on"):
+            recorder.end()
+            return
+        ports = said.get("ports")
+        if not isinstance(ports, list) or not 0 < len(ports) <= _PORTS:
+            raise RecordError(f"ports: expected 1 to {_PORTS} pairs of kernel and port")
+        pairs = [(kernel, path) for kernel, path in map(_pair, ports)]
+        self._run(self._begin_recording(pairs))
+
+    async def _begin_recording(self, ports: list[tuple[str, str]]) -> None:
+        recorder = self._studio.recorder
+        try:
+            await recorder.begin(ports)
+        except AiortsError as error:
+            self._page.put(recorder.state(str(error)))
+
+    def _run(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work, name="studio call")
+        self._calls.add(task)
+        task.add_done_callback(self._calls.discard)
 
     def _follow(self, kind: str, feed: Feed | None) -> None:
         """Follow this in place of what was followed before."""
@@ -195,3 +222,9 @@ def _words(said: Mapping[str, Any], *names: str) -> tuple[str, ...]:
     if not all(isinstance(word, str) for word in words):
         raise RecordError(f"{', '.join(names)}: expected texts")
     return words
+
+
+def _pair(value: Any) -> tuple[str, str]:
+    if not isinstance(value, list) or len(value) != 2 or not all(isinstance(one, str) for one in value):
+        raise RecordError("ports: expected pairs of kernel and port")
+    return value[0], value[1]

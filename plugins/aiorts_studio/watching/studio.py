@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final
 
 from anyio import to_thread
@@ -18,6 +19,7 @@ from aiorts_studio.watching.feeds import happening
 from aiorts_studio.watching.figures import Row, different
 from aiorts_studio.watching.page import FAR, Page
 from aiorts_studio.watching.plots import Shown, Tap
+from aiorts_studio.watching.recording import Recorder
 from aiorts_studio.watching.scene import Scene
 from aiorts_studio.watching.view import View, about
 from aiorts_studio.watching.watch import Follower, Watch
@@ -43,15 +45,18 @@ class Studio:
 
     Args:
         names: names or addresses of the kernels to watch; none is all of this user, also those that begin later.
+        files: the folder where recordings go; None: nothing is recorded, and pages are told why.
 
     Attributes:
         scene: what pages show.
         pages: the pages that are open.
+        recorder: records what pages ask for.
     """
 
-    def __init__(self, names: Sequence[str] = ()) -> None:
+    def __init__(self, names: Sequence[str] = (), files: Path | None = None, why_no_files: str = "") -> None:
         self.scene = Scene()
         self.pages: set[Page] = set()
+        self.recorder = Recorder(files, why_no_files, self._tell)
         self._coming = 0
         self._names = names
         self._working: asyncio.Task[None] | None = None
@@ -81,6 +86,7 @@ class Studio:
         self.pages.add(page)
         page.put(self.scene.picture())
         page.put({"t": "history", "items": list(self._history)})
+        page.put(self.recorder.state())
         page.look(self.scene.things)
 
     async def leave(self, page: Page) -> None:
@@ -91,6 +97,7 @@ class Studio:
 
     async def close(self) -> None:
         """End the watching."""
+        await self.recorder.close()
         tasks = [*self._sessions.values(), *([self._working] if self._working is not None else [])]
         self._working = None
         self._sessions = {}
