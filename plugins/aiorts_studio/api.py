@@ -72,7 +72,7 @@ class Api:
         right: what tokens allow.
         say: shows a line to the user who started the server.
         pages: files of the user's own pages, by their names in the address.
-        kernels: names or addresses of the kernels that the page shows; none is all.
+        studio: what the page shows; all kernels of this user by default.
 
     Attributes:
         exchanged: called when a code was exchanged.
@@ -85,7 +85,7 @@ class Api:
         right: Right,
         say: Callable[[str], None],
         pages: Mapping[str, Path] = MappingProxyType({}),
-        kernels: Sequence[str] = (),
+        studio: Studio | None = None,
     ) -> None:
         self.right = right
         self._pages = pages
@@ -93,7 +93,7 @@ class Api:
         self.under_way = UnderWay()
         self.exchanged: Callable[[], object] = _ignore
         self._say = say
-        self.studio = Studio(kernels)
+        self.studio = studio or Studio()
         self._visitors: dict[Holder, Visitor] = {}
         self._endings: set[asyncio.Task[None]] = set()
         self._described = document(right, f"{scheme}://{ours[0]}")

@@ -110,11 +110,13 @@ class Layout:
         spots: the boxes by their keys.
         bands: the bands by their keys, in order.
         groups: of each band, the key of the group that it stands in.
+        moved: the places that boxes were wished to by `move`.
     """
 
     spots: dict[Key, Spot] = field(default_factory=dict)
     bands: dict[Key, Band] = field(default_factory=dict)
     groups: dict[Key, str] = field(default_factory=dict)
+    moved: dict[Key, Point] = field(default_factory=dict)
     _lefts: list[float] = field(default_factory=list)
     _widths: list[float] = field(default_factory=list)
     _taken: dict[int, list[Point]] = field(default_factory=dict)
@@ -243,6 +245,25 @@ class Layout:
         self.spots[spot.key] = spot
         insort(self._taken.setdefault(spot.column, []), (spot.y, spot.y + spot.h))
         return True
+
+    def move(self, key: Key, x: float, y: float) -> None:
+        """Put a box where there is room in its band, next to a place: `x` and `y` of its corner at the top left."""
+        spot = self.spots[key]
+        self.remove(key)
+        self.moved[key] = x, y
+        band = self.bands[spot.band]
+        low, high = band.top + BAND_HEAD, band.top + band.height - BAND_FOOT
+        found = [
+            (abs(left - x) + abs(free - y), column, left, free)
+            for column in range(len(self._lefts))
+            if spot.w <= self._widths[column] + LABEL / 2
+            and (free := self._free(column, y, spot.h, low, high)) is not None
+            and (left := self._lefts[column] + max(0.0, (self._widths[column] - spot.w) / 2)) is not None
+        ]
+        if found:
+            _, spot.column, spot.x, spot.y = min(found)
+        self.spots[key] = spot
+        insort(self._taken.setdefault(spot.column, []), (spot.y, spot.y + spot.h))
 
     def remove(self, key: Key) -> None:
         """Forget a box; its room is free again."""

@@ -1,4 +1,4 @@
-"""The scene of the page: frames, boxes and edges of all kernels, as their profiles say, with places.
+"""The scene of the page: frames, boxes and edges of all kernels, with places.
 
 Pure: profiles and changes come in, messages to pages come out. Every thing has a number that stays while it is there,
 and over a restart of its kernel.
@@ -7,73 +7,48 @@ and over a restart of its kernel.
 from __future__ import annotations
 
 import asyncio
-import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from itertools import count
 from typing import Any, Final, TypeAlias
 
-from aiorts.model.lifecycle import state_text
-from aiorts_studio.watching.layout import Edge, Key, Layout, Route, Spot, meets
+from aiorts_studio.watching.graph import FOLDED, Graph, side_of
+from aiorts_studio.watching.layout import Key, Layout, Route, Spot, meets
+from aiorts_studio.watching.view import View
+from aiorts_studio.watching.words import class_of, context_said, error_of, link_state, policy_of, said_of, state_of
 
 Message: TypeAlias = dict[str, Any]
 Thing: TypeAlias = dict[str, Any]
+
 KINDS: Final = ("frames", "boxes", "edges")
-_PLACE: Final = re.compile(r"\(([^()\s]+\.py):(\d+)\)")
-_INFRASTRUCTURE: Final = frozenset(("FlexiDump", "FlexiLogger", "FlexiConst"))
-"""Classes of components that look on, or feed a system by hand."""
-
-
-@dataclass(slots=True)
-class View:
-    """A kernel as the scene has it.
-
-    Attributes:
-        key: the name by which it is known again after a restart.
-        address: the address of the process that runs, or ran last.
-        profile: the parts of its profile, as `changes` tells them.
-        about: what the page says of it: "name", "state", "why", and others.
-    """
-
-    key: str
-    address: str
-    about: dict[str, Any]
-    profile: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def components(self) -> Mapping[str, Any]:
-        """Its components by name, as reports."""
-        return self.profile.get("components") or {}
-
-    @property
-    def connectors(self) -> Mapping[str, Any]:
-        """Its connectors by name, as reports."""
-        return self.profile.get("connectors") or {}
-
-    @property
-    def contexts(self) -> Mapping[str, Any]:
-        """Its contexts by name, as reports."""
-        return self.profile.get("contexts") or {}
-
-    def service(self, name: str) -> Mapping[str, Any]:
-        """What a service attached to the kernel says of itself."""
-        found = (self.profile.get("services") or {}).get(name)
-        return found if isinstance(found, dict) else {}
+_INFRASTRUCTURE: Final = frozenset(("FlexiDump", "FlexiLogger"))
+"""Classes of components that only look on."""
+_PAD: Final = 16.0
+"""Between the frame of a kernel and those of its contexts."""
 
 
 class Scene:
-    """The things of all kernels that are watched."""
+    """The things of all kernels that are watched.
+
+    Attributes:
+        views: the kernels by key.
+        things: what pages show, by kind and number.
+        connectors: by the key of a kernel, the number of the edge of each connector whose figures the edge has.
+        numbers: the number of each thing by key.
+    """
 
     def __init__(self) -> None:
         self.views: dict[str, View] = {}
         self.things: dict[str, dict[int, Thing]] = {kind: {} for kind in KINDS}
-        self.connectors: dict[tuple[str, str], int] = {}
-        """The number of the edge by the kernel's key and the connector's name."""
+        self.connectors: dict[str, dict[str, int]] = {}
         self.numbers: dict[Key, int] = {}
         self._next = count(1)
+        self._graph = Graph({})
         self._layout = Layout()
         self._routes: dict[Key, Route] = {}
         self._told: list[Thing] = []
+        self._folded: set[Key] = set()
+        self._moved: dict[Key, tuple[float, float]] = {}
+        """Places that boxes were given by hand."""
         self._tidy = True
 
     def number(self, *key: str) -> int:
@@ -82,11 +57,26 @@ class Scene:
             self.numbers[key] = next(self._next)
         return self.numbers[key]
 
+    # -- what pages do with it -------------------------------------------------------------------------------------
+
     def tidy(self) -> None:
         """Place all anew when it is drawn next."""
         self._tidy = True
 
-    # -- what the page is told ------------------------------------------------------------------------------------
+    def move(self, number: int, x: float, y: float) -> None:
+        """Put a box where there is room next to a place, when it is drawn next."""
+        for key in self._layout.spots:
+            if self.numbers.get(key) == number:
+                self._moved[key] = x, y
+
+    def fold(self, number: int, *, on: bool) -> None:
+        """Have one box stand for all that is in a frame, or no longer, when it is drawn next."""
+        for key, known in self.numbers.items():
+            if known == number and key[0] == "frame":
+                (self._folded.add if on else self._folded.discard)(key)
+                self._tidy = True
+
+    # -- what pages are told ---------------------------------------------------------------------------------------
 
     def picture(self) -> Message:
         """All things, for a page that comes."""
@@ -94,27 +84,30 @@ class Scene:
         return {"t": "picture", "kernels": self.kernels(), **made, "missed": 0}
 
     def kernels(self) -> list[Thing]:
-        """The kernels, as the page has them."""
+        """The kernels, as pages have them."""
         return [{**view.about, "address": view.address} for view in self.views.values()]
 
     async def draw(self) -> Message | None:
         """Bring the things up to date; the change to tell, or None where there is none.
 
-        What is laid out anew is laid out in a thread: 1,000 boxes take up to 0.4 s.
+        What is laid out anew is laid out in a thread: 1,000 boxes take some tenths of a second.
         """
-        spots, edges = self._wanted()
-        if self._tidy:
-            self._tidy = False
-            self._layout, self._routes = await asyncio.to_thread(_laid_out, spots, edges, self._groups())
-        elif not self._adapt(spots, edges):
-            self._layout, self._routes = await asyncio.to_thread(_laid_out, spots, edges, self._groups())
-        return self._change(edges)
+        graph = self._graph = Graph(self.views, self._folded)
+        tidy, self._tidy = self._tidy, False
+        if tidy or not self._adapt(graph):
+            self._layout, self._routes = await asyncio.to_thread(_laid_out, graph, dict(self._moved))
+        self.connectors = {key: {} for key in self.views}
+        for key, bundle in graph.bundles.items():
+            writer = bundle[0][0]
+            for view, name in bundle:
+                if view is writer:  # the reader's end of a link counts the same samples again
+                    self.connectors.setdefault(view.key, {})[name] = self.number(*key)
+        return self._change()
 
-    def _change(self, edges: Iterable[Edge]) -> Message | None:
-        new = {"frames": self._frames(), "boxes": self._boxes(), "edges": self._drawn(edges)}
+    def _change(self) -> Message | None:
         message: Message = {"t": "change"}
         gone: dict[str, list[Any]] = {}
-        for kind, things in new.items():
+        for kind, things in {"frames": self._frames(), "boxes": self._boxes(), "edges": self._edges()}.items():
             before = self.things[kind]
             different = [one for number, one in things.items() if before.get(number) != one]
             if different:
@@ -122,287 +115,154 @@ class Scene:
             if left := [number for number in before if number not in things]:
                 gone[kind] = left
             self.things[kind] = things
-        kernels = self.kernels()
-        before_of = {one["address"]: one for one in self._told}
-        if changed := [one for one in kernels if before_of.get(one["address"]) != one]:
+        kernels, told = self.kernels(), {one["address"]: one for one in self._told}
+        if changed := [one for one in kernels if told.get(one["address"]) != one]:
             message["kernels"] = changed
-        if left_kernels := [address for address in before_of if address not in {one["address"] for one in kernels}]:
-            gone["kernels"] = left_kernels
+        there = {one["address"] for one in kernels}
+        if ended := [address for address in told if address not in there]:
+            gone["kernels"] = ended
         self._told = kernels
         if gone:
             message["gone"] = gone
         return message if len(message) > 1 else None
 
-    # -- boxes and edges of the profiles ---------------------------------------------------------------------------
-
-    def _wanted(self) -> tuple[dict[Key, Spot], list[Edge]]:
-        """The boxes as they are to be, without places, and the edges between them."""
-        spots: dict[Key, Spot] = {
-            ("box", view.key, name): self._spot(view, name, report)
-            for view in self.views.values()
-            for name, report in view.components.items()
-        }
-        self.connectors = {}
-        edges: dict[Key, Edge] = {}
-        for view in self.views.values():
-            for name, report in view.connectors.items():
-                source, target = self._end(view, report["source"]), self._end(view, report["target"])
-                for path, (key, port), out in ((report["source"], source, True), (report["target"], target, False)):
-                    if key not in spots:
-                        spots[key] = _stub(spots.get(key), key, view, path, port, out=out)
-                    elif key[0] == "far":
-                        spots[key] = _stub(spots[key], key, view, path, port, out=out)
-                key = ("edge", *source[0][1:], source[1], *target[0][1:], target[1])
-                edges.setdefault(key, Edge(key, source[0], source[1], target[0], target[1]))
-                self.connectors[view.key, name] = self.number(*key)
-            for name, report in (view.profile.get("service_connectors") or {}).items():
-                if (edge := self._service_edge(view, name, report, spots)) is not None:
-                    edges[edge.key] = edge
-                    self.connectors[view.key, name] = self.number(*edge.key)
-        return spots, list(edges.values())
-
-    def _service_edge(self, view: View, name: str, report: Thing, spots: Mapping[Key, Spot]) -> Edge | None:
-        ends = [self._end(view, path) for path in report["ports"][:2]]
-        if len(ends) != 2 or any(key not in spots for key, _ in ends):
-            return None
-        ends.sort(key=lambda end: end[1] not in spots[end[0]].outputs)
-        (source, out), (target, into) = ends
-        return Edge(("edge", view.key, name), source, out, target, into)
-
-    def _spot(self, view: View, name: str, report: Thing) -> Spot:
-        ports = report["ports"].values()
-        inputs = tuple(one["name"] for one in ports if _side(one) == "in")
-        outputs = tuple(one["name"] for one in ports if _side(one) == "out")
-        band = ("band", view.key, _context_of(report))
-        return Spot(("box", view.key, name), band, inputs, outputs, name, _class(report["type"]))
-
-    def _end(self, view: View, path: str) -> tuple[Key, str]:
-        """The box and the port of an end of a connector, perhaps of another kernel."""
-        far, _, near = path.rpartition("/")
-        name, _, port = near.rpartition(".")
-        if not far:
-            return ("box", view.key, name), port
-        host = view.address.partition("/")[0]
-        wanted = (far, f"{host}/{far}")
-        for other in self.views.values():
-            if (other.address in wanted or other.key in wanted) and name in other.components:
-                return ("box", other.key, name), port
-        return ("far", view.key, f"{far}/{name}"), port
-
-    def _groups(self) -> dict[Key, str]:
-        """The kernel of each band, in order."""
-        return {("band", view.key, context): view.key for view in self.views.values() for context in _bands(view)}
-
-    def _adapt(self, spots: Mapping[Key, Spot], edges: Iterable[Edge]) -> bool:
+    def _adapt(self, graph: Graph) -> bool:
         """Put in what is different and leave all else where it stands; False: it is to be laid out anew."""
         layout, again = self._layout, set[Key]()
-        for key in [key for key in layout.spots if key not in spots]:
+        for key in [key for key in layout.spots if key not in graph.spots]:
             layout.remove(key)
-        by_end: dict[Key, list[Edge]] = {}
-        known = {edge.key: edge for edge in edges}
-        for edge in known.values():
-            by_end.setdefault(edge.source, []).append(edge)
-            by_end.setdefault(edge.target, []).append(edge)
-        for key in [key for key in self._routes if key not in known]:
+        for key in [key for key in self._routes if key not in graph.edges]:
             layout.forget(key)
             del self._routes[key]
-        new: list[Spot] = []
-        for key, spot in spots.items():
-            old = layout.spots.get(key)
-            if old is not None and (old.band, old.inputs, old.outputs) == (spot.band, spot.inputs, spot.outputs):
-                continue
-            if old is not None:
-                layout.remove(key)
-            new.append(spot)
+        groups = graph.bands()
+        new = [spot for key, spot in graph.spots.items() if not _is_placed(layout.spots.get(key), spot)]
+        placed = [key for key in self._moved if key in layout.spots and self._moved[key] != layout.moved.get(key)]
         for spot in new:
-            joined = by_end.get(spot.key, ())
-            before = [edge.source for edge in joined if edge.target == spot.key]
-            after = [edge.target for edge in joined if edge.source == spot.key]
-            if not layout.add(spot, self._group_of(spot), before, after):
+            layout.remove(spot.key)
+            before = [edge.source for edge in graph.edges.values() if edge.target == spot.key]
+            after = [edge.target for edge in graph.edges.values() if edge.source == spot.key]
+            if not layout.add(spot, groups[spot.band], before, after):
                 return False
-            again.update(edge.key for edge in joined)
-            again.update(key for key, route in self._routes.items() if meets(route, spot))
-        again.update(key for key in known if key not in self._routes)
+        for key in placed:
+            layout.move(key, *self._moved[key])
+        moved = {*(spot.key for spot in new), *placed}
+        for edge in graph.edges.values():
+            if edge.source in moved or edge.target in moved or edge.key not in self._routes:
+                again.add(edge.key)
+        for key in moved:
+            again.update(one for one, route in self._routes.items() if meets(route, layout.spots[key]))
         for key in again:
-            if key in known:
-                self._routes[key] = layout.route(known[key])
+            self._routes[key] = layout.route(graph.edges[key])
         return True
 
-    def _group_of(self, spot: Spot) -> str:
-        return spot.band[1]
-
-    # -- things as the page has them -------------------------------------------------------------------------------
+    # -- things as pages have them ---------------------------------------------------------------------------------
 
     def _frames(self) -> dict[int, Thing]:
         made: dict[int, Thing] = {}
-        right = self._layout.right
+        layout = self._layout
         for view in self.views.values():
-            bands = [
-                (key, band) for key, band in self._layout.bands.items() if self._layout.groups.get(key) == view.key
-            ]
+            bands = [(key, band) for key, band in layout.bands.items() if layout.groups.get(key) == view.key]
             if not bands:
                 continue
-            number = self.number("frame", view.key)
-            top, last = bands[0][1].top, bands[-1][1]
-            made[number] = {
-                "id": number, "kind": "kernel", "kernel": view.address, "name": view.about["name"],
-                "said": view.address if view.about["name"] != view.address else "", "x": -16.0, "y": top - 44.0,
-                "w": right + 32.0, "h": last.top + last.height - top + 60.0, "parent": None, "folded": False,
-            }  # fmt: skip
-            isolated = view.service("isolation")
-            for key, band in bands:
-                name = key[2]
-                frame = self.number("frame", view.key, name)
-                report = view.contexts.get(name)
-                members = () if report is None else report["members"]
-                apart = [isolated[one]["pid"] for one in members if one in isolated and isinstance(isolated[one], dict)]
-                said = _said(report) + "".join(f" · process {pid}" for pid in dict.fromkeys(apart))
-                made[frame] = {
-                    "id": frame, "kind": "process" if apart else "context", "kernel": view.address,
-                    "name": name or "in no context", "said": said, "x": 0.0, "y": band.top, "w": right,
-                    "h": band.height, "parent": number, "folded": False,
-                }  # fmt: skip
+            key: Key = ("frame", view.key)
+            number, top = self.number(*key), bands[0][1].top
+            bottom = bands[-1][1].top + bands[-1][1].height
+            place = {"x": -_PAD, "y": top - 44.0, "w": layout.right + 2 * _PAD, "h": bottom - top + 44.0 + _PAD}
+            said = f"process {view.about['pid']} on {view.about['host']}"
+            made[number] = self._frame(key, "kernel", view, view.about["name"], said, place, None)
+            for band, extent in bands:
+                context = band[2]
+                key = ("frame", view.key, context)
+                report = view.contexts.get(context)
+                apart = view.processes_of(() if report is None else report["members"])
+                said = context_said(report) + "".join(f" · process {pid}" for pid in apart)
+                place = {"x": 0.0, "y": extent.top, "w": layout.right, "h": extent.height}
+                kind, name = "process" if apart else "context", context or "in no context"
+                made[self.number(*key)] = self._frame(key, kind, view, name, said, place, number)
         return made
+
+    def _frame(self, key: Key, kind: str, view: View, name: str, said: str, place: Thing, parent: int | None) -> Thing:
+        about = {"id": self.number(*key), "kind": kind, "kernel": view.address, "name": name, "said": said}
+        return {**about, **place, "parent": parent, "folded": key in self._folded}
 
     def _boxes(self) -> dict[int, Thing]:
         made: dict[int, Thing] = {}
         for key, spot in self._layout.spots.items():
-            kind, kernel, name = key
-            view = self.views[kernel]
-            number = self.number(*key)
+            view, number = self.views.get(key[1]), self.number(*key)
+            if view is None:
+                continue
+            frame = ("frame", *key[1:]) if key[0] == FOLDED else ("frame", view.key, spot.band[2])
             place = {
-                "id": number, "kernel": view.address, "name": name, "frame": self.number("frame", kernel, spot.band[2]),
+                "id": number, "kernel": view.address, "name": spot.title, "frame": self.number(*frame),
                 "x": round(spot.x, 1), "y": round(spot.y, 1), "w": round(spot.w, 1), "h": spot.h,
             }  # fmt: skip
-            made[number] = {**place, **(_far_box(spot) if kind == "far" else _box(view, name, spot))}
+            box = _box(view, key[2], spot) if key[0] == "box" else _other_box(spot, key[0])
+            made[number] = {**place, **box}
         return made
 
-    def _drawn(self, edges: Iterable[Edge]) -> dict[int, Thing]:
-        reports: dict[int, list[tuple[View, str]]] = {}
-        for (kernel, name), number in self.connectors.items():
-            reports.setdefault(number, []).append((self.views[kernel], name))
+    def _edges(self) -> dict[int, Thing]:
         made: dict[int, Thing] = {}
-        for edge in edges:
-            route, number = self._routes[edge.key], self.number(*edge.key)
-            view, name = reports[number][0]
+        for key, edge in self._graph.edges.items():
+            bundle, route, number = self._graph.bundles[key], self._routes[key], self.number(*key)
+            view, name = bundle[0]
             report = view.connectors.get(name)
-            links = [link for one, there in reports[number] if (link := one.service("links").get(there))]
-            far = report is not None and report["options"]["on_link_lost"] is not None
+            is_link = report is not None and report["options"]["on_link_lost"] is not None
+            links = [found for one, there in bundle if (found := one.service("links").get(there))]
+            count = sum(one is view for one, _ in bundle)
+            policy = "service" if report is None else policy_of(report["options"])
             made[number] = {
                 "id": number, "kernel": view.address, "name": name,
                 "from": [self.number(*edge.source), edge.out], "to": [self.number(*edge.target), edge.into],
                 "points": [list(point) for point in route.points], "label": list(route.label),
-                "policy": "service" if report is None else policy_of(report["options"]),
-                "state": _link_state(links) if far else "up", "why": "; ".join(one for one in links if one != "up"),
-                "link": far, "bundle": 1,
+                "policy": policy if count == 1 else f"{count} connectors",
+                "state": link_state(links) if is_link else "up", "why": "; ".join(one for one in links if one != "up"),
+                "link": is_link, "bundle": count,
             }  # fmt: skip
         return made
 
 
-def _laid_out(spots: Mapping[Key, Spot], edges: list[Edge], groups: dict[Key, str]) -> tuple[Layout, dict[Key, Route]]:
+def _laid_out(graph: Graph, moved: Mapping[Key, tuple[float, float]]) -> tuple[Layout, dict[Key, Route]]:
     layout = Layout()
-    layout.place(list(spots.values()), edges, groups)
-    routes: dict[Key, Route] = {edge.key: layout.route(edge) for edge in edges}
-    return layout, routes
+    layout.place(list(graph.spots.values()), list(graph.edges.values()), graph.bands())
+    for key, (x, y) in moved.items():
+        if key in layout.spots:
+            layout.move(key, x, y)
+    return layout, {key: layout.route(edge) for key, edge in graph.edges.items()}
 
 
-def _bands(view: View) -> Iterable[str]:
-    """The contexts that have components to show, in the order of the kernel; "" where some are in none."""
-    used = {_context_of(report) for report in view.components.values()}
-    return [*(name for name in view.contexts if name in used), *([""] if "" in used else [])]
+def _is_placed(old: Spot | None, new: Spot) -> bool:
+    """Whether a box has a place that is good for what it is to be; its texts are brought up to date."""
+    if old is None or (old.band, old.inputs, old.outputs) != (new.band, new.inputs, new.outputs):
+        return False
+    old.title, old.kind = new.title, new.kind
+    return True
 
 
-def _context_of(report: Thing) -> str:
-    return next(iter(report["states"]), "")
-
-
-def _class(type_text: str) -> str:
-    return type_text.rpartition(":")[2].rpartition(".")[2]
-
-
-def _side(port: Thing) -> str:
-    """At which side of its box a port stands: what provides a service stands at the right."""
-    if port["direction"] != "service":
-        return str(port["direction"])
-    return "out" if any(one["polarity"] == "provided" for one in port["interfaces"]) else "in"
-
-
-def _stub(known: Spot | None, key: Key, view: View, path: str, port: str, *, out: bool) -> Spot:
-    """The box of a far end whose kernel is not shown, with one port more."""
-    inputs, outputs = ((), ()) if known is None else (known.inputs, known.outputs)
-    inputs = inputs if out or port in inputs else (*inputs, port)
-    outputs = outputs if not out or port in outputs else (*outputs, port)
-    band = ("band", view.key, next(iter(_bands(view)), ""))
-    return Spot(key, band, inputs, outputs, key[2], "elsewhere")
-
-
-def _far_box(spot: Spot) -> Thing:
+def _other_box(spot: Spot, kind: str) -> Thing:
+    """A box that stands for others: a frame that is folded, or an end whose kernel is not watched."""
+    sides = (("in", spot.inputs), ("out", spot.outputs))
     ports = [
         {"name": name, "side": side, "kind": "data", "type": "", "unit": "", "y": spot.port_y(name, out=side == "out")}
-        for side, names in (("in", spot.inputs), ("out", spot.outputs))
+        for side, names in sides
         for name in names
     ]
-    return {"type": "elsewhere", "kind": "remote", "state": "", "said": "", "error": None, "infrastructure": False,
-            "ports": ports}  # fmt: skip
+    kind = "remote" if kind == "far" else kind
+    about = {"type": spot.kind, "kind": kind, "state": "", "said": "", "error": None, "infrastructure": False}
+    return {**about, "ports": ports}
 
 
 def _box(view: View, name: str, spot: Spot) -> Thing:
     report = view.components[name]
     ports = [
-        {"name": one["name"], "side": _side(one), "kind": "service" if one["direction"] == "service" else "data",
-         "type": one["type"], "unit": one["unit"] or "", "y": spot.port_y(one["name"], out=_side(one) == "out")}
+        {
+            "name": one["name"], "side": side_of(one), "kind": "service" if one["direction"] == "service" else "data",
+            "type": one["type"], "unit": one["unit"] or "", "y": spot.port_y(one["name"], out=side_of(one) == "out"),
+        }
         for one in report["ports"].values()
     ]  # fmt: skip
-    kind = _class(report["type"])
+    kind, failed = class_of(report["type"]), report["last_error"] is not None
     return {
-        "type": kind, "kind": "component", "state": state_of(report["states"], failed=report["last_error"] is not None),
+        "type": kind, "kind": "component", "state": state_of(report["states"], failed=failed),
         "said": said_of(report["states"], report["overdue"]), "error": error_of(report["last_error"]),
         "infrastructure": kind in _INFRASTRUCTURE, "ports": ports,
     }  # fmt: skip
-
-
-def state_of(states: Mapping[str, str], *, failed: bool) -> str:
-    """The state of a component in one word, by its states in its contexts."""
-    if failed:
-        return "error"
-    found = set(states.values())
-    return "active" if "active" in found else next(iter(states.values()), "inactive")
-
-
-def said_of(states: Mapping[str, str], overdue: Mapping[str, Any]) -> str:
-    """What is to be said of the state beside its word: a hook over its deadline, states that differ; "" is nothing."""
-    return state_text(states, overdue) if overdue or len(set(states.values())) > 1 else ""
-
-
-def error_of(text: str | None) -> Thing | None:
-    """The last error of a component, with the place that its text names."""
-    if text is None:
-        return None
-    found = _PLACE.search(text)
-    place = {"file": found[1], "line": int(found[2])} if found else {}
-    return {"message": text, **place}
-
-
-def policy_of(options: Mapping[str, Any]) -> str:
-    """The options of a connector in a few words."""
-    words = [options["subscription"]]
-    if options["subscription"] != "new" and options["push"] not in ("all", None):
-        words.append(f"push {options['push']}")
-    if options["push_rate"]:
-        words.append(f"{options['push_rate']:g} Hz")
-    words += [f"{options['length']} long", options["full"]]
-    return ", ".join(words)
-
-
-def _link_state(links: Iterable[str]) -> str:
-    states = {one.partition(":")[0] for one in links}
-    if states <= {"up"}:
-        return "up"
-    return "waiting" if any(one.startswith("connecting") for one in states) else "down"
-
-
-def _said(report: Thing | None) -> str:
-    if report is None:
-        return ""
-    kind = report["kind"]
-    return f"{kind}, {report['rate']:g} Hz" if report["rate"] else str(kind)

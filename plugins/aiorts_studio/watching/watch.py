@@ -4,71 +4,105 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from aiorts.errors import AiortsError, NoAnswerError
-from aiorts.sessions import END, AsyncClient, AsyncStream, Entry
+from aiorts.sessions import END, AsyncClient, AsyncStream
 from aiorts_studio.watching.figures import Figures
-from aiorts_studio.watching.scene import View
+from aiorts_studio.watching.view import View
 
 RATE: Final = 5.0
 """Looks a second at the counters of a kernel."""
-_OPEN: Final = 3.0
 _SILENT: Final = 2.5
 """Seconds without counters after which a kernel is said not to answer: the page says so within 3 s."""
 
 
+_PAUSE: Final = 1.0
+"""Seconds between looks at what no stream tells."""
+_LINKS: Final = 64
+"""Links whose round trip is looked at."""
+
+
+class Told(Protocol):
+    """Who is told of what a kernel says."""
+
+    def changed(self) -> object:
+        """Take that the view is other than before."""
+
+    def counted(self, watch: Watch) -> object:
+        """Take that there are new figures."""
+
+    def happened(self, watch: Watch, item: Mapping[str, Any]) -> object:
+        """Take a change of the profile, as the kernel tells it."""
+
+
+class Follower(Protocol):
+    """Follows a kernel for as long as its session lasts."""
+
+    kernel: str
+    """The address of the kernel that it is about; "" is any."""
+
+    async def run(self, watch: Watch) -> None:
+        """Follow it; the session's end ends it, too."""
+
+
 class Watch:
-    """Watches one kernel until it ends.
+    """Watches one kernel until its session ends.
 
     Args:
-        entry: the kernel.
+        session: with the kernel.
         view: is kept up to date with what the kernel says.
-        changed: called when the view is other than before.
-        counted: called when there are new figures.
-        happened: called with each change of the profile, as the kernel tells it.
+        told: is called with what is new.
+        followers: what follows kernels now.
 
     Attributes:
         figures: the counters, while the kernel answers.
-        client: the session with the kernel; None: there is none.
     """
 
-    def __init__(
-        self,
-        entry: Entry,
-        view: View,
-        changed: Callable[[], object],
-        counted: Callable[[Watch], object],
-        happened: Callable[[Watch, Mapping[str, Any]], object],
-    ) -> None:
-        self.entry, self.view = entry, view
+    def __init__(self, session: AsyncClient, view: View, told: Told, followers: Iterable[Follower]) -> None:
+        self.session, self.view = session, view
         self.figures = Figures()
-        self.client: AsyncClient | None = None
-        self._changed, self._counted, self._happened = changed, counted, happened
-        self._answered = time.monotonic()
+        self._told, self._followers = told, followers
+        self._following: dict[Follower, asyncio.Task[None]] = {}
 
     async def run(self) -> None:
         """Watch it until its session ends."""
         try:
-            async with AsyncClient.connect(self.entry, timeout=_OPEN, who="aiorts studio", right="view") as client:
-                self.client = client
-                async with client.stream("changes") as changes:
-                    self._take_snapshot(changes.began)
-                    counting = asyncio.create_task(self._count(client), name="studio counters")
-                    try:
-                        async for item in changes:
-                            self._take(item)
-                    finally:
-                        counting.cancel()
-                        with suppress(asyncio.CancelledError):
-                            await counting
-            self._say("ended", "has ended")
+            async with self.session.stream("changes") as changes:
+                self._take_snapshot(changes.began)
+                await self._follow(changes)
         except AiortsError as error:
-            self._say("ended" if not isinstance(error, NoAnswerError) else "silent", str(error))
+            self._say("ended", str(error))
+        else:
+            self._say("ended", "has ended")
+
+    async def _follow(self, changes: AsyncStream) -> None:
+        for one in self._followers:
+            self.start(one)
+        own = [asyncio.create_task(one(), name="studio watch") for one in (self._count, self._look)]
+        try:
+            async for item in changes:
+                self._take(item)
         finally:
-            self.client = None
+            tasks = [*own, *self._following.values()]
+            self._following = {}
+            for task in tasks:
+                task.cancel()
+            for done in await asyncio.gather(*tasks, return_exceptions=True):
+                if isinstance(done, Exception) and not isinstance(done, AiortsError):
+                    raise done
+
+    def start(self, one: Follower) -> None:
+        """Have a follower follow this kernel from now on, if it is about it."""
+        if self.session.is_open and one.kernel in ("", self.view.address):
+            self._following[one] = asyncio.create_task(one.run(self), name="studio follower")
+
+    def stop(self, one: Follower) -> None:
+        """End a follower here."""
+        if (task := self._following.pop(one, None)) is not None:
+            task.cancel()
 
     # -- its profile -----------------------------------------------------------------------------------------------
 
@@ -77,30 +111,30 @@ class Watch:
             self._take_snapshot(item)
             return
         for part in item["parts"]:
-            section, name, now = part["section"], part["name"], part["now"]
-            known = self.view.profile.get(section)
-            if not isinstance(known, dict) or not name:
-                self.view.profile[section] = now
-            elif now is None:
+            known, name, now = self.view.profile[part["section"]], part["name"], part["now"]
+            if now is None:
                 known.pop(name, None)
             else:
                 known[name] = now
-        self._happened(self, item)
-        self._changed()
+        self.view.changes += 1
+        self._told.happened(self, item)
+        self._told.changed()
 
     def _take_snapshot(self, item: Mapping[str, Any]) -> None:
         profile = item["profile"]
         self.view.profile = profile
+        self.view.changes += 1
         self.view.about["simulated"] = profile["clock"]["kind"] == "SimulatedClock"
+        self._told.changed()
         self._say("live", "")
 
-    # -- its counters ----------------------------------------------------------------------------------------------
+    # -- its figures -----------------------------------------------------------------------------------------------
 
-    async def _count(self, client: AsyncClient) -> None:
-        async with client.stream("counters", rate=RATE) as stream:
+    async def _count(self) -> None:
+        async with self.session.stream("counters", rate=RATE) as stream:
             while (item := await self._next(stream)) is not END:
                 self.figures.take(item)
-                self._counted(self)
+                self._told.counted(self)
 
     async def _next(self, stream: AsyncStream) -> Any:
         """The next item; while there is none the kernel is said not to answer."""
@@ -110,14 +144,30 @@ class Watch:
             except NoAnswerError:
                 self._say("silent", "does not answer")
             else:
-                self._answered = time.monotonic()
+                self.view.answered = time.monotonic()
                 self._say("live", "")
                 return item
 
+    async def _look(self) -> None:
+        """Look at what no stream tells: states and round trips of links, and who made contexts late."""
+        overruns: dict[str, int] = {}
+        while True:
+            links = [name for name, one in self.view.connectors.items() if one["options"]["on_link_lost"] is not None]
+            counted = {name: one["overruns"] for name, one in self.figures.now["contexts"].items()}
+            late = [name for name, count in counted.items() if count > overruns.get(name, 0)]
+            overruns = counted
+            if links or late:
+                with suppress(NoAnswerError):
+                    self._take_part(await self.session.call("part", connectors=links[:_LINKS], contexts=late))
+            await asyncio.sleep(_PAUSE)
+
+    def _take_part(self, part: Mapping[str, Any]) -> None:
+        self.figures.take_part(part)
+        services = self.view.profile.setdefault("services", {})
+        if services.get("links", {}) != part["links"]:
+            services["links"] = part["links"]
+            self._told.changed()
+
     def _say(self, state: str, why: str) -> None:
-        about = self.view.about
-        since = 0.0 if state == "live" else round(time.monotonic() - self._answered, 1)
-        if (about["state"], about["why"]) == (state, why) and state == "live" and about.get("known"):
-            return
-        about.update(state=state, why=why, since_s=since, known=True)
-        self._changed()
+        if self.view.say(state, why):
+            self._told.changed()

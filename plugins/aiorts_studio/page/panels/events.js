@@ -49,7 +49,7 @@ export function Events() {
       <span class="quiet" role="status">${counted(shown.length, "event")}</span>
     </div>
     ${shown.length ? html`<${Rows} count=${shown.length} height=${HEIGHT} role="table" label="Events" row=${(/** @type {number} */ index) => html`<${Line} key=${index} item=${shown[index]} index=${index} />`} />`
-      : html`<p class="empty">Nothing has changed ${minute.value ? "in the last minute" : "since this page was opened"}.</p>`}
+      : html`<p class="none">Nothing has changed ${minute.value ? "in the last minute" : "since this page was opened"}.</p>`}
   </div>`;
 }
 

@@ -90,7 +90,7 @@ function move(plot, one) {
 export function Plots() {
   return html`<div class="plots"><${Bar} /><div class="charts">
     ${plots.value.map((one) => html`<${Chart} key=${one.id} plot=${one} />`)}
-    ${!plots.value.length && html`<p class="empty">Choose a port above, or press Plot at a port of the selected component.</p>`}
+    ${!plots.value.length && html`<p class="none">Choose a port above, or press Plot at a port of the selected component.</p>`}
   </div></div>`;
 }
 

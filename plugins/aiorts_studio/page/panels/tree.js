@@ -22,7 +22,7 @@ export function Tree() {
       onInput=${(/** @type {InputEvent} */ { target }) => { wanted.value = /** @type {HTMLInputElement} */ (target).value; }}
       onKeyDown=${(/** @type {KeyboardEvent} */ event) => searchKey(event, rows)} />
     <p class="heard" role="status">${wanted.value && counted(found, "component")}</p>
-    ${wanted.value && !found && html`<p class="empty">No component, type or port has “${wanted.value}” in its name.</p>`}
+    ${wanted.value && !found && html`<p class="none">No component, type or port has “${wanted.value}” in its name.</p>`}
     <${Rows} count=${rows.length} height=${HEIGHT} role="tree" label="Kernels and components" focus=${false} at=${rows.length ? current : -1}
       onKeyDown=${(/** @type {KeyboardEvent} */ event) => treeKey(event, rows, current)} row=${(/** @type {number} */ index) => html`
         <${Item} key=${rows[index].key} row=${rows[index]} chosen=${rows[index].key === chosen} focusable=${index === current} />`} />
