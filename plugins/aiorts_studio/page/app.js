@@ -56,7 +56,7 @@ function sayView() {
   look ||= window.setTimeout(() => {
     look = 0;
     const { x0, y0, x1, y1 } = scene.rect(), rect = [x0, y0, x1, y1].map(Math.round);
-    const message = { t: "view", rect, scale: Math.round(scene.view.k * 1000) / 1000 }, text = JSON.stringify(message);
+    const message = { t: "view", rect, scale: Math.round(scene.scale * 1000) / 1000 }, text = JSON.stringify(message);
     if (text !== looked && store.say(message)) looked = text;
   }, 1000 / LOOKS_PER_SECOND);
 }
@@ -86,7 +86,7 @@ effect(() => {
   window.clearTimeout(clearing);
   clearing = window.setTimeout(() => { store.notice.value = ""; }, NOTICE_MS);
 });
-effect(() => { document.body.classList.toggle("bare", !store.selected.value); });   // the scene has the room until it is needed
+effect(() => { document.body.classList.toggle("bare", !store.selected.value); });
 effect(() => {
   document.body.classList.toggle("old", store.connection.value !== "live");
   document.title = [...store.kernels.value.values()].map((one) => one.name).slice(0, 2).concat("aiorts studio").join(" · ");
@@ -97,6 +97,8 @@ effect(() => {
 });
 
 store.on("problem", ({ problem }) => store.tell(problem.detail ?? problem.title ?? problem.text ?? "The server refused it"));
+
+Object.assign(window, { studio: { scene, view, store } });   // for tests, and for the curious
 
 followAddress();
 const code = codeOfAddress();

@@ -61,7 +61,7 @@ export function labelOf(edge, row, crowded, small) {
   if (!row) return ["", ""];
   const rate = row.rate === null ? "" : `${number(row.rate)} Hz`, trip = row.trip === null || small ? "" : `${number(row.trip)} ms`;
   const reasons = reasonsOf(row), why = reasons.length === 1 && !crowded && !small ? reasons[0][0].replaceAll("_", " ") : "lost";
-  const second = row.dropped ? `${count(row.dropped)} ${why}` : row.backlog ? `${count(row.backlog)} waiting` : "";
+  const second = row.dropped ? `${count(row.dropped)} ${why}` : row.backlog && !small ? `${count(row.backlog)} waiting` : "";
   return [crowded && small && row.dropped ? "" : [rate, trip].filter(Boolean).join(" · "), second];
 }
 

@@ -21,8 +21,8 @@ export function makeBox(box, look) {
   ...(box.kind === "folded" ? [make("rect", { class: "body under", x: 5, y: 5, width: box.w, height: box.h, rx: 10 })] : []),
   make("rect", { class: "body", width: box.w, height: box.h, rx: 10 }),
   make("rect", { class: "stripe", width: 4, height: 31, x: 10, y: 11, rx: 2 }),
-  text("name", STRIPE, 24, box.name, room, font(look.sizes.name, true)),
-  text(`type ${look.said ? "trouble" : ""}`, STRIPE, 43, look.said || box.type, room, font(look.sizes.text)),
+  text("name", STRIPE, look.sizes.type ? 24 : 34, box.name, room, font(look.sizes.name, true)),
+  ...(look.sizes.type ? [text(`type ${look.said ? "trouble" : ""}`, STRIPE, 43, look.said || box.type, room, font(look.sizes.text))] : []),
   ...(look.state ? [badge(box, look.state)] : []),
   ...box.ports.map((port) => makePort(box, port, look.sizes.text)));
 }

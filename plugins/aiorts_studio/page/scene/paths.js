@@ -56,17 +56,21 @@ export function away(points, [x, y]) {
   return least;
 }
 
+const MOST_CROSSINGS = 16;
+
 /**
  * Short pieces of a path around the points where it crosses others, to be drawn below it in the colour of the ground.
- * @param {Point[]} points @param {Iterable<Point[]>} others @param {number} [reach] @returns {string} a path; "": there are none
+ * @param {Point[]} points @param {Iterable<Point[]>} others @param {number} [reach]
+ * @returns {string} a path; "": there are none, or so many that drawing them costs more frames than they explain
  */
 export function crossings(points, others, reach = 6) {
-  let path = "";
+  let path = "", left = MOST_CROSSINGS;
   for (const other of others) {
     for (let i = 1; i < points.length; i++) {
       for (let j = 1; j < other.length; j++) {
         const found = crossing(points[i - 1], points[i], other[j - 1], other[j]);
         if (!found) continue;
+        if (left-- === 0) return "";
         const [x, y] = found;
         path += points[i - 1][1] === points[i][1] ? `M${x - reach} ${y}H${x + reach}` : `M${x} ${y - reach}V${y + reach}`;
       }

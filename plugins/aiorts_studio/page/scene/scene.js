@@ -11,7 +11,7 @@ import * as store from "../store.js";
 import { boxSpoken, frameSaid, kernelSaid, kernelTrouble } from "../words.js";
 import { classOf, makeBox } from "./box.js";
 import { makeEdge, updateEdge } from "./edge.js";
-import { FAR, sizesAt } from "./fonts.js";
+import { FAR, farBelow, sizesAt } from "./fonts.js";
 import { makeFrame, sayFrame } from "./frame.js";
 import { Grid, cellsOf } from "./grid.js";
 import { coloursOf, paint } from "./paint.js";
@@ -266,8 +266,9 @@ export class Scene {
     // An attribute, not CSS with `will-change`: a layer of its own is as large as the world, and rasters all of it.
     this.root.setAttribute("transform", `translate(${x} ${y}) scale(${k})`);
     const context = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
-    if (this.far !== k < FAR) {
-      this.far = k < FAR;
+    const far = k < farBelow(store.boxes.peek().size);
+    if (this.far !== far) {
+      this.far = far;
       this.seen = "";
       this.host.classList.toggle("far", this.far);
       context.setTransform(1, 0, 0, 1, 0, 0);
@@ -286,13 +287,18 @@ export class Scene {
   takeSizes(sizes) {
     if (sizes.text === this.sizes.text) return;
     this.sizes = sizes;
-    for (const [name, size] of Object.entries(sizes)) this.root.style.setProperty(`--${name}`, `${size}px`);
+    for (const name of /** @type {const} */ (["name", "text", "title"])) this.root.style.setProperty(`--${name}`, `${sizes[name]}px`);
     for (const id of [...this.boxes.keys()]) {
       if (this.shown.boxes.has(id)) this.putBox(/** @type {Box} */ (store.boxes.peek().get(id)));
       else this.boxes.delete(id);
     }
     for (const id of this.shown.edges) this.freshenEdge(id);
     this.drawFrames();
+  }
+
+  /** The scale as the server knows it: from FAR on it says all figures of what is in view. */
+  get scale() {
+    return this.far ? Math.min(this.view.k, FAR - 0.01) : Math.max(this.view.k, FAR);
   }
 
   /** The rectangle of the scene that is in view. @returns {import("./grid.js").Rect} */
