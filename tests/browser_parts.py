@@ -179,12 +179,12 @@ class Opened:
     def fit(self) -> None:
         self.page.evaluate("() => document.activeElement?.blur()")
         self.page.keyboard.press("0")
-        self.page.wait_for_timeout(400)
+        self.page.wait_for_timeout(300)
 
     def settle(self) -> None:
         """Wait until figures have come, and the layout stands."""
         self.wait_for("() => !store.edges.value.size || store.figures.value.size > 0")
-        self.page.wait_for_timeout(1500)
+        self.page.wait_for_timeout(700)
 
 
 @contextmanager

@@ -24,6 +24,16 @@ class TransitionStructure:
     delay: float | str | None
     """Seconds of a timer, or the name of the parameter that has them."""
 
+    @property
+    def label(self) -> str:
+        """Event, guard and actions, as diagrams write them: "after 2 s [is_near] / halt"."""
+        event = self.event
+        if self.delay is not None:
+            event = f"after {self.delay}" if isinstance(self.delay, str) else f"after {self.delay:g} s"
+        guard = f"[{self.guard}]" if self.guard else ""
+        acts = f"/ {', '.join(self.actions)}" if self.actions else ""
+        return " ".join(part for part in (event, guard, acts) if part)
+
 
 @dataclass(frozen=True, slots=True)
 class StateStructure:

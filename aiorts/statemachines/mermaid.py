@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Final
 
-from aiorts.statemachines.chart_structure import StateStructure, TransitionStructure, structure_of
+from aiorts.statemachines.chart_structure import StateStructure, structure_of
 from aiorts.statemachines.charting import Chart
 
 _RESERVED: Final = frozenset(
@@ -62,7 +62,7 @@ class _Drawing:
                 both = [one for one, two in zip(own, other, strict=False) if one is two]
                 # The regions of a parallel state are drawn apart: an arrow between two stands outside.
                 holder = next((one for one in reversed(both) if one.kind != "parallel"), None)
-                label = _label(way)
+                label = way.label
                 arrow = f"{self.ids.get(state.name, '[*]')} --> {self.ids[way.target]}" + (
                     f" : {label}" if label else ""
                 )
@@ -88,7 +88,7 @@ class _Drawing:
                 yield f"{own} : {word} / {', '.join(acts)}"
         if state.defer:
             yield f"{own} : defer {', '.join(state.defer)}"
-        yield from (f"{own} : {_label(way)}" for way in state.transitions if way.target is None)
+        yield from (f"{own} : {way.label}" for way in state.transitions if way.target is None)
         if state.kind == "final":
             yield f"{own} --> [*]"
 
@@ -98,15 +98,6 @@ def _ids(state: StateStructure) -> Iterator[tuple[str, str]]:
         plain = _PLAIN.fullmatch(child.name) and child.name not in _RESERVED
         yield child.name, child.name if plain else "s_" + re.sub(r"\W", "_", child.name) + "_"
         yield from _ids(child)
-
-
-def _label(way: TransitionStructure) -> str:
-    event = way.event
-    if way.delay is not None:
-        event = f"after {way.delay}" if isinstance(way.delay, str) else f"after {way.delay:g} s"
-    guard = f"[{way.guard}]" if way.guard else ""
-    acts = f"/ {', '.join(way.actions)}" if way.actions else ""
-    return " ".join(part for part in (event, guard, acts) if part)
 
 
 def _acts(acts: tuple[str, ...]) -> str:

@@ -13,7 +13,7 @@ import pytest
 from aiorts import Kernel, PeriodicContext
 from aiorts.statechart import Chart, On, State
 from aiorts.statemachines import MultiModeComponent, StateMachineComponent
-from control_parts import Reader, commanded, controlled
+from control_parts import Reader, commanded, controlled, with_client
 
 pytestmark = pytest.mark.anyio
 
@@ -101,6 +101,16 @@ async def test_a_state_machine_is_shown_and_sent_events(capsys: pytest.CaptureFi
         assert (status, text.split()[:5]) == (0, ["house/door0", "states", "closed", "events", "button"])
         status, text = await commanded(capsys, "fsm", "door0", "buton")
         assert (status, "did you mean button?" in text) == (6, True)
+
+
+async def test_the_chart_of_a_state_machine_can_be_drawn() -> None:
+    async with Kernel(services={"control": {"name": "house"}}) as kernel:
+        await kernel.create(Door, "door0")
+        shown = await with_client("house", lambda client: client.call("machine", component="door0"))
+        assert [(one["name"], one["inside"], one["initial"], one["ways"]) for one in shown["chart"]] == [
+            ("closed", "", True, [["button", "open"]]),
+            ("open", "", False, [["button / note", "closed"]]),
+        ]
 
 
 async def test_a_mode_is_changed(capsys: pytest.CaptureFixture[str]) -> None:

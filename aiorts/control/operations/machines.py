@@ -5,7 +5,8 @@ Of a component that runs in a process of its own, or in another kernel, they are
 
 from __future__ import annotations
 
-from typing import Any, Final
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.configuration import Whose
@@ -19,8 +20,26 @@ from aiorts.late import dataclass
 from aiorts.model.reading import from_plain
 from aiorts.observe import MachineReport, ModeReport
 
+if TYPE_CHECKING:
+    from aiorts.statemachines import StateStructure
+
 _ELSEWHERE: Final = 4.0
 """Seconds that a change of mode may take in another process or kernel, which has to answer then."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChartState:
+    """A state of a chart, to be drawn."""
+
+    name: str
+    inside: str
+    """The state around it; "" at the top."""
+    kind: str
+    """"state", "parallel", "final", "history" or "deep"."""
+    initial: bool
+    """Whether it is entered first of those in the same state."""
+    ways: tuple[tuple[str, str], ...]
+    """Its transitions: what triggers each, in words, and the state that it leads to; "" where it stays."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +50,8 @@ class Shown:
     modes: ModeReport | None = None
     events: tuple[str, ...] = ()
     """That the machine knows."""
+    chart: tuple[ChartState, ...] = ()
+    """Its table, the outer states before the inner."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +84,20 @@ async def _machine(session: Session, given: Whose) -> Shown:
     for kind in kinds_of(component):
         reports.update(kind.reports(component))
     events: tuple[str, ...] = ()
+    chart: tuple[ChartState, ...] = ()
     if isinstance(component, StateMachineComponent):
         events = tuple(sorted(component.machine.chart.events))
+        chart = tuple(_inside(component.machine.chart.structure, ""))
     elif not isinstance(component, MultiModeComponent):
         raise StateError(f"{given.component}: has no state machine and no modes; it is a {type(component).__name__}")
-    return Shown(reports.get("machine"), reports.get("modes"), events)
+    return Shown(reports.get("machine"), reports.get("modes"), events, chart)
+
+
+def _inside(around: StateStructure, name: str) -> Iterator[ChartState]:
+    for state in around.states:
+        ways = tuple((way.label, way.target or "") for way in state.transitions)
+        yield ChartState(state.name, name, state.kind, state.name in around.initial, ways)
+        yield from _inside(state, state.name)
 
 
 async def _send(session: Session, given: Sending) -> Done:

@@ -5,5 +5,5 @@ import { html } from "./parts.js";
 /** @param {{commands: import("../commands.js").Command[]}} props */
 export function Commands({ commands }) {
   return html`<section aria-label="As commands"><h3 class="over">As commands</h3><ul class="commands">${commands.map(({ says, command }) => html`
-    <li key=${command}><button onClick=${() => void copy(command)} aria-label=${`Copy the command that ${says}: ${command}`} title="Copy"><code>${command}</code><span>${says}</span></button></li>`)}</ul></section>`;
+    <li key=${command}><button onClick=${() => void copy(command)} title="Copy"><code>${command}</code><span>${says}</span></button></li>`)}</ul></section>`;
 }

@@ -1,0 +1,119 @@
+"""Each screen of the page, in both themes, by what can be computed of it; pictures of all of them are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import browser_checks as checks
+from browser_parts import THEMES, Opened, kernel, opened, served
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+    from browser_parts import Served
+
+pytestmark = pytest.mark.slow
+COMPONENTS = {"imu", "odometry", "metres", "turn_rate", "show", "checker", "pid0", "plant0"}
+
+
+@pytest.fixture(scope="module")
+def site(chromium: Browser) -> Iterator[Served]:
+    """A server that shows two kernels."""
+    with (
+        kernel("roomba", "examples/roomba/system.toml", "--set", "imu.speed=0.3"),
+        kernel("pid", "examples/pid/system.toml"),
+        served("--edit") as found,
+    ):
+        yield found
+
+
+@pytest.fixture(scope="module", params=THEMES)
+def whole(request: pytest.FixtureRequest, chromium: Browser, site: Served) -> Iterator[Opened]:
+    with opened(chromium, site, theme=request.param) as found:
+        found.wait_for_boxes(len(COMPONENTS))
+        found.settle()
+        yield found
+
+
+@pytest.fixture
+def page(whole: Opened) -> Opened:
+    """The page of a theme with nothing selected, all of it in view, and no complaint in its console so far."""
+    assert whole.complaints == []
+    whole.page.keyboard.press("Escape")
+    whole.fit()
+    return whole
+
+
+def shot(page: Opened, pictures: Path, name: str) -> None:
+    theme = page.page.evaluate("document.documentElement.dataset.theme")
+    (pictures / f"{name}-{theme}.png").write_bytes(page.page.screenshot())  # with a path it would start threads
+
+
+def test_the_whole_system_is_seen_at_a_glance(page: Opened, pictures: Path) -> None:
+    assert page.names() == COMPONENTS
+    assert checks.at_a_glance(page) == []
+    assert checks.small_targets(page) == []
+    shot(page, pictures, "whole")
+
+
+def test_what_is_selected_is_shown_in_full(page: Opened, pictures: Path) -> None:
+    page.choose("metres")
+    aside = page.page.locator("aside")
+    aside.get_by_text("entries in[:pin] >").wait_for()  # what a parameter is for
+    words = aside.inner_text()
+    for part in (
+        "active",
+        "Maps pins of input0",
+        "output0 → checker.pose",
+        "flush, 64 long, block",
+        "rounding",
+        "aiorts conf",
+    ):
+        assert part in words, part
+    assert checks.at_a_glance(page) == []
+    assert checks.small_targets(page) == []
+    assert checks.cut_without_tip(page) == []
+    shot(page, pictures, "component")
+    page.choose_edge("plant0.output-pid0.measured")
+    aside.get_by_text("written = delivered + wait + dropped").wait_for()
+    assert "inactive" in aside.inner_text()
+    assert checks.at_a_glance(page) == []
+    assert checks.small_targets(page) == []
+    shot(page, pictures, "connector")
+
+
+@pytest.mark.parametrize("tab", ["Log", "Events", "Plots"])
+def test_each_panel_below_is_legible(page: Opened, pictures: Path, tab: str) -> None:
+    page.show(tab)
+    page.page.wait_for_timeout(500)
+    assert checks.at_a_glance(page) == []
+    assert checks.small_targets(page) == []
+    shot(page, pictures, tab.lower())
+
+
+def test_the_keys_are_listed_and_close_again(page: Opened, pictures: Path) -> None:
+    page.page.keyboard.press("?")
+    dialog = page.page.get_by_role("dialog", name="Keys")
+    dialog.wait_for()
+    assert checks.at_a_glance(page) == []
+    shot(page, pictures, "keys")
+    page.page.keyboard.press("Escape")
+    dialog.wait_for(state="hidden")
+
+
+def test_a_screen_reader_finds_as_many_things_as_there_are(page: Opened) -> None:
+    page.page.wait_for_timeout(1500)
+    assert checks.unspoken(page) == []
+
+
+def test_axe_finds_nothing_serious(page: Opened) -> None:
+    if not checks.AXE.is_file():
+        pytest.skip("NOT RUN: axe-core is not there; npm ci in .ci/page fetches it")
+    page.choose("metres")
+    page.show("Log")
+    page.page.wait_for_timeout(1000)
+    assert checks.axe_findings(page) == []
