@@ -35,7 +35,7 @@ function facts() {
   const lost = rows.reduce((sum, [, row]) => sum + row.dropped, 0);
   const worst = rows.reduce((most, one) => (one[1].dropped > (most?.[1].dropped ?? 0) ? one : most), /** @type {typeof rows[0] | null} */ (null));
   const late = [...frameFigures.value].reduce((most, one) => ((one[1].late ?? -1) > (most?.[1].late ?? -1) ? one : most), /** @type {[number, any] | null} */ (null));
-  const live = [...kernels.value.values()].filter((one) => one.state === "live"), names = live.length === 1 ? live[0].name : `${live.length} kernels`;
+  const live = [...kernels.value.values()].filter((one) => one.state !== "ended"), names = live.length === 1 ? live[0].name : `${live.length} kernels`;
   /** @type {[string, string, boolean, (() => void) | null][]} */
   const all = [
     [names, `${count(boxes.value.size)} components, ${count(edges.value.size)} connectors`, false, null],

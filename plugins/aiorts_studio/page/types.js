@@ -18,7 +18,8 @@
  * @typedef {[number, number]} Point
  *
  * @typedef {{id: number, kernel: string, name: string, from: [number, string], to: [number, string], points: Point[],
- *   label: Point, policy: string, state: "up" | "down" | "waiting", link: boolean, bundle: number}} Edge
+ *   label: Point, policy: string, state: "up" | "down" | "waiting", why?: string, link: boolean,
+ *   bundle: number}} Edge
  *
  * Figures of an edge: rate in Hz, dropped samples in all and by reason, samples that wait, dropped per second, age and
  * round trip in ms. null: not known. `lossy` alone is known in the far view.

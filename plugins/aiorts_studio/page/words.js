@@ -68,7 +68,7 @@ export function labelOf(edge, row, crowded, small) {
 /** All that is known of an edge, line by line. @param {Edge} edge @param {EdgeFigures | undefined} row @returns {string[]} */
 export function edgeLines(edge, row) {
   const lines = [edge.policy, edge.link ? "link between two kernels" : "", edge.bundle > 1 ? `${edge.bundle} connectors` : ""];
-  if (edge.state !== "up") lines.push(edge.state === "down" ? "the connection is down" : "waits for the other end");
+  if (edge.state !== "up") lines.push(edge.why || (edge.state === "down" ? "the connection is down" : "waits for the other end"));
   if (row && row.rate !== null) lines.push(`${number(row.rate)} samples/s arrive`);
   if (row?.dropped) lines.push(`${count(row.dropped)} dropped${row.loss ? `, ${number(row.loss)}/s now` : ""}`);
   for (const [why, times] of row ? reasonsOf(row) : []) lines.push(`  ${count(times)} ${why.replaceAll("_", " ")}`);
@@ -105,7 +105,7 @@ export function boxSpoken(box, state, said, kernel) {
  */
 export function frameSaid(frame, row) {
   const late = !row?.late ? "" : `p99 ${number(row.late)} ms late`;
-  const overruns = row?.overruns ? `${count(row.overruns)} overrun${row.overruns === 1 ? "" : "s"}${row.who ? `, most by ${row.who}` : ""}` : "";
+  const overruns = row?.overruns ? `${count(row.overruns)} overrun${row.overruns === 1 ? "" : "s"}${row.who ? `, most by ${row.who.split(":")[0]}` : ""}` : "";
   return [frame.said, late, overruns].filter(Boolean).join("  ·  ");
 }
 

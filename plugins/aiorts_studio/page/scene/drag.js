@@ -6,6 +6,7 @@ import * as store from "../store.js";
 /** A hand that only clicks trembles less than this, in px. */
 const CLICK = 4;
 const MOVES_PER_SECOND = 8;
+const ANSWER_MS = 600;
 
 /** @param {Scene} scene @param {(id: number) => void} click called for a box that was clicked, not moved */
 export function dragging(scene, click) {
@@ -41,8 +42,13 @@ export function dragging(scene, click) {
     const { id, moved } = held, to = place(event);
     held = null;
     scene.boxes.get(id)?.classList.remove("moving");
-    if (!moved) click(id);
-    else store.say({ t: "move", id, ...to });
+    if (!moved) return click(id);
+    store.say({ t: "move", id, ...to });
+    window.setTimeout(() => {   // where the server found no room there, it stays where it was
+      const box = held?.id === id ? null : store.boxes.peek().get(id);
+      if (box) scene.putBox(box);
+    }, ANSWER_MS);
+    return undefined;
   };
   window.addEventListener("pointerup", end);
   window.addEventListener("pointercancel", end);

@@ -20,8 +20,8 @@ export function outline(scene) {
 
   const write = () => {
     const wanted = new Map();
-    for (const box of store.boxes.peek().values()) if (!scene.shown.boxes.has(box.id)) wanted.set(`b${box.id}`, box);
-    for (const edge of store.edges.peek().values()) if (!scene.shown.edges.has(edge.id)) wanted.set(`e${edge.id}`, edge);
+    for (const box of scene.world.boxes) if (!scene.shown.boxes.has(box.id)) wanted.set(`b${box.id}`, box);
+    for (const edge of scene.world.edges) if (!scene.shown.edges.has(edge.id)) wanted.set(`e${edge.id}`, edge);
     for (const [key, node] of lines) {
       if (wanted.has(key)) continue;
       node.remove();

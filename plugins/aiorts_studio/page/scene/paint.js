@@ -13,7 +13,7 @@ const PORTS = 0.46, MOST_WITH_PORTS = 150;
 const COLOURS = ["edge", "busy", "lossy", "down", "box", "box-line", "lane", "line", "ink", "quiet", "accent", "on-state",
   "active", "inactive", "error", "created", "ended", "silent", "full", "kernel", "in", "out", "service"];
 /** The strokes of edges: those drawn later lie above. Each has one path: 2,000 strokes of their own cost far more. */
-const STROKES = /** @type {[string, string, number][]} */ ([["edge", "edge", 1.25], ["waiting", "edge", 1.25], ["full", "full", 1.75], ["down", "down", 2], ["lossy", "lossy", 2.25], ["chosen", "accent", 2.5]]);
+const STROKES = /** @type {[string, string, number][]} */ ([["edge", "edge", 1.25], ["waiting", "edge", 1.25], ["link", "edge", 3], ["full", "full", 1.75], ["down", "down", 2], ["lossy", "lossy", 2.25], ["chosen", "accent", 2.5]]);
 
 /** @param {Element} host @returns {Record<string, string>} */
 export function coloursOf(host) {
@@ -87,7 +87,8 @@ function paintPorts(context, { x, y, k }, boxes, world, colours) {
 function paintEdges(context, k, world, colours) {
   const paths = new Map(STROKES.map(([tone]) => [tone, new Path2D()]));
   for (const edge of world.edges) {
-    const path = paths.get(world.own(edge) ? "chosen" : toneOf(edge, world.row(edge.id))) ?? paths.get("edge");
+    const tone = toneOf(edge, world.row(edge.id));
+    const path = paths.get(world.own(edge) ? "chosen" : tone) ?? paths.get(edge.link ? "link" : "edge");
     path?.moveTo(...edge.points[0]);
     for (const point of edge.points) path?.lineTo(...point);
   }

@@ -51,7 +51,7 @@ export function pointing(scene, view) {
     }
     if (!focus) return;
     scene.drawNow();   // now: focus goes only to what is in the document
-    const node = chosen.kind === "box" ? scene.boxes.get(id) : chosen.kind === "edge" ? scene.edges.get(id)?.node : scene.frames.get(id)?.title;
+    const node = chosen.kind === "box" ? scene.boxes.get(id) : chosen.kind === "edge" ? scene.edges.get(id)?.node : scene.frames.drawn.get(id)?.title;
     node?.focus({ preventScroll: true });
   });
 }

@@ -8,12 +8,12 @@
  */
 import { effect } from "../vendor/preact-signals.js";
 import * as store from "../store.js";
-import { boxSpoken, frameSaid, kernelSaid, kernelTrouble } from "../words.js";
 import { classOf, makeBox } from "./box.js";
 import { makeEdge, updateEdge } from "./edge.js";
 import { FAR, farBelow, sizesAt } from "./fonts.js";
-import { makeFrame, sayFrame } from "./frame.js";
+import { Frames } from "./frames.js";
 import { Grid, cellsOf } from "./grid.js";
+import { Looks } from "./looks.js";
 import { coloursOf, paint } from "./paint.js";
 import { crossings } from "./paths.js";
 import { make, html } from "./svg.js";
@@ -35,17 +35,13 @@ export class Scene {
     this.width = this.height = 0;
     this.grid = new Grid();
     this.world = new World();
+    this.looks = new Looks(this.world);
     /** @type {Map<number, SVGElement>} */
     this.boxes = new Map();
     /** @type {Map<number, import("./edge.js").Drawn>} */
     this.edges = new Map();
-    /** @type {Map<number, import("./frame.js").Drawn>} */
-    this.frames = new Map();
     this.shown = { boxes: /** @type {Set<number>} */ (new Set()), edges: /** @type {Set<number>} */ (new Set()) };
-    /** The box that is in the tab order; it stays in the document wherever the view goes. @type {number | null} */
-    this.focused = null;
     this.far = false;
-    this.sizes = sizesAt(1);
     this.seen = "";
     this.due = 0;
     /** Called after the view or what is in it has changed. */
@@ -57,6 +53,7 @@ export class Scene {
     this.svg = host.appendChild(make("svg", { role: "application", "aria-label": "The system", "aria-roledescription": "graph" }));
     this.root = this.svg.appendChild(make("g", { class: "world" }));
     this.layers = Object.fromEntries(LAYERS.map((name) => [name, this.root.appendChild(make("g", { class: name }))]));
+    this.frames = new Frames(this.layers.frames, this.layers.titles, this.looks);
     new ResizeObserver(() => this.resize()).observe(host);
     this.resize();
     store.on("picture", () => this.takePicture());
@@ -67,7 +64,11 @@ export class Scene {
       this.world.takeKernels(store.kernels.value);
       this.freshen();
     });
-    setInterval(() => this.sayKernels(), 1000);
+    effect(() => {
+      void store.infrastructure.value;
+      this.changed();
+    });
+    setInterval(() => this.frames.sayKernels(), 1000);
   }
 
   resize() {
@@ -98,8 +99,8 @@ export class Scene {
       touched.add(edge.id);
     }
     for (const id of touched) this.redraw(id);
-    if (this.focused === null || !store.boxes.peek().has(this.focused)) this.focused = store.boxes.peek().keys().next().value ?? null;
-    if (frames.length || gone.frames?.length || !store.frames.peek().size) this.drawFrames();
+    if (this.looks.focused === null || !store.boxes.peek().has(this.looks.focused)) this.looks.focused = store.boxes.peek().keys().next().value ?? null;
+    if (frames.length || gone.frames?.length || !store.frames.peek().size) this.frames.draw();
     this.changed();
   }
 
@@ -108,7 +109,7 @@ export class Scene {
     this.grid.put("boxes", box.id, [[box.x, box.y], [box.x + box.w, box.y + box.h]]);
     const old = this.boxes.get(box.id);
     if (!old) return;
-    const node = makeBox(box, this.lookOf(box)), focus = old.contains(document.activeElement);
+    const node = makeBox(box, this.looks.box(box)), focus = old.contains(document.activeElement);
     this.boxes.set(box.id, node);
     old.replaceWith(node);   // in its place, with the focus where it was
     if (focus) node.focus({ preventScroll: true });
@@ -126,21 +127,11 @@ export class Scene {
     if (focus) drawn.node.focus({ preventScroll: true });
   }
 
-  drawFrames() {
-    const inside = document.activeElement?.closest("[data-frame]")?.getAttribute("data-frame");
-    const all = [...store.frames.peek().values()].sort((a, b) => b.w * b.h - a.w * a.h);   // the outer ones below
-    this.frames = new Map(all.map((frame) => [frame.id, makeFrame(frame, this.frameSaid(frame), this.frameClass(frame), this.sizes)]));
-    const drawn = [...this.frames.values()];
-    this.layers.frames.replaceChildren(...drawn.map((one) => one.node));
-    this.layers.titles.replaceChildren(...drawn.map((one) => one.title));
-    if (inside) /** @type {HTMLElement | null} */ (this.layers.titles.querySelector(`[data-frame="${inside}"]`))?.focus();
-  }
-
   /** @param {import("../types.js").Figures} news */
   takeFigures({ e = {}, b = {}, f = {} }) {
     for (const id of Object.keys(e).map(Number)) this.freshenEdge(id);
     for (const id of Object.keys(b).map(Number)) if (store.boxes.peek().has(id)) this.putBox(/** @type {Box} */ (store.boxes.peek().get(id)));
-    for (const id of Object.keys(f).map(Number)) this.freshenFrame(id);
+    for (const id of Object.keys(f).map(Number)) this.frames.freshen(id);
     if (this.far) this.draw();
   }
 
@@ -152,27 +143,9 @@ export class Scene {
 
   // -- what is drawn, and how ------------------------------------------------------------------------------------------
 
-  /** @param {Box} box */
-  lookOf(box) {
-    const { state, said } = this.world.figuresOf(box), chosen = store.selected.peek();
-    return {
-      state, said, silent: this.world.silent(box.kernel), spoken: boxSpoken(box, state, said, store.kernels.peek().get(box.kernel)),
-      chosen: chosen?.kind === "box" && chosen.id === box.id, first: box.id === this.focused, sizes: this.sizes,
-    };
-  }
-
-  /** @param {Edge} edge */
-  lookOfEdge(edge) {
-    const chosen = store.selected.peek();
-    return {
-      chosen: chosen?.kind === "edge" && chosen.id === edge.id, silent: this.world.silent(edge.kernel),
-      own: chosen?.kind === "box" && (edge.from[0] === chosen.id || edge.to[0] === chosen.id), crowded: this.world.crowded(edge), small: this.sizes.text > 14,
-    };
-  }
-
   /** @param {Edge} edge */
   edgeOf(edge) {
-    return makeEdge(edge, store.figures.peek().get(edge.id), this.lookOfEdge(edge), store.boxes.peek(), this.world.jointsOf(edge),
+    return makeEdge(edge, store.figures.peek().get(edge.id), this.looks.edge(edge), store.boxes.peek(), this.world.jointsOf(edge),
       crossings(edge.points, this.beside(edge)));
   }
 
@@ -184,45 +157,20 @@ export class Scene {
     }
   }
 
-  /** @param {Frame} frame */
-  frameSaid(frame) {
-    const kernel = store.kernels.peek().get(frame.kernel);
-    if (kernel && frame.kind === "kernel") return kernelTrouble(kernel, this.world.since(kernel)) || kernelSaid(kernel);
-    return frameSaid(frame, store.frameFigures.peek().get(frame.id));
-  }
-
-  /** @param {Frame} frame */
-  frameClass(frame) {
-    const chosen = store.selected.peek();
-    const row = store.frameFigures.peek().get(frame.id);
-    return [this.world.silent(frame.kernel) && "silent", row?.overruns && "late", frame.parent === null && "outer",
-      chosen?.kind === "frame" && chosen.id === frame.id && "chosen"].filter(Boolean).join(" ");
-  }
-
   /** @param {number} id */
   freshenEdge(id) {
     const drawn = this.edges.get(id), edge = store.edges.peek().get(id);
-    if (drawn && edge && this.shown.edges.has(id)) updateEdge(drawn, edge, store.figures.peek().get(id), this.lookOfEdge(edge), store.boxes.peek());
-  }
-
-  /** @param {number} id */
-  freshenFrame(id) {
-    const drawn = this.frames.get(id), frame = store.frames.peek().get(id);
-    if (!drawn || !frame) return;
-    sayFrame(drawn, frame, this.frameSaid(frame));
-    drawn.node.setAttribute("class", `frame ${frame.kind} ${this.frameClass(frame)}`);
-    drawn.title.setAttribute("class", `title ${frame.kind} ${this.frameClass(frame)}`);
-    drawn.title.setAttribute("aria-label", [frame.name, this.frameSaid(frame)].filter(Boolean).join(", "));
+    if (drawn && edge && this.shown.edges.has(id)) updateEdge(drawn, edge, store.figures.peek().get(id), this.looks.edge(edge), store.boxes.peek());
   }
 
   /** Draw anew what may look different: a kernel has fallen silent, something else is chosen. */
   freshen() {
     for (const id of this.shown.edges) this.freshenEdge(id);
-    for (const id of this.frames.keys()) this.freshenFrame(id);
+    this.frames.freshenAll();
     for (const [id, node] of this.boxes) {
       const box = store.boxes.peek().get(id);
       if (!box) continue;
-      const look = this.lookOf(box);
+      const look = this.looks.box(box);
       node.setAttribute("class", `box ${box.kind} ${box.infrastructure ? "infrastructure" : ""} ${classOf(look)}`);
       node.setAttribute("aria-label", look.spoken);
       node.setAttribute("tabindex", look.first ? "0" : "-1");
@@ -230,13 +178,9 @@ export class Scene {
     if (this.far) this.draw();
   }
 
-  sayKernels() {
-    for (const [id, frame] of store.frames.peek()) if (frame.kind === "kernel" && this.world.silent(frame.kernel)) this.freshenFrame(id);
-  }
-
   /** @param {number} id of the box that is in the tab order from now on */
   focusOn(id) {
-    this.focused = id;
+    this.looks.focused = id;
     this.changed();
   }
 
@@ -285,15 +229,15 @@ export class Scene {
 
   /** Text has other sizes: what was drawn was cut to fit the ones before. @param {import("./fonts.js").Sizes} sizes */
   takeSizes(sizes) {
-    if (sizes.text === this.sizes.text) return;
-    this.sizes = sizes;
+    if (sizes.text === this.looks.sizes.text) return;
+    this.looks.sizes = sizes;
     for (const name of /** @type {const} */ (["name", "text", "title"])) this.root.style.setProperty(`--${name}`, `${sizes[name]}px`);
     for (const id of [...this.boxes.keys()]) {
       if (this.shown.boxes.has(id)) this.putBox(/** @type {Box} */ (store.boxes.peek().get(id)));
       else this.boxes.delete(id);
     }
     for (const id of this.shown.edges) this.freshenEdge(id);
-    this.drawFrames();
+    this.frames.draw();
   }
 
   /** The scale as the server knows it: from FAR on it says all figures of what is in view. */
@@ -313,13 +257,14 @@ export class Scene {
     if (cells === this.seen) return;
     this.seen = cells;
     const wanted = this.far ? { boxes: new Set(), edges: new Set() } : this.grid.find(rect);
-    if (this.focused !== null && store.boxes.peek().has(this.focused)) wanted.boxes.add(this.focused);
+    if (!store.infrastructure.peek()) this.leaveOut(wanted);
+    if (this.looks.focused !== null && store.boxes.peek().has(this.looks.focused)) wanted.boxes.add(this.looks.focused);
     for (const kind of /** @type {const} */ (["boxes", "edges"])) {
       for (const id of this.shown[kind]) if (!wanted[kind].has(id)) this.hide(kind, id);
       let left = NEW_PER_FRAME;
       for (const id of wanted[kind]) {
         if (this.shown[kind].has(id)) continue;
-        if (left-- > 0 || id === this.focused) this.show(kind, id);
+        if (left-- > 0 || id === this.looks.focused) this.show(kind, id);
         else wanted[kind].delete(id);   // its turn comes in one of the next frames
       }
       this.shown[kind] = wanted[kind];
@@ -328,17 +273,23 @@ export class Scene {
     this.onCulled();
   }
 
+  /** What the user has hidden is not drawn. @param {Record<"boxes" | "edges", Set<number>>} wanted */
+  leaveOut({ boxes, edges }) {
+    for (const id of boxes) if (this.world.hidden(store.boxes.peek().get(id))) boxes.delete(id);
+    for (const id of edges) if (this.world.hiddenEdge(/** @type {Edge} */ (store.edges.peek().get(id)))) edges.delete(id);
+  }
+
   /** @param {"boxes" | "edges"} kind @param {number} id */
   show(kind, id) {
     if (kind === "boxes") {
-      const box = /** @type {Box} */ (store.boxes.peek().get(id)), node = this.boxes.get(id) ?? makeBox(box, this.lookOf(box));
+      const box = /** @type {Box} */ (store.boxes.peek().get(id)), node = this.boxes.get(id) ?? makeBox(box, this.looks.box(box));
       this.boxes.set(id, node);
       this.layers.boxes.append(node);
       return;
     }
     const edge = /** @type {Edge} */ (store.edges.peek().get(id)), drawn = this.edges.get(id) ?? this.edgeOf(edge);
     this.edges.set(id, drawn);
-    updateEdge(drawn, edge, store.figures.peek().get(id), this.lookOfEdge(edge), store.boxes.peek());
+    updateEdge(drawn, edge, store.figures.peek().get(id), this.looks.edge(edge), store.boxes.peek());
     this.layers.edges.append(drawn.node);
     this.layers.labels.append(drawn.label);
   }

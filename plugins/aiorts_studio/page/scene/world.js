@@ -22,8 +22,8 @@ export class World {
   // -- for the canvas --------------------------------------------------------------------------------------------------
 
   get frames() { return store.frames.peek().values(); }
-  get boxes() { return store.boxes.peek().values(); }
-  get edges() { return store.edges.peek().values(); }
+  get boxes() { return this.shown(store.boxes.peek().values(), (one) => this.hidden(one)); }
+  get edges() { return this.shown(store.edges.peek().values(), (one) => this.hiddenEdge(one)); }
   row = (/** @type {number} */ id) => store.figures.peek().get(id);
   state = (/** @type {Box} */ box) => this.figuresOf(box).state;
   silent = (/** @type {string} */ kernel) => this.quiet.has(kernel);
@@ -36,6 +36,15 @@ export class World {
     const one = store.selected.peek();
     return one?.kind === "edge" ? one.id === edge.id : one?.kind === "box" && (edge.from[0] === one.id || edge.to[0] === one.id);
   };
+
+  /** All things, or those that the user has not hidden. @template T @param {Iterable<T>} things @param {(thing: T) => boolean} hidden @returns {Iterable<T>} */
+  shown(things, hidden) {
+    return store.infrastructure.peek() ? things : [...things].filter((one) => !hidden(one));
+  }
+
+  /** Whether a box is hidden, as it only carries, records or shows. @param {Box | undefined} box */
+  hidden = (box) => Boolean(box?.infrastructure) && !store.infrastructure.peek() && !this.chosen("box", box?.id ?? 0);
+  hiddenEdge = (/** @type {Edge} */ edge) => [edge.from, edge.to].some(([id]) => this.hidden(store.boxes.peek().get(id)));
 
   /** @param {Box} box */
   figuresOf(box) {
