@@ -165,7 +165,7 @@ class KernelService:
         """All was given up, the bus too."""
 
 
-def stand_in_of(services: Iterable[KernelService], name: str) -> str:
+def stand_in_reason(services: Iterable[KernelService], name: str) -> str:
     """Why one of these has given another component in the place of the one of this name; "" where none has."""
     return next(filter(None, (one.stands_for(name) for one in services)), "")
 

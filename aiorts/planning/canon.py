@@ -16,7 +16,7 @@ from aiorts.kernel.declarations import declarations
 from aiorts.kernel.extensions.arguments import needs_rate, path_settings
 from aiorts.kernel.extensions.type_texts import type_text
 from aiorts.kernel.ports import InPort
-from aiorts.kernel.service import KernelService, stand_in_of
+from aiorts.kernel.service import KernelService, stand_in_reason
 from aiorts.model.configuration.sets import DEFAULT, same
 from aiorts.model.converter import Converter
 from aiorts.model.names import names_kernel
@@ -252,7 +252,7 @@ def without_isolation(wanted: Wanted) -> Wanted:
 def as_it_stands(now: Wanted, wanted: Wanted, kernel: Microkernel) -> Wanted:
     """The wanted system, with the components for which services have others (`stands_for`) as they are now."""
     there = [name for name in now.components if name in kernel.components]
-    names = {name for name in there if stand_in_of(kernel.services, name)}
+    names = {name for name in there if stand_in_reason(kernel.services, name)}
     if not names:
         return wanted
     ports = [port for name in names for port in kernel.components[name].ports.values()]
