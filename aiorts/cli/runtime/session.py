@@ -190,7 +190,7 @@ async def _session(run: _Run) -> int:
             if debugger is not None:
                 debugger.look("", error)
         elif built:
-            kernel.registry.is_assembled()
+            kernel.registry.mark_assembled()
             gc.freeze()  # what activation made; without a collection, since contexts run by now
             may_wait = options.duration is None and not failures.in_error
             if run.unfed_advice and may_wait and (hint := unfed(kernel, run.unfed_advice)):
