@@ -210,7 +210,7 @@ _AT_THE_WRITER: Final[tuple[tuple[str, type[Any], Any], ...]] = (
 """What the writer's end does alone."""
 
 
-_USUAL_APART: Final[Mapping[str, Any]] = {"subscription": Subscription.NEW, "push": Push.ALL}
+USUAL_APART: Final[Mapping[str, Any]] = MappingProxyType({"subscription": Subscription.NEW, "push": Push.ALL})
 """The defaults of a connector to another process, where they differ from those within one."""
 
 
@@ -246,7 +246,7 @@ def link_options(
         raise WiringError(f"{where}: dataflow = pull: {why}")
     usual: dict[str, Any] = {}
     if "subscription" not in own and not pulls:
-        usual = {key: value for key, value in _USUAL_APART.items() if key not in own}
+        usual = {key: value for key, value in USUAL_APART.items() if key not in own}
     if own.get("on_link_lost") is None:
         usual["on_link_lost"] = OnLinkLost.WAIT
     return {**options, **usual}
@@ -275,7 +275,7 @@ def chosen_options(profile: ConnectorProfile, usual_length: int | None = None) -
 def said_options(profile: ConnectorProfile, usual_length: int | None = None) -> dict[str, Any]:
     """The options that `chosen_options` has of a connector to another process, without the defaults of such a one."""
     options = chosen_options(profile, usual_length)
-    usual = _USUAL_APART if all(options.get(key) == value for key, value in _USUAL_APART.items()) else {}
+    usual = USUAL_APART if all(options.get(key) == value for key, value in USUAL_APART.items()) else {}
     return {key: value for key, value in options.items() if key not in (*usual, "on_link_lost")}
 
 

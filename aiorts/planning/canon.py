@@ -21,7 +21,7 @@ from aiorts.model.configuration.sets import DEFAULT, same
 from aiorts.model.converter import Converter
 from aiorts.model.names import names_kernel
 from aiorts.model.options import chosen_options, said_options
-from aiorts.model.policy import OnLinkLost
+from aiorts.model.policy import OnLinkLost, Subscription
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry
 from aiorts.model.wanted.restart_policy import Supervision
 
@@ -185,6 +185,8 @@ class Canon:
         options = chosen_options(profile, usual_length)
         if options.get("on_link_lost") == OnLinkLost.WAIT and not any(map(names_kernel, ports)):
             options = said_options(profile, usual_length)
+        if profile.on_link_lost is not None and options.get("subscription", Subscription.FLUSH) != Subscription.FLUSH:
+            options.setdefault("push", str(profile.push))  # that of a link that says none is another
         if profile.name not in ("", usual_name) and not (again and profile.name.startswith(usual_name)):
             options = {"name": profile.name, **options}
         if again:

@@ -192,6 +192,25 @@ def test_what_a_plan_cannot_do_it_says(made: Callable[[str], Wanted], before: st
     assert said in plan(made(before), made(after)).refused
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ('push = "new"', "renew feed.out -> ctrl.inp: push all -> new"),
+        ('subscription = "new"', "renew feed.out -> ctrl.inp: push all -> new"),
+        ('subscription = "flush"', "renew feed.out -> ctrl.inp: subscription new -> flush"),
+        ('push = "skip"\nskip = 1', "renew feed.out -> ctrl.inp: push all -> skip, skip default -> 1"),
+        ('length = 20\nfull = "block"', "change feed.out -> ctrl.inp: length default -> 20, full default -> block"),
+        ("lifespan = 0.5", "renew feed.out -> ctrl.inp: lifespan default -> 0.5"),
+    ],
+)
+def test_a_plan_names_the_options_that_a_connector_to_a_process_gets(
+    made: Callable[[str], Wanted], options: str, said: str
+) -> None:
+    text = system(ISOLATED, ALONE)
+    before, after = made(text), made(text.replace('to = "ctrl.inp"\n', f'to = "ctrl.inp"\n{options}\n'))
+    assert [one.text for one in plan(before, after).steps] == [said]
+
+
 def test_who_holds_what_its_replacement_needs_goes_before_it_comes(made: Callable[[str], Wanted]) -> None:
     before, after = made(system("", ALONE)), made(system(ISOLATED, ALONE))
     texts = [one.text for one in plan(before, after, exclusive={"ctrl"}).steps]

@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar
 
 from aiorts.late import dataclass
 from aiorts.model.numbering import Numbering
-from aiorts.model.options import CHANGEABLE
+from aiorts.model.options import CHANGEABLE, USUAL_APART
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
 from aiorts.model.wanted.steps import (
     Activate,
@@ -41,6 +41,7 @@ from aiorts.model.wanted.steps import (
 from aiorts.model.wanted.stepwise import finished
 
 _ABSENT: Final = object()
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 _RULES: Final = ("supervision", "start", "exclusive", "on_link_lost")
 """Of a component, what a `Supervise` changes."""
 E = TypeVar("E", ContextEntry, CompositeEntry)
@@ -307,8 +308,14 @@ class _Planner:
             elif (made := _options(one)) != (was := _options(old)):
                 words = [word for word in {**was, **made} if was.get(word, _ABSENT) != made.get(word, _ABSENT)]
                 kind = Change if all(word in CHANGEABLE for word in words) and _in_place(old, one) else Renew
-                changing.append(kind(name, old, one))
+                changing.append(kind(name, old, one, USUAL_APART if self._is_linked(one) else _NOTHING))
         return connecting, changing, [Disconnect(name, one) for name, one in left.items()]
+
+    def _is_linked(self, connection: ConnectionEntry) -> bool:
+        """Whether an end of it is in another process."""
+        components = self._wanted.components
+        names = (path.partition(".")[0] for path in connection.ports)
+        return any(name in components and bool(components[name].isolation) for name in names)
 
     def _is_touched(self, connection: ConnectionEntry) -> bool:
         return any(path.partition(".")[0] in self._touched for path in connection.ports)

@@ -211,29 +211,36 @@ class AddRules(_Change):
 
 
 @dataclass(frozen=True, slots=True)
-class Change(_Change):
-    """Change options of a connector in place: no sample is touched."""
+class _ConnectorChange(_Change):
+    """A connector gets other options, and back."""
 
     name: str
     before: ConnectionEntry
     after: ConnectionEntry
+    usual: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    """The defaults of a connector to another process, where it is one."""
 
     @property
-    def text(self) -> str:
-        return f"change {_ends(self.after)}: {_differences(self.before.options, self.after.options)}"
+    def _options(self) -> str:
+        return _differences({**self.usual, **self.before.options}, {**self.usual, **self.after.options})
 
 
 @dataclass(frozen=True, slots=True)
-class Renew(_Change):
-    """Replace a connector by one with other options; waiting writes and unread samples go over, in order."""
-
-    name: str
-    before: ConnectionEntry
-    after: ConnectionEntry
+class Change(_ConnectorChange):
+    """Change options of a connector in place: no sample is touched."""
 
     @property
     def text(self) -> str:
-        return f"renew {_ends(self.after)}: {_differences(self.before.options, self.after.options)}"
+        return f"change {_ends(self.after)}: {self._options}"
+
+
+@dataclass(frozen=True, slots=True)
+class Renew(_ConnectorChange):
+    """Replace a connector by one with other options; waiting writes and unread samples go over, in order."""
+
+    @property
+    def text(self) -> str:
+        return f"renew {_ends(self.after)}: {self._options}"
 
 
 @dataclass(frozen=True, slots=True)
