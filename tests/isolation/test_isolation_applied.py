@@ -6,19 +6,21 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
-from anyio import fail_after
+from anyio import fail_after, sleep
 
 from aiorts import Kernel, LifecycleState
 from aiorts.errors import ApplyError, StateError
+from aiorts.links import Links
 from aiorts.model.wanted.entries import Wanted
 from aiorts.model.wanted.plan import plan
 from aiorts.planning import wanted_of
 from aiorts.supervision import Supervision
 from aiorts.system import load, prepare, wanted
 from aiorts.testing import simulate
+from aiorts.types import TimedLong
 from isolation import moved_parts
 from isolation.test_isolated import runs, until
 from isolation.test_moving import Input, check_all_came
@@ -190,6 +192,60 @@ def test_on_a_simulated_clock_there_is_nothing_to_do(made: Callable[[str], Wante
 )  # fmt: skip
 def test_what_a_plan_cannot_do_it_says(made: Callable[[str], Wanted], before: str, after: str, said: str) -> None:
     assert said in plan(made(before), made(after)).refused
+
+
+def told(isolation: str, options: str) -> str:
+    """A reader that is told when to read."""
+    parts = {"feed": "Feed", "tell": "Feed", "told": "Told", "log": "Log"}
+    components = "".join(f'[components.{name}]\ntype = "moved_parts.py:{kind}"\n' for name, kind in parts.items())
+    components = components.replace(':Told"\n', f':Told"\n{isolation}')
+    pairs = {"tell.out": "told.go", "told.out": "log.inp", "feed.out": "told.inp"}
+    joined = "".join(f'[[connections]]\nfrom = "{one}"\nto = "{two}"\n' for one, two in pairs.items())
+    return f"schema = 1\n{components}{joined}{options}\n{ALONE.replace('ctrl', 'told')}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("options", "left"),
+    [
+        ('subscription = "new"\npush = "new"', [19]),
+        ("lifespan = 60.0", [*range(12, 20)]),
+        ('dataflow = "pull"', [19]),
+    ],
+    ids=["newest", "all", "pull"],
+)
+@pytest.mark.parametrize("isolation", [ISOLATED, ""], ids=["in a process", "in the kernel"])
+async def test_a_connector_that_gets_other_options_counts_what_is_unread(
+    made: Callable[[str], Wanted], isolation: str, options: str, left: list[int]
+) -> None:
+    async with Kernel() as kernel:
+        await kernel.apply(made(told(isolation, "")))
+        feed, tell, log = (cast("Any", kernel.components[name]) for name in ("feed", "tell", "log"))
+
+        async def counted(read: int, buffered: int) -> tuple[int, int]:
+            """What was written, and what the reader has lost, once so many samples are read and unread."""
+            connector = kernel.connectors["feed.out-told.inp"]
+            with fail_after(15):
+                while True:
+                    ledger = (await kernel.service(Links).ledger(connector)) if isolation else connector.statistics
+                    if (ledger.delivered, ledger.buffered) == (read, buffered):
+                        break
+                    await sleep(0.02)
+            lost = sum(ledger.dropped.values())
+            assert ledger.written == read + buffered + lost
+            return ledger.written, lost
+
+        for number in range(20):
+            feed.out.write_nowait(TimedLong(0, number))
+        assert await counted(0, 8) == (20, 12)
+        await kernel.apply(made(told(isolation, options)))
+        before = (0, 0) if isolation else (12, 12)  # a link that is made anew counts anew
+        assert await counted(0, len(left)) == (before[0] + 8, before[1] + 8 - len(left))
+        tell.out.write_nowait(TimedLong(0, 0))
+        await counted(len(left), 0)
+        with fail_after(15):
+            assert [(await log.inp.read()).data for _ in left] == left
+        assert not log.inp.is_new
 
 
 @pytest.mark.parametrize(
