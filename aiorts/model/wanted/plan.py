@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 from aiorts.late import dataclass
+from aiorts.model.names import names_kernel
 from aiorts.model.numbering import Numbering
 from aiorts.model.options import CHANGEABLE, USUAL_APART
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
@@ -282,7 +283,8 @@ class _Planner:
             if before is None or before == after:
                 continue
             if before.isolation != after.isolation:
-                yield Isolate(before, after)
+                at = (one for one, joined in self._after.items() if name in _components_of(joined))
+                yield Isolate(before, after, tuple(at))
                 continue
             if before.type != after.type:
                 yield Reload(before, after)
@@ -312,13 +314,13 @@ class _Planner:
         return connecting, changing, [Disconnect(name, one) for name, one in left.items()]
 
     def _is_linked(self, connection: ConnectionEntry) -> bool:
-        """Whether an end of it is in another process."""
-        components = self._wanted.components
-        names = (path.partition(".")[0] for path in connection.ports)
-        return any(name in components and bool(components[name].isolation) for name in names)
+        """Whether an end of it is in another kernel or process."""
+        there = self._wanted.components
+        apart = any(name in there and bool(there[name].isolation) for name in _components_of(connection))
+        return apart or any(map(names_kernel, connection.ports))
 
     def _is_touched(self, connection: ConnectionEntry) -> bool:
-        return any(path.partition(".")[0] in self._touched for path in connection.ports)
+        return not self._touched.isdisjoint(_components_of(connection))
 
     # -- contexts --------------------------------------------------------------------------------------------------
 
@@ -368,6 +370,11 @@ def _shape(one: ComponentEntry) -> tuple[Any, ...]:
 def _options(one: ConnectionEntry) -> Mapping[str, Any]:
     """The options, without the name, which is what it was found by."""
     return {word: value for word, value in one.options.items() if word not in ("name", "allow_duplicate")}
+
+
+def _components_of(connection: ConnectionEntry) -> list[str]:
+    """The components at its ends."""
+    return [path.partition(".")[0] for path in connection.ports]
 
 
 def _in_place(before: ConnectionEntry, after: ConnectionEntry) -> bool:
