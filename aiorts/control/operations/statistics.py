@@ -49,7 +49,7 @@ _Made: TypeAlias = dict[str, Any]
 """`Counters` as dicts."""
 _One: TypeAlias = tuple[str, str, Any]
 """The kind of a thing, its name, and what it has counted."""
-_KINDS: Final = ("connectors", "service_connectors", "timed", "contexts", "components")
+_KINDS: Final = ("connectors", "service_connectors", "timed", "links", "contexts", "components")
 _NEVER: Final = object()
 _FASTEST: Final = 50.0
 
@@ -115,6 +115,9 @@ class Counters:
     another process."""
     contexts: Mapping[str, ContextCounters]
     components: Mapping[str, ComponentCounters]
+    links: Mapping[str, int] = field(default_factory=lambda: _NOTHING)
+    """Of connectors whose reader is in another kernel: samples that were sent and are not acknowledged yet. What is
+    unread there is not in the counts of this kernel; `connectors` with `both_ends` asks the other one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +158,9 @@ def _rest(kernel: Microkernel, given: Chosen) -> Iterator[_One]:
     for name, wire in tuple(_chosen(kernel.connectors, given.timed)):
         if found := _timed(wire):
             yield "timed", name, found
+    for name, wire in tuple(_chosen(kernel.connectors, given.connectors)):
+        if wire.profile.far_end == "reader":
+            yield "links", name, wire.statistics.in_flight
     for name, service in tuple(_chosen(kernel.service_connectors, given.connectors)):
         yield "service_connectors", name, service.statistics
     for name, context in tuple(_chosen(kernel.contexts, given.contexts)):

@@ -56,6 +56,8 @@ class Wire:
     ledger: ConnectorStatistics | None = None
     both_ends: str = ""
     """Of a link, where it was asked for: the ledger from the writer to the reader, or why there is none now."""
+    waiting: int | None = None
+    """Of that ledger, the samples that wait at either end: to be sent, or to be read."""
     read: Mapping[str, tuple[int, ...]] | None = None
     """The figures of the reader's end of a link, where they were asked for and are measured: "age", how old samples
     were as they were read, by their stamps, "within", how far that may be off, and "waited", how long they were in the
@@ -129,7 +131,7 @@ async def _both_ends(session: Session, connector: Any, wire: Wire) -> Wire:
     except LinkError as error:
         return replace(wire, both_ends=f"not known: {error}")
     read = None if ledger.read is None else {what: tuple(spans) for what, spans in ledger.read.items()}
-    return replace(wire, both_ends=str(ledger), read=read)
+    return replace(wire, both_ends=str(ledger), waiting=ledger.buffered, read=read)
 
 
 def _fits(session: Session, given: Fitting) -> Mapping[str, str] | Awaitable[Mapping[str, str]]:
