@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Iterator, Mapping
+from collections.abc import Awaitable, Generator, Mapping
 from dataclasses import field, replace
 from functools import partial
 from itertools import accumulate
@@ -13,7 +13,7 @@ from typing import Any, Final
 from aiorts.control.operation import Operation, Right, converters_read
 from aiorts.control.operations.known import absent
 from aiorts.control.session import Session
-from aiorts.control.turns import in_turns
+from aiorts.control.turns import answer_in_turns
 from aiorts.errors import AbsentError, LinkError, WiringError
 from aiorts.kernel.ports import PortDeclaration
 from aiorts.late import dataclass
@@ -141,15 +141,16 @@ def _fits(session: Session, given: Fitting) -> Mapping[str, str] | Awaitable[Map
     if not isinstance(port, PortDeclaration):
         raise WiringError(f"{given.port}: is a component; say one of its ports")
 
-    def look() -> Iterator[None]:
+    def look() -> Generator[None, None, Mapping[str, str]]:
         for component in tuple(kernel.components.values()):
             for one in tuple(component.ports.values()) if visible(kernel, component) else ():
                 why = "" if one is port else kernel.connections.fault(port, one)
                 if one is not port and not (why and given.fitting):
                     made[one.path] = why
                 yield
+        return made
 
-    return in_turns(kernel, look(), made)
+    return answer_in_turns(kernel, look())
 
 
 def _all(session: Session) -> dict[str, Any]:
