@@ -75,6 +75,10 @@ class KernelService:
     provenance: ClassVar[bool] = False
     """Whether its table says only where the system came from: two systems that differ in it alone are the same."""
 
+    patience: float | None = None
+    """Once the sources of a run have ended, the real seconds for which it waits for slow readers at the most; None: for
+    as long as they read."""
+
     table: Mapping[str, Any] | None = None
     """What the system itself says of it: its table of the system file, or in `Kernel(services=...)`; None where it has
     none."""
