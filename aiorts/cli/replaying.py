@@ -64,8 +64,9 @@ def replay(
 
     In SYSTEM a component whose out-ports were all recorded is not started: its samples are sent in its place, and none
     of its hooks runs, nor a method of its services. Others run, and answer. --port names COMPONENT.PORT, with * and ?:
-    these alone are replayed, also where the component has others, which then send nothing. `aiorts run SYSTEM --replay
-    FILE` is the same, with all options of a run.
+    these alone are replayed, also where the component has others, which then send nothing. It ends when every sample is
+    read, and at the latest 60 s after the recording, or as long after it as it took. `aiorts run SYSTEM --replay FILE`
+    is the same, with all options of a run.
 
     Alone it prints the samples as JSON lines, which go into filters, and other terminals see its ports with --name:
     `aiorts flexilogger -o` is the same.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Final
 
-_FIRST_NS: Final = 10_000_000_000
-_LONGEST_NS: Final = 3_600_000_000_000
-"""The first and the longest distance; each is twice the one before."""
+from aiorts.kernel.loop import distances
+
+_NS: Final = 1_000_000_000
 _MOST: Final = 256
 """Things that are known, at most; the one that was asked about longest ago is forgotten."""
 
@@ -17,19 +17,19 @@ class Rarely:
 
     def __init__(self) -> None:
         self._said: dict[Hashable, tuple[int, int, int]] = {}
-        """By thing: when it was said last, the distance to the next time, and how often it was left out since."""
+        """By thing: when it was said last, the seconds to the next time, and how often it was left out since."""
 
     def left_out(self, what: Hashable, now_ns: int) -> int | None:
         """Whether to say it now: the count of times it was left out since the last one. None: it is left out again.
 
         After twice the distance without it, the distance is the first one again.
         """
-        at_ns, distance_ns, count = self._said.pop(what, (0, 0, 0))
-        if distance_ns and now_ns < at_ns + distance_ns:
-            self._said[what] = at_ns, distance_ns, count + 1
+        at_ns, distance, count = self._said.pop(what, (0, 0, 0))
+        if distance and now_ns < at_ns + distance * _NS:
+            self._said[what] = at_ns, distance, count + 1
             return None
-        goes_on = distance_ns and now_ns < at_ns + 2 * distance_ns
-        self._said[what] = now_ns, min(2 * distance_ns, _LONGEST_NS) if goes_on else _FIRST_NS, 0
+        goes_on = distance and now_ns < at_ns + 2 * distance * _NS
+        self._said[what] = now_ns, distances.longer(distance) if goes_on else distances.FIRST, 0
         if len(self._said) > _MOST:
             del self._said[next(iter(self._said))]
         return count

@@ -229,7 +229,7 @@ class _Measurement:
 def _edge(connector: Connector) -> EdgeCounts:
     written, _, dropped = transport_of(connector).glance()
     lost = sum(count for reason, count in dropped.items() if reason not in ASKED_FOR) if dropped else 0
-    return EdgeCounts(connector.out.path, connector.in_.path, written, lost)
+    return EdgeCounts(connector.out.path, connector.in_.path, written, lost, sum(dropped.values()) - lost)
 
 
 def _why(component: Component) -> str:

@@ -205,21 +205,6 @@ def taken(connector: Connector) -> list[Any]:
     return samples
 
 
-def pass_on(connector: Connector, successor: Connector) -> None:
-    """What is unread in a connector is unread in another one of the same in-port, which has nothing yet, at its place
-    in the order; the first loses it as dropped{moved}."""
-    one, other = transport_of(connector), transport_of(successor)
-    one.settle()
-    with one.guard():
-        if isinstance(other, Dated):
-            other.moments.queue.extend([other.moments.now_ns()] * len(one.queue))
-        other.queue.extend(one.queue)
-        other.written += len(one.queue)
-        other.dead, one.dead = one.dead, 0
-        receiver_of(connector.in_).exchange(one, other)
-        one.discard("moved")
-
-
 def put_in_front(connector: Connector, samples: Sequence[Any]) -> None:
     """Have these be unread in a connector, before what is unread in it already; they count as written to it."""
     transport, receiver = transport_of(connector), receiver_of(connector.in_)

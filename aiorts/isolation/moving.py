@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.composites import Composite
 from aiorts.contexts import PeriodicContext
 from aiorts.errors import AiortsError, DeclarationError, ProcessError, StateError, TransitionTimeout
-from aiorts.isolation.handover import give_state, hold, pass_on, put_in_front, release, state_of, taken, unpacked
+from aiorts.isolation.handover import give_state, hold, put_in_front, release, state_of, taken, unpacked
 from aiorts.isolation.isolating import Isolation
 from aiorts.isolation.pausing import threads_paused
 from aiorts.isolation.placing import RemoteContext, given_of
@@ -30,6 +30,7 @@ from aiorts.kernel.loop.tasks import kernel_task, see_through
 from aiorts.kernel.ports import PortDeclaration
 from aiorts.kernel.ports.connector import Connector, transport_of, unread_of
 from aiorts.kernel.ports.port import host_of
+from aiorts.kernel.quality.succession import pass_on
 from aiorts.links import Links
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.options import chosen_options, link_options, said_options

@@ -26,7 +26,6 @@ from aiorts.model.options import (
     loses_unasked,
     says_what_is_lost,
     transport_notice,
-    what_stays,
     with_openrtm,
     without_effect,
 )
@@ -74,13 +73,14 @@ class Connections:
         options = with_openrtm(options)
         if self.far is not None and len(ports) > 2 and (pairs := self._pairs(ports)):
             return self._make_each(pairs, options)
-        chosen = says_what_is_lost(options)  # by the user: what is usual for a link says it, too
+        given = options  # by the user: what is usual for a link says what is lost, too
         ports, options = self._resolve(ports, options)
         if (connecting := _connecting(ports)) is not None:
             return self._make_others(connecting.plan(self._kernel, ports, options), options)
         plans = self._plan(ports, options)
         if options:
             self._report_idle(options, plans[0])
+        chosen = says_what_is_lost(given, plans[0][-1])
         reports_losses = not chosen and all(loses_unasked(profile) for *_, profile in plans)
         made = []
         for out, in_, profile in plans:
@@ -170,10 +170,10 @@ class Connections:
                 f"{where}: push_rate: its period is in the process of the writer; disconnect and connect anew"
             )
         transport_of(connector).change(profile)
-        if says_what_is_lost(options):
+        if says_what_is_lost(options, profile):
             self.losses.stop(connector)
         if profile != before:
-            self._report_idle(options, (connector.out, connector.in_, profile), what_stays(profile))
+            self._report_idle(options, (connector.out, connector.in_, profile))
             self._kernel.bus.publish(ConnectorChanged(profile, before))
 
     def replace_options(self, connector: Connector, options: Mapping[str, Any]) -> None:
@@ -196,11 +196,12 @@ class Connections:
             check_connection(connector.out, connector.in_)
         wiring.renew(self._kernel, connector, profile)
         self.losses.stop(connector)
-        if connector.in_.length is None and not says_what_is_lost(options) and loses_unasked(profile):
+        if connector.in_.length is None and not says_what_is_lost(options, profile) and loses_unasked(profile):
             self.losses.listen(connector)
         self.unconverted.end(connector)
         self.gaps.end(connector)
         self.gaps.add(connector)
+        self._report_idle(options, (connector.out, connector.in_, profile))
         self._kernel.bus.publish(ConnectorChanged(profile, before))
 
     def park(self, connector: Connector) -> None:
@@ -305,16 +306,13 @@ class Connections:
         notify(self._kernel.services, "connector_made", connector)
 
     def _report_idle(
-        self,
-        options: Mapping[str, Any],
-        plan: tuple[OutPort[Any], InPort[Any], ConnectorProfile],
-        beside: Mapping[str, Any] = _NOTHING,
+        self, options: Mapping[str, Any], plan: tuple[OutPort[Any], InPort[Any], ConnectorProfile]
     ) -> None:
-        """Warn of what chooses nothing beside these others, once for each option."""
-        for _, text in idle(options, beside):
+        """Warn of options that choose nothing, once for each."""
+        out, in_, profile = plan
+        for _, text in idle(options, profile):
             if text not in self._idle:
                 self._idle.add(text)
-                out, in_, profile = plan
                 _LOG.warning("W-OPTION: %s: %s", profile.name or f"{out.path}-{in_.path}", text)
 
     def _report_once(self, keys: Sequence[str], connector: Connector) -> None:

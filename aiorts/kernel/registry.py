@@ -189,8 +189,8 @@ class Registry:
         bus.publish(ComponentAdded(component.name))
         notify(self._kernel.services, "component_added", component)
 
-    def is_assembled(self) -> None:
-        """All that the run was to begin with is there: publish it, once."""
+    def mark_assembled(self) -> None:
+        """Have `assembled` be true, and publish it, once: all that the run was to begin with is there."""
         if not self.assembled:
             self.assembled = True
             self._kernel.bus.publish(Assembled())

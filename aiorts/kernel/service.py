@@ -75,6 +75,10 @@ class KernelService:
     provenance: ClassVar[bool] = False
     """Whether its table says only where the system came from: two systems that differ in it alone are the same."""
 
+    patience: float | None = None
+    """Once the sources of a run have ended, the real seconds for which it waits for slow readers at the most; None: for
+    as long as they read."""
+
     table: Mapping[str, Any] | None = None
     """What the system itself says of it: its table of the system file, or in `Kernel(services=...)`; None where it has
     none."""
@@ -165,7 +169,7 @@ class KernelService:
         """All was given up, the bus too."""
 
 
-def stand_in_of(services: Iterable[KernelService], name: str) -> str:
+def stand_in_reason(services: Iterable[KernelService], name: str) -> str:
     """Why one of these has given another component in the place of the one of this name; "" where none has."""
     return next(filter(None, (one.stands_for(name) for one in services)), "")
 

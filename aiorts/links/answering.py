@@ -121,7 +121,7 @@ class Answering:
         writer = replace(offer.writer, host=self._links.reach.host_of(caller.peer))
         # The name of its end may have no host: which transport finds a kernel first is by chance, at each start.
         key = (caller.address, offer.link)
-        end = self._ends.offered.get(key) or self._expected(offer, caller)
+        end = before = self._ends.offered.get(key) or self._expected(offer, caller)
         if end is not None and not end.negotiation.takes_offers:
             end = None
         epoch = 0 if caller.peer is None else caller.peer.epoch
@@ -142,6 +142,8 @@ class Answering:
             self._ends.check_made(offer.writer)
             end = self._new_reader(replace(offer, writer=writer), found)
             end.negotiation.is_stale(epoch, offer.number)
+            if before is not None and before.connector.in_ is found:
+                end.link.take_over(before.link)
         self._ends.offered.put(key, end)  # which may have had another name there
         self._number = self._number % 0xFFFFFFFF + 1
         return Answer(number=self._number, epoch=end.link.end.epoch), end

@@ -41,8 +41,8 @@ class LinkLedger:
     in_flight + acknowledged_before."""
 
     written: int
-    """Samples that the writer wrote, those that `keep_last` offered again, and those of writers before this one that
-    the reader has counted."""
+    """Samples that the writer wrote, those that `keep_last` offered again, those of writers before this one that the
+    reader has counted, and those that were unread when the connector got other options."""
     delivered: int
     """Samples that the reader read."""
     dropped: Mapping[str, int]
@@ -190,7 +190,7 @@ def _report(link: ReaderLink) -> _Report:
         end.received,
         found.arrived,
         found.buffered + found.in_flight + link.held,
-        counted.received - end.received + transport_of(link.connector).offered,
+        counted.received - end.received + transport_of(link.connector).offered + link.taken_over,
         added(found.dropped, {"undecodable": link.undecodable} if link.undecodable else {}),
         _ages(found),
     )

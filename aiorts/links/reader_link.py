@@ -15,6 +15,7 @@ from aiorts.errors import StateError, WiringError, format_error
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.far import FarOutPort
 from aiorts.kernel.quality.dated import Dated
+from aiorts.kernel.quality.succession import pass_on
 from aiorts.links.sides import LinkSide, Wakening, report
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.links import FATES, ReaderEnd
@@ -61,6 +62,8 @@ class ReaderLink(LinkSide[ReaderEnd]):
         """What its connector had counted when the writer's kernel last asked."""
         self._is_measured_for_writer = connector.profile.measure > 0
         """Whether it is measured as long as the writer's end is."""
+        self.taken_over = 0
+        """Samples of the reader's end before this one, which were unread when this one came."""
         self.settled: Callable[[], None] | None = None
         """Called when a sample that waited for room is in the reader's buffer, or was refused."""
         self._waiting: Waiting | None = None
@@ -92,6 +95,19 @@ class ReaderLink(LinkSide[ReaderEnd]):
         with suppress(StateError, WiringError):  # a real-time thread reads, or a service's own tap
             connections.measure(connector, min(count, _MEASURED))
             self._is_measured_for_writer = is_wanted
+
+    def take_over(self, before: ReaderLink) -> None:
+        """Have what has come to an end of the same in-port, whose writer's end is gone, be unread at this one."""
+        before.take_all()
+        self.taken_over += pass_on(before.connector, self.connector)
+
+    def take_all(self) -> None:
+        """Put all that has come into the reader's buffer, whether there is room or not."""
+        transport = transport_of(self.connector)
+        while (entry := self._waiting) is not None:
+            with transport.guard():
+                transport.admit_all()
+            self._room_made(entry.future)
 
     @property
     def held(self) -> int:

@@ -210,7 +210,7 @@ _AT_THE_WRITER: Final[tuple[tuple[str, type[Any], Any], ...]] = (
 """What the writer's end does alone."""
 
 
-_USUAL_APART: Final[Mapping[str, Any]] = {"subscription": Subscription.NEW, "push": Push.ALL}
+USUAL_APART: Final[Mapping[str, Any]] = MappingProxyType({"subscription": Subscription.NEW, "push": Push.ALL})
 """The defaults of a connector to another process, where they differ from those within one."""
 
 
@@ -246,7 +246,7 @@ def link_options(
         raise WiringError(f"{where}: dataflow = pull: {why}")
     usual: dict[str, Any] = {}
     if "subscription" not in own and not pulls:
-        usual = {key: value for key, value in _USUAL_APART.items() if key not in own}
+        usual = {key: value for key, value in USUAL_APART.items() if key not in own}
     if own.get("on_link_lost") is None:
         usual["on_link_lost"] = OnLinkLost.WAIT
     return {**options, **usual}
@@ -275,7 +275,7 @@ def chosen_options(profile: ConnectorProfile, usual_length: int | None = None) -
 def said_options(profile: ConnectorProfile, usual_length: int | None = None) -> dict[str, Any]:
     """The options that `chosen_options` has of a connector to another process, without the defaults of such a one."""
     options = chosen_options(profile, usual_length)
-    usual = _USUAL_APART if all(options.get(key) == value for key, value in _USUAL_APART.items()) else {}
+    usual = USUAL_APART if all(options.get(key) == value for key, value in USUAL_APART.items()) else {}
     return {key: value for key, value in options.items() if key not in (*usual, "on_link_lost")}
 
 
@@ -337,10 +337,12 @@ def changed_profile(where: str, profile: ConnectorProfile, options: Mapping[str,
     return replace(profile, **{key: getattr(new, key) for key in CHANGEABLE})
 
 
-def says_what_is_lost(options: Mapping[str, Any]) -> bool:
-    """Whether the user chose how many samples may wait at a reader, and which are dropped beyond that."""
+def says_what_is_lost(options: Mapping[str, Any], profile: ConnectorProfile) -> bool:
+    """Whether the user chose, in the options of this profile, how many samples may wait at a reader, and which are
+    dropped beyond that."""
     given = {key.removeprefix("dataport.") for key, value in options.items() if value is not None}
-    return any(key in _ON_LOSS and not given.isdisjoint((alias, key)) for alias, key in _ALIASES)
+    chosen = {key for alias, key in _ALIASES if key in _ON_LOSS and not given.isdisjoint((alias, key))}
+    return bool(chosen - {"push"} if _pushes_in_vain(profile) else chosen)
 
 
 def loses_unasked(profile: ConnectorProfile) -> bool:
@@ -537,6 +539,12 @@ def doubts(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield "name", f"{error}; choose another, or take it away"
 
 
+def _pushes_in_vain(profile: ConnectorProfile) -> bool:
+    """Whether the push policy is to choose among samples, and each is sent as it is written."""
+    chooses = profile.push in (Push.NEW, Push.SKIP)
+    return chooses and profile.subscription is Subscription.FLUSH and profile.dataflow is Dataflow.PUSH
+
+
 _IDLE: Final[tuple[tuple[str, Callable[[ConnectorProfile], bool], tuple[str, ...]], ...]] = (
     (
         "the reader pulls the writer's latest unread sample",
@@ -560,19 +568,22 @@ _AS_IT_IS: Final[Mapping[str, Any]] = {
 }
 """The value with which such an option says what is so."""
 _ALONE: Final[tuple[tuple[str, Callable[[ConnectorProfile], bool], str], ...]] = (
+    ("push", _pushes_in_vain, "every sample is sent: push takes subscription new or periodic"),
     (
         "out_length",
-        lambda profile: profile.subscription is not Subscription.PERIODIC,
+        lambda profile: profile.subscription is not Subscription.PERIODIC and profile.out_length != 1,
         "there is no backlog: the subscription is not periodic",
     ),
     (
         "push_rate",
-        lambda profile: profile.subscription is not Subscription.PERIODIC,
+        lambda profile: profile.subscription is not Subscription.PERIODIC and profile.push_rate is not None,
         "samples are sent as they are written: the subscription is not periodic",
     ),
     (
         "skip",
-        lambda profile: profile.subscription is Subscription.FLUSH or profile.push is not Push.SKIP,
+        lambda profile: (
+            (profile.subscription is Subscription.FLUSH or profile.push is not Push.SKIP) and profile.skip > 0
+        ),
         "every sample is sent: skip takes subscription new or periodic with push skip",
     ),
 )
@@ -583,20 +594,16 @@ OpenRTM's own keys for them stand in the files of its tools, whatever the subscr
 _KEY_OF: Final = {**dict(reversed(_ALIASES)), **{key: key for key in OWN_KEYS}}
 
 
-def idle(options: Mapping[str, Any], beside: Mapping[str, Any] = _NO_EXTRA) -> Iterator[tuple[str, str]]:
-    """Options that choose nothing beside the others: the key as it was given, and what is to be said of it."""
-    try:
-        profile, _ = connector_profile("", {**beside, **options}, "", ())
-    except WiringError:
-        return  # which says what is wrong
+def idle(options: Mapping[str, Any], profile: ConnectorProfile) -> Iterator[tuple[str, str]]:
+    """Options that choose nothing in the profile that they make: the key as it was given, and what is to be said."""
     rows = [(what, keys) for what, applies, keys in _IDLE if applies(profile)]
+    alone = {key: why for key, applies, why in _ALONE if applies(profile)}
     for given in options:
-        bare = given.removeprefix("dataport.")
-        key = _KEY_OF.get(bare, "")
+        key = _KEY_OF.get(given.removeprefix("dataport."), "")
         what = next((what for what, keys in rows if key in keys), "")
-        what = what or next((why for own, applies, why in _ALONE if given == own and applies(profile)), "")
-        if what and getattr(profile, key) != _AS_IT_IS[key]:
-            yield given, f"{given} chooses nothing where {what}; take it away"
+        says_so = what and getattr(profile, key) == _AS_IT_IS[key]
+        if why := "" if says_so else what or alone.get(given, ""):
+            yield given, f"{given} chooses nothing where {why}; take it away"
 
 
 class _Reader:

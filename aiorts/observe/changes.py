@@ -10,12 +10,12 @@ import asyncio
 from collections import deque
 from contextlib import closing
 from dataclasses import replace
-from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import BusyError
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.bus import Assembled, Event
+from aiorts.kernel.loop.turns import in_turns
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.service_profile import ServiceConnectorProfile
 from aiorts.observe.change_values import Change, Part, ProfileSnapshot
@@ -30,7 +30,7 @@ from aiorts.observe.profiling import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Generator, Iterable
     from types import TracebackType
     from typing import Self
 
@@ -184,29 +184,31 @@ class Changes:
 
 async def system_profile_in_turns(kernel: Microkernel, hold: float) -> SystemProfile:
     """As `system_profile`, giving the loop a turn after each `hold` seconds; what changed meanwhile is put right."""
-    components: dict[str, Any] = {}
-    connectors: dict[str, Any] = {}
-    services: dict[str, Any] = {}
     changes: list[Change] = []
     with closing(Changes(kernel, 0, changes.append)):
-        until = perf_counter() + hold
-        for things, reports, report in (
-            (kernel.components, components, component_report),
-            (kernel.connectors, connectors, connector_report),
-            (kernel.service_connectors, services, service_report),
-        ):
-            for name in tuple(things):
-                thing: Any = things.get(name)
-                if thing is None or (reports is components and not visible(kernel, thing)):
-                    continue
-                reports[name] = report(thing)
-                if perf_counter() >= until:
-                    await asyncio.sleep(0)
-                    until = perf_counter() + hold
-    profile = profile_with(kernel, components, connectors, services)
+        reports = await in_turns(_reports(kernel), hold)
+    profile = profile_with(kernel, *reports)
     for change in changes:
         profile = change.apply(profile)
     return replace(profile, sequence=kernel.bus.sequence)
+
+
+def _reports(kernel: Microkernel) -> Generator[None, None, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]]:
+    """The reports of all components, connectors and service connectors, by name; one is a step."""
+    components: dict[str, Any] = {}
+    connectors: dict[str, Any] = {}
+    services: dict[str, Any] = {}
+    for things, reports, report in (
+        (kernel.components, components, component_report),
+        (kernel.connectors, connectors, connector_report),
+        (kernel.service_connectors, services, service_report),
+    ):
+        for name in tuple(things):
+            thing: Any = things.get(name)
+            if thing is not None and (reports is not components or visible(kernel, thing)):
+                reports[name] = report(thing)
+                yield
+    return components, connectors, services
 
 
 def _members(kernel: Microkernel, name: str) -> tuple[str, ...]:

@@ -16,12 +16,12 @@ from aiorts.kernel.declarations import declarations
 from aiorts.kernel.extensions.arguments import needs_rate, path_settings
 from aiorts.kernel.extensions.type_texts import type_text
 from aiorts.kernel.ports import InPort
-from aiorts.kernel.service import KernelService, stand_in_of
+from aiorts.kernel.service import KernelService, stand_in_reason
 from aiorts.model.configuration.sets import DEFAULT, same
 from aiorts.model.converter import Converter
 from aiorts.model.names import names_kernel
 from aiorts.model.options import chosen_options, said_options
-from aiorts.model.policy import OnLinkLost
+from aiorts.model.policy import OnLinkLost, Subscription
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry
 from aiorts.model.wanted.restart_policy import Supervision
 
@@ -185,6 +185,8 @@ class Canon:
         options = chosen_options(profile, usual_length)
         if options.get("on_link_lost") == OnLinkLost.WAIT and not any(map(names_kernel, ports)):
             options = said_options(profile, usual_length)
+        if profile.on_link_lost is not None and options.get("subscription", Subscription.FLUSH) != Subscription.FLUSH:
+            options.setdefault("push", str(profile.push))  # that of a link that says none is another
         if profile.name not in ("", usual_name) and not (again and profile.name.startswith(usual_name)):
             options = {"name": profile.name, **options}
         if again:
@@ -252,7 +254,7 @@ def without_isolation(wanted: Wanted) -> Wanted:
 def as_it_stands(now: Wanted, wanted: Wanted, kernel: Microkernel) -> Wanted:
     """The wanted system, with the components for which services have others (`stands_for`) as they are now."""
     there = [name for name in now.components if name in kernel.components]
-    names = {name for name in there if stand_in_of(kernel.services, name)}
+    names = {name for name in there if stand_in_reason(kernel.services, name)}
     if not names:
         return wanted
     ports = [port for name in names for port in kernel.components[name].ports.values()]

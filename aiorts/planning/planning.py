@@ -15,6 +15,7 @@ from aiorts.clock import SimulatedClock
 from aiorts.errors import ApplyError, BusyError, ClosedError, ConfigurationError, StateError, format_error
 from aiorts.health import Health
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of
+from aiorts.kernel.loop.turns import in_turns
 from aiorts.kernel.service import KernelService
 from aiorts.model.health.verdict import verdict
 from aiorts.model.wanted.applied import Applied
@@ -22,7 +23,6 @@ from aiorts.model.wanted.plan import Plan, planning
 from aiorts.model.wanted.stepwise import finished
 from aiorts.model.wanted.system_text import Saved, system_text
 from aiorts.planning.canon import as_it_stands, without_isolation, without_provenance
-from aiorts.planning.turns import in_turns
 from aiorts.supervision import Supervising
 
 if TYPE_CHECKING:

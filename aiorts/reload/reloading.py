@@ -19,7 +19,7 @@ from aiorts.health import Health
 from aiorts.kernel.declarations import kinds_of
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of
-from aiorts.kernel.service import stand_in_of
+from aiorts.kernel.service import stand_in_reason
 from aiorts.model.health.verdict import verdict
 from aiorts.reload.fresh_code import FreshCode, find_type, read_anew
 from aiorts.reload.reload_events import Reloaded
@@ -92,7 +92,7 @@ def check_replaceable(component: Component) -> None:
             "add it again"
         )
     else:
-        why = stand_in_of(component.kernel.services, name)
+        why = stand_in_reason(component.kernel.services, name)
         why = why or next(filter(None, (kind.keeps_code(component) for kind in kinds_of(component))), "")
     if why:
         raise StateError(f"{name}: cannot be reloaded: {why}")

@@ -128,7 +128,7 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     await _start(kernel, plan)
     for attached in kernel.services:
         attached.started()
-    kernel.registry.is_assembled()
+    kernel.registry.mark_assembled()
 
 
 async def _make(kernel: Kernel, plan: Blueprint) -> None:

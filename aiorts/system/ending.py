@@ -9,7 +9,9 @@ and may switch it on again. Who means that for good removes it, stops its contex
 from __future__ import annotations
 
 import asyncio
-from typing import Final
+import time
+from collections.abc import Callable, Sequence
+from typing import Final, TypeAlias
 
 from aiorts.assembly import Kernel
 from aiorts.contexts import EventContext
@@ -26,6 +28,11 @@ from aiorts.supervision import ComponentRecovered, RestartLimitReached
 _LOOK_AGAIN: Final = 0.005
 _PATIENCE: Final = 1.0
 """Seconds without any movement after which unread samples are taken for samples that nobody wants."""
+_TOLD: Final = 1.0
+"""Seconds of waiting for unread samples after which that is told."""
+Slow: TypeAlias = Callable[[Sequence[Connector]], float | None]
+"""Called once readers have been slow to read their last samples, with the connectors that have these. Returns for how
+many seconds more it is waited for them at the most; None: for as long as they read."""
 _NOTED: Final = (StateChanged, ComponentRemoved, ContextStopped, ComponentRecovered, RestartLimitReached)
 
 
@@ -60,19 +67,20 @@ async def wait_finished(kernel: Kernel) -> tuple[Connector, ...]:
 class Ending:
     """Observes from now on which components are removed and what stops; `wait` uses it later."""
 
-    def __init__(self, kernel: Kernel) -> None:
+    def __init__(self, kernel: Kernel, slow: Slow = lambda _: None) -> None:
         self._kernel = kernel
+        self._slow = slow
         self._look = _Look(kernel)
         self._changed = asyncio.Event()
         self._removers = [kernel.bus.subscribe(kind, self._note) for kind in _NOTED]
 
     async def wait(self) -> tuple[Connector, ...]:
-        """As `wait_finished`."""
+        """As `wait_finished`, and for slow readers no longer than `slow` says."""
         while True:
             while not self._look.ended():
                 await self._changed.wait()
                 self._changed.clear()
-            unread = await _settled(self._kernel, self._look)
+            unread = await _settled(self._kernel, self._look, self._slow)
             if self._look.ended():  # nobody was switched on again meanwhile
                 return unread
 
@@ -176,11 +184,13 @@ def _left_alone(component: Component) -> bool:
     return takes and not any(port.connectors for port in ports if isinstance(port, InPort | OutPort))
 
 
-async def _settled(kernel: Kernel, look: _Look) -> tuple[Connector, ...]:
+async def _settled(kernel: Kernel, look: _Look, slow: Slow) -> tuple[Connector, ...]:
     # Periods are in the kernel's time, and it is looked again in real time.
     longest = max((2.0 / context.rate for context in kernel.contexts.values() if context.rate), default=0.0)
     patience = _PATIENCE + longest / kernel.clock.speed
     seen, still = -1, 0.0
+    tell_at: float | None = time.monotonic() + _TOLD
+    until: float | None = None
     cycles: dict[Context, int] = {}
     while True:
         buffered = [c for c in kernel.connectors.values() if unread_of(c) or _is_under_way(c)]
@@ -194,8 +204,12 @@ async def _settled(kernel: Kernel, look: _Look) -> tuple[Connector, ...]:
             return ()
         still = 0.0 if moved != seen or busy else still + _LOOK_AGAIN
         seen = moved
-        if still > patience:
+        now = time.monotonic()
+        if still > patience or (waiting and until is not None and now >= until):
             return waiting
+        if waiting and not still and tell_at is not None and now >= tell_at:
+            more, tell_at = slow(waiting), None
+            until = None if more is None else now + more
         await asyncio.sleep(_LOOK_AGAIN)
 
 

@@ -168,7 +168,7 @@ async def lines_of(
 
     Args:
         stream: has begun.
-        credit: waits until the client takes an item.
+        credit: waits until the client takes an item; the end needs none.
 
     Raises:
         AiortsError: its kernel ended, or failed.
@@ -176,10 +176,10 @@ async def lines_of(
     yield {"began": stream.began}
     counted = 0
     while True:
-        await credit()
         item = await stream.next()
         missed, counted = stream.missed - counted, stream.missed
         if item is END:
             yield {"end": stream.result, "missed": missed}
             return
+        await credit()
         yield {"item": item, "missed": missed}

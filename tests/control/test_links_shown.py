@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from typing import Any
 
 import pytest
 from anyio import fail_after, sleep
@@ -43,6 +45,32 @@ async def test_the_ledger_from_end_to_end_is_asked_for_at_either_end(capsys: pyt
             status, text = await commanded(capsys, "con", f"{kernel}/{component}", "--both-ends")
             assert (status, equation in text) == (0, True), text
             assert "both ends" not in (await commanded(capsys, "con", f"{kernel}/{component}"))[1]
+
+
+@pytest.mark.slow
+async def test_top_shows_what_is_unread_at_the_readers_end_of_a_link(capsys: pytest.CaptureFixture[str]) -> None:
+    async def shown() -> dict[str, Any]:
+        status, text = await commanded(capsys, "top", "robot", "--once", "--json", "--interval", "0.1")
+        assert status == 0, text
+        (row,) = json.loads(text)["connectors"]
+        return {key: row[key] for key in ("written", "buffered", "in_flight")}
+
+    station = Kernel("station", services={"links": {}})
+    async with Kernel("robot", services={"control": {"name": "robot", "mode": "on"}}) as robot:
+        source = await robot.add(Source("source"))
+        async with station:
+            sink = await station.add(Sink("sink"))
+            connector = await robot.connect(source.out, "station/sink.inp")
+            for value in range(4):
+                source.out.write_nowait(TimedLong(0, value))
+            with fail_after(WAIT):
+                assert (await sink.inp.read()).data == 0
+                while connector.statistics.acknowledged < 4:
+                    await sleep(0.01)
+            assert await shown() == {"written": 4, "buffered": 3, "in_flight": 0}
+        assert (await shown())["buffered"] is None
+        text = (await commanded(capsys, "top", "robot", "--once", "--interval", "0.1"))[1]
+        assert re.search(r"^source.out -> station/sink.inp +0.0 +-$", text, re.MULTILINE), text
 
 
 async def test_where_the_other_kernel_is_gone_it_says_so(capsys: pytest.CaptureFixture[str]) -> None:

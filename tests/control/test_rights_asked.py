@@ -37,6 +37,7 @@ LINES = {
         *("comp drop counter0 reader0", "comp remove reader0", "exit counter0", "connect counter0.out reader0.in"),
         *("disconnect counter0.out", "ctx start slow rate=5", "ctx rate loop 50", "ctx add loop counter0"),
         *("ctx drop loop counter0", "ctx stop loop", "call counter0.out.method 2 x=3", "goal counter0.out.method"),
+        *("call counter0.out.method '{\"n\": 2}'", "goal counter0.out.method 'to={\"x\": [1.0, true, null]}'"),
         *("inject reader0.in 1.0", "stop"),
     ),
     Right.CODE: (
@@ -44,6 +45,8 @@ LINES = {
         *("conf --load dump.toml", "comp create parts.py:Counter new0", "comp create Nothing new0 map=map.png"),
         *("con counter0.out reader0.in convert=parts.py:half", "reload counter0", "batch batch.txt"),
         *("call counter0.out.method map.png", "goal counter0.out.method map=map.png"),
+        *('call counter0.out.method \'{"map": "map.png"}\'', "call counter0.out.method '[{\"./map\": 1}]'"),
+        *("call counter0.out.method /tmp/a=1", "call counter0.out.method '{\"n\": 2'"),
         *("plan system.toml --live asked", "apply system.toml", "apply system.toml --dry-run"),
     ),
 }

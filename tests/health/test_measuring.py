@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -102,6 +103,21 @@ async def test_what_an_option_asks_for_is_no_loss() -> None:
         window = await system.health.window(2.0)
         assert system.connector.statistics.dropped["superseded"] > 100
         assert seen(window) == (200, 0)
+
+
+@simulated
+async def test_what_an_option_left_out_before_was_not_read_before_either() -> None:
+    async with Kernel() as kernel:
+        system = await System(kernel).start(push="new", subscription="new")
+        before = await system.health.window(2.0)
+        await kernel.disconnect(system.connector)
+        await kernel.connect(system.writer.out, system.reader.into, length=1)
+        overwritten = await system.health.window(2.0)
+        assert overwritten.edges[EDGE].dropped > 100
+        assert verdict(before, overwritten) is None
+        seldom = replace(before, edges={EDGE: before.edges[EDGE]._replace(left_out=10)})
+        found = verdict(seldom, overwritten)
+        assert str(found).endswith("samples were dropped in 2 s, and 10 of 200 before")
 
 
 @simulated

@@ -101,6 +101,19 @@ class Echo(Component):
             self.out.write_nowait(sample)
 
 
+class Told(Component):
+    """Passes on what it has got each time that it is told to."""
+
+    inp = InPort(TimedLong)
+    go = InPort(TimedLong)
+    out = OutPort(TimedLong)
+
+    def on_execute(self) -> None:
+        if self.go.drain():
+            for sample in self.inp.drain():
+                self.out.write_nowait(sample)
+
+
 class Holder(Component):
     """Holds what cannot be moved."""
 

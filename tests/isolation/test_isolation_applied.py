@@ -6,19 +6,21 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
-from anyio import fail_after
+from anyio import fail_after, sleep
 
 from aiorts import Kernel, LifecycleState
 from aiorts.errors import ApplyError, StateError
+from aiorts.links import Links
 from aiorts.model.wanted.entries import Wanted
 from aiorts.model.wanted.plan import plan
 from aiorts.planning import wanted_of
 from aiorts.supervision import Supervision
 from aiorts.system import load, prepare, wanted
 from aiorts.testing import simulate
+from aiorts.types import TimedLong
 from isolation import moved_parts
 from isolation.test_isolated import runs, until
 from isolation.test_moving import Input, check_all_came
@@ -76,13 +78,14 @@ async def test_into_a_process_and_back_with_state_and_all_samples(
     async with Kernel() as kernel:
         ctrl, source = await running(kernel, here)
         await until(lambda: ctrl.count > 20)
-        names = sorted(kernel.connectors)
+        names = list(kernel.connectors)
         with fail_after(60):
             applied = await kernel.apply(there)
         assert (applied.done, applied.notes, plan(wanted_of(kernel), there).empty) == (True, (), True)
-        assert "isolate ctrl: the kernel's process -> one of its own" in [one.text for one in applied.plan.steps]
+        anew = f"; counts begin at 0: {', '.join(names)}"
+        assert f"isolate ctrl: the kernel's process -> one of its own{anew}" in [one.text for one in applied.plan.steps]
         one: Any = kernel.components["ctrl"]
-        assert (one.pid != os.getpid(), one.state, sorted(kernel.connectors)) == (True, ACTIVE, names)
+        assert (one.pid != os.getpid(), one.state, sorted(kernel.connectors)) == (True, ACTIVE, sorted(names))
         with pytest.raises(StateError, match="this handle is not valid"):
             _ = ctrl.state
         pid = one.pid
@@ -90,7 +93,7 @@ async def test_into_a_process_and_back_with_state_and_all_samples(
         with fail_after(60):
             applied = await kernel.apply(here)
         assert (applied.done, applied.notes, plan(wanted_of(kernel), here).empty) == (True, (), True)
-        assert "isolate ctrl: a process of its own -> the kernel's" in [one.text for one in applied.plan.steps]
+        assert f"isolate ctrl: a process of its own -> the kernel's{anew}" in [one.text for one in applied.plan.steps]
         back: Any = kernel.components["ctrl"]
         source.end()
         await until(lambda: back.count == source.written)
@@ -190,6 +193,80 @@ def test_on_a_simulated_clock_there_is_nothing_to_do(made: Callable[[str], Wante
 )  # fmt: skip
 def test_what_a_plan_cannot_do_it_says(made: Callable[[str], Wanted], before: str, after: str, said: str) -> None:
     assert said in plan(made(before), made(after)).refused
+
+
+def told(isolation: str, options: str) -> str:
+    """A reader that is told when to read."""
+    parts = {"feed": "Feed", "tell": "Feed", "told": "Told", "log": "Log"}
+    components = "".join(f'[components.{name}]\ntype = "moved_parts.py:{kind}"\n' for name, kind in parts.items())
+    components = components.replace(':Told"\n', f':Told"\n{isolation}')
+    pairs = {"tell.out": "told.go", "told.out": "log.inp", "feed.out": "told.inp"}
+    joined = "".join(f'[[connections]]\nfrom = "{one}"\nto = "{two}"\n' for one, two in pairs.items())
+    return f"schema = 1\n{components}{joined}{options}\n{ALONE.replace('ctrl', 'told')}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("options", "left"),
+    [
+        ('subscription = "new"\npush = "new"', [19]),
+        ("lifespan = 60.0", [*range(12, 20)]),
+        ('dataflow = "pull"', [19]),
+    ],
+    ids=["newest", "all", "pull"],
+)
+@pytest.mark.parametrize("isolation", [ISOLATED, ""], ids=["in a process", "in the kernel"])
+async def test_a_connector_that_gets_other_options_counts_what_is_unread(
+    made: Callable[[str], Wanted], isolation: str, options: str, left: list[int]
+) -> None:
+    async with Kernel() as kernel:
+        await kernel.apply(made(told(isolation, "")))
+        feed, tell, log = (cast("Any", kernel.components[name]) for name in ("feed", "tell", "log"))
+
+        async def counted(read: int, buffered: int) -> tuple[int, int]:
+            """What was written, and what the reader has lost, once so many samples are read and unread."""
+            connector = kernel.connectors["feed.out-told.inp"]
+            with fail_after(15):
+                while True:
+                    ledger = (await kernel.service(Links).ledger(connector)) if isolation else connector.statistics
+                    if (ledger.delivered, ledger.buffered) == (read, buffered):
+                        break
+                    await sleep(0.02)
+            lost = sum(ledger.dropped.values())
+            assert ledger.written == read + buffered + lost
+            return ledger.written, lost
+
+        for number in range(20):
+            feed.out.write_nowait(TimedLong(0, number))
+        assert await counted(0, 8) == (20, 12)
+        await kernel.apply(made(told(isolation, options)))
+        before = (0, 0) if isolation else (12, 12)  # a link that is made anew counts anew
+        assert await counted(0, len(left)) == (before[0] + 8, before[1] + 8 - len(left))
+        tell.out.write_nowait(TimedLong(0, 0))
+        await counted(len(left), 0)
+        with fail_after(15):
+            assert [(await log.inp.read()).data for _ in left] == left
+        assert not log.inp.is_new
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ('push = "new"', "renew feed.out -> ctrl.inp: push all -> new"),
+        ('subscription = "new"', "renew feed.out -> ctrl.inp: push all -> new"),
+        ('subscription = "flush"', "renew feed.out -> ctrl.inp: subscription new -> flush"),
+        ('push = "skip"\nskip = 1', "renew feed.out -> ctrl.inp: push all -> skip, skip default -> 1"),
+        ('length = 20\nfull = "block"', "change feed.out -> ctrl.inp: length default -> 20, full default -> block"),
+        ("lifespan = 0.5", "renew feed.out -> ctrl.inp: lifespan default -> 0.5"),
+    ],
+)
+def test_a_plan_names_the_options_that_a_connector_to_a_process_gets(
+    made: Callable[[str], Wanted], options: str, said: str
+) -> None:
+    text = system(ISOLATED, ALONE)
+    before, after = made(text), made(text.replace('to = "ctrl.inp"\n', f'to = "ctrl.inp"\n{options}\n'))
+    anew = "; counts begin at 0" if said.startswith("renew") else ""
+    assert [one.text for one in plan(before, after).steps] == [said + anew]
 
 
 def test_who_holds_what_its_replacement_needs_goes_before_it_comes(made: Callable[[str], Wanted]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -113,6 +114,56 @@ def test_the_recording_stands_for_a_component_that_is_not_started_and_the_others
         "aiorts: warning: both: runs, and its recorded ports are not replayed: both.right was not recorded; "
         "--replay-port both.left replays what was"
     ]
+
+
+SLOW = """
+
+import asyncio
+
+class Slow(Component):
+    into = InPort(TimedLong)
+    async def on_execute(self):
+        self.into.read_nowait()
+        await asyncio.sleep(0.25)
+"""
+SLOWLY = """\
+schema = 1
+[components.camera]
+type = "parts.py:Camera"
+[components.slow]
+type = "parts.py:Slow"
+[[connections]]
+from = "camera.out"
+to = "slow.into"
+length = 12
+full = "overwrite"
+[contexts.sources]
+kind = "periodic"
+rate = 100.0
+members = ["camera"]
+[contexts.readers]
+kind = "event"
+members = ["slow"]
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("patience", "status"), [(60, 0), (1, 1)])
+def test_a_replay_says_for_which_unread_samples_it_goes_on_and_for_how_long(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, patience: int, status: int
+) -> None:
+    monkeypatch.setattr(in_place, "_PATIENCE", float(patience))
+    (folder / "parts.py").write_text(PARTS + SLOW)
+    (folder / "system.toml").write_text(SLOWLY)
+    done = here(folder, "replay", "run.mcap", "system.toml", "--speed", "1000")
+    assert done.returncode == status, done.stderr
+    (said,) = [line for line in done.stderr.splitlines() if "W-UNREAD" in line]
+    assert re.fullmatch(
+        r"aiorts: W-UNREAD: every source has ended, and the run waits until the last samples are read, for "
+        rf"{patience} s more at the most: camera.out-slow.into \d+; Ctrl-C ends it now",
+        said,
+    ), said
+    assert ("E-UNREAD" in done.stderr) is bool(status)
 
 
 def test_named_ports_alone_are_replayed_and_the_other_ports_of_their_component_are_silent(folder: Path) -> None:

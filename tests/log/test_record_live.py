@@ -8,7 +8,6 @@ import random
 import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
@@ -21,6 +20,7 @@ from aiorts_log import RecordingReader
 from campaign import cases, time_limit
 from control_parts import WAIT, controlled, running, until
 from run_parts import here, limited
+from runtime_parts import runtime as runtime
 
 COMPONENTS = '''\
 from dataclasses import dataclass
@@ -69,14 +69,6 @@ rate = 200.0
 members = ["one", "other"]
 """
 PORTS = [f"{name}.{port}" for name in ("one", "other") for port in ("out", "mine", "more", "kinds")]
-
-
-@pytest.fixture(autouse=True)
-def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """The folder that takes the place of XDG_RUNTIME_DIR; its path is short, as those of sockets have to be."""
-    with tempfile.TemporaryDirectory(prefix="aiorts-") as folder:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-        yield folder
 
 
 @pytest.fixture

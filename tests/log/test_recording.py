@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import fcntl
 import json
 import os
 import subprocess
@@ -38,6 +39,7 @@ from aiorts_log import (
     salvage,
 )
 from aiorts_log.mcap.encodings import encoder, schema_of, taker
+from aiorts_log.mcap.locked_file import held_by
 from aiorts_log.mcap.merge import merged
 from aiorts_log.mcap.source import Piece
 from campaign import cases
@@ -217,6 +219,21 @@ def test_two_recorders_never_share_a_file(tmp_path: Path, existing: Any) -> None
         assert f"process {os.getpid()} (" in done.stderr  # and its command
         writer.write(port, TimedLong(2, 2), 2)
     assert [value.data for _, _, value in read(path)] == [1, 2]
+
+
+@pytest.mark.fault("D17")
+@pytest.mark.parametrize("existing", ["append", "overwrite"])
+def test_who_only_looks_whether_a_file_is_written_keeps_no_recorder_from_it(tmp_path: Path, existing: Any) -> None:
+    """`aiorts record` looks so at a file before it asks another process to record there."""
+    path = tmp_path / "run.mcap"
+    make(path, 10)
+    with path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_SH)
+        looks = threading.Timer(0.02, fcntl.flock, (file, fcntl.LOCK_UN))
+        looks.start()
+        with RecordingWriter(path, RecordingOptions(min_free=0, existing=existing)):
+            assert held_by(path).startswith("this process")
+        looks.join()
 
 
 @pytest.mark.fault("D17")

@@ -20,6 +20,7 @@ from aiorts.model.options import (
     connector_profile,
     doubts,
     idle,
+    link_options,
     with_openrtm,
     without_effect,
 )
@@ -102,7 +103,10 @@ def test_flush_keeps_and_reports_a_push_policy_it_does_not_use() -> None:
         ({"push_rate": 5.0}, ["push_rate"]),
         ({"subscription": "new", "push_rate": 5.0}, ["push_rate"]),
         ({"skip": 2}, ["skip"]),
-        ({"push": "skip", "skip": 2}, ["skip"]),
+        ({"push": "skip", "skip": 2}, ["push", "skip"]),
+        ({"push": "new"}, ["push"]),
+        ({"subscription": "flush", "push": "new", "length": 5}, ["push"]),
+        ({"dataport.publisher.push_policy": "new"}, []),  # in each file of OpenRTM's tools
         ({"subscription": "new", "push": "all", "skip": 2}, ["skip"]),
         ({"subscription": "new", "push": "skip", "skip": 2}, []),
         ({"subscription": "periodic", "push_rate": 5.0, "push": "skip", "skip": 2}, []),
@@ -118,12 +122,14 @@ def test_flush_keeps_and_reports_a_push_policy_it_does_not_use() -> None:
         ({"subscription": "new", "push": "all", "full": "block", "length": 5}, []),
         ({"subscription": "periodic", "push": "new", "push_rate": 5.0, "full": "reject", "length": 5}, []),
         ({"length": 5, "full": "block"}, []),
-        ({"dataflow": "sideways", "length": 5}, []),  # an error, and said as such
+        ({"push": "all"}, []),
+        ({"push": "fifo"}, []),
+        (link_options("", {"push": "new"}), []),
     ],
     ids=str,
 )
 def test_an_option_that_chooses_nothing_beside_the_others_is_found(options: dict[str, Any], named: list[str]) -> None:
-    found = dict(idle(options))
+    found = dict(idle(options, profile(**options)))
     assert list(found) == named
     for key, text in found.items():
         assert text.startswith(f"{key} chooses nothing where ")

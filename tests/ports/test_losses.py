@@ -123,7 +123,17 @@ async def test_who_chose_what_is_lost_hears_nothing(options: dict[str, Any], cap
     assert lines(caplog) == []
 
 
-@pytest.mark.parametrize("options", [{}, {"out_length": 5}, {"dataport.outport.buffer.length": 5}], ids=repr)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"out_length": 5},
+        {"dataport.outport.buffer.length": 5},
+        {"push": "new"},
+        {"dataport.publisher.push_policy": "new"},
+    ],
+    ids=repr,
+)
 @simulated
 async def test_other_options_change_nothing(options: dict[str, Any], caplog: pytest.LogCaptureFixture) -> None:
     async with Kernel() as kernel:

@@ -372,6 +372,7 @@ async def test_closing_a_connector_is_disconnecting_it(options: dict[str, Any], 
         ({"dataflow": "pull", "length": 5}, "length chooses nothing where the reader pulls"),
         ({"dataflow": "pull", "push": "all"}, "push chooses nothing where the reader pulls"),
         ({"subscription": "new", "full": "block"}, "full chooses nothing where a newer sample takes the place"),
+        ({"push": "new"}, "push chooses nothing where every sample is sent: push takes subscription new or periodic"),
     ],
 )
 async def test_an_option_that_chooses_nothing_is_warned_of_once(

@@ -128,6 +128,16 @@ async def test_a_websocket_carries_many_streams_each_with_its_credit() -> None:
         assert "began" in message
 
 
+async def test_the_end_of_a_stream_needs_no_credit() -> None:
+    async with controlled("robot"), site() as client, client.socket() as socket:
+        assert await said(socket) == {"right": "view"}
+        asked = {"kernel": "robot", "operation": "log", "arguments": {"follow": False}}
+        items = len((await client.call("robot", "log", follow=False)).lines) - 2
+        await socket.send(json.dumps({"subscribe": 1, **asked, "credit": items}))
+        told = [await said(socket) for _ in range(items + 2)]
+        assert [next(iter(one.keys() - {"id", "missed"})) for one in told] == ["began", *["item"] * items, "end"]
+
+
 async def test_the_id_of_a_stream_that_its_client_has_left_is_free_at_once() -> None:
     async with controlled("robot"), site() as client, client.socket() as socket:
         assert await said(socket) == {"right": "view"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections.abc import Sequence
 from typing import ClassVar
 
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from aiorts import (
     Component,
     Composite,
+    Connector,
     EventContext,
     InPort,
     Kernel,
@@ -537,3 +539,41 @@ async def test_what_stops_before_anybody_waits_is_known_to_who_has_listened() ->
         assert await asyncio.wait_for(ending.wait(), 1.0) == ()
         ending.close()
         assert not kernel.bus.observers
+
+
+class Slow(Component):
+    """A reader that takes a quarter of a second for a sample."""
+
+    inp = InPort(TimedLong)
+
+    async def on_execute(self) -> None:
+        self.inp.read_nowait()
+        await asyncio.sleep(0.25)
+
+
+@pytest.mark.slow
+@pytest.mark.anyio
+@pytest.mark.parametrize(("longest", "cut"), [(None, False), (60.0, False), (0.5, True)])
+async def test_a_slow_reader_is_told_of_once_and_waited_for_as_long_as_that_says(
+    longest: float | None, cut: bool
+) -> None:
+    told: list[int] = []
+
+    def slow(waiting: Sequence[Connector]) -> float | None:
+        told.extend(connector.statistics.buffered for connector in waiting)
+        return longest
+
+    async with Kernel() as kernel:
+        source, reader = await kernel.create(Brief), await kernel.create(Slow)
+        connector = await kernel.connect(source.out, reader.inp, length=100)
+        ending = Ending(kernel, slow)
+        await kernel.start(EventContext(), reader, activate=True)
+        for number in range(12):
+            source.out.write_nowait(TimedLong(0, number))
+        await kernel.start(EventContext(), source, activate=True)
+        unread = await asyncio.wait_for(ending.wait(), 60.0)
+        ending.close()
+        assert len(told) == 1
+        assert 0 < told[0] < 12
+        assert unread == ((connector,) if cut else ())
+        assert (connector.statistics.buffered > 0) is cut

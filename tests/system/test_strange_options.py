@@ -37,6 +37,12 @@ def with_option(line: str) -> str:
         ),
         ('dataflow = "pull"', "length chooses nothing where the reader pulls", "take it away", "length"),
         ('subscription = "new"', "length chooses nothing where a newer sample", "take it away", "length"),
+        (
+            'push = "new"',
+            "push chooses nothing where every sample is sent: push takes subscription",
+            "take it away",
+            "push",
+        ),
         ("foo.bar = 1", "foo.bar is no option that is known", "it is kept and does nothing: take it away", "bar"),
         ('name = ""', "connector name '': is empty", "choose another, or take it away", '""'),
         ('name = "a.b"', "connector name 'a.b': ", "choose another, or take it away", '"a.b"'),
@@ -49,6 +55,13 @@ def test_an_option_that_does_nothing_is_a_warning_with_its_place(
     assert (found.severity, found.code, found.remedy) == ("warning", "W-OPTION", remedy)
     assert found.cause.startswith(cause)
     assert found.quote[found.column - 1 : found.column - 1 + found.width] == quoted
+
+
+def test_a_push_policy_chooses_on_the_way_to_a_process(write: Write) -> None:
+    text = (
+        with_option('push = "new"').replace("length = 4\n", "").replace(':Middle"', ':Middle"\nisolation = "process"')
+    )
+    assert not [one for one in check(write(text)) if one.code == "W-OPTION"]
 
 
 @pytest.mark.parametrize(

@@ -276,7 +276,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "E-UNREAD": Code(
         "The system ended while samples were left unread; the exit status is 1.",
-        "A reader took none of them for a second: it is inactive, or waits for another input.",
+        "A reader took none for a second: it is inactive or waits for another input. Or the time is over of W-UNREAD.",
         "Look at the reader that the line names.",
     ),
     "E-USAGE": Code(
@@ -393,6 +393,11 @@ CODES: Final[dict[str, Code]] = {
         "A component waits for data that cannot come: a component alone has no connection, or it pulls all it reads.",
         "aiorts run feeds a component alone from standard input where that is a pipe or file; a pull wakes no reader.",
         "Alone: pipe JSON lines into it, or run it with --rate. In a system: a context with every or a rate.",
+    ),
+    "W-UNREAD": Code(
+        "A run goes on after its sources have ended, or the recording that it replays has, for readers that are slow.",
+        "The line has the connectors, each with the number of samples that their readers have not read yet.",
+        "Wait, end it with Ctrl-C, or let the reader be faster. Of a replay the line says how long it goes on at most.",
     ),
     "W-OPTION": Code(
         "A connection has an option that does nothing.",

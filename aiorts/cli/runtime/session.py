@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 import click
 
 import aiorts
-from aiorts import Catalogue, Kernel, LifecycleState, ScaledClock, exits
+from aiorts import Catalogue, Connector, Kernel, LifecycleState, ScaledClock, exits
 from aiorts.cli.console.report import ADVICE, cause_of
 from aiorts.cli.runtime.failures import Failures
 from aiorts.cli.runtime.hints import Drops, unawaited_reported, unfed
@@ -178,7 +178,7 @@ async def _session(run: _Run) -> int:
         debugger = stack.enter_context(on_terminal(kernel, options, stopper))
         stopper.attach(kernel)
         run.log.attach(kernel)
-        failures, ending = Failures(kernel), Ending(kernel)
+        failures, ending = Failures(kernel), Ending(kernel, _tells_slow(kernel, run))
         over = _over(kernel, options.duration)
         stack.callback(over.cancel)
         built, error = await _unless_stopped(kernel, run.construct(kernel), over)
@@ -190,7 +190,7 @@ async def _session(run: _Run) -> int:
             if debugger is not None:
                 debugger.look("", error)
         elif built:
-            kernel.registry.is_assembled()
+            kernel.registry.mark_assembled()
             gc.freeze()  # what activation made; without a collection, since contexts run by now
             may_wait = options.duration is None and not failures.in_error
             if run.unfed_advice and may_wait and (hint := unfed(kernel, run.unfed_advice)):
@@ -284,9 +284,24 @@ async def _until_end(kernel: Kernel, run: _Run, over: asyncio.Future[None], endi
     await asyncio.wait(waiting)
     if finishing in done and (unread := finishing.result()):
         names = ", ".join(connector.name for connector in unread)
-        run.log.tell("E-UNREAD", f"{names}: the reader left samples unread for a second; it is waited for no longer")
+        run.log.tell("E-UNREAD", f"{names}: the reader left samples unread; it is waited for no longer")
         return exits.FAILED
     return exits.DONE
+
+
+def _tells_slow(kernel: Kernel, run: _Run) -> Callable[[Sequence[Connector]], float | None]:
+    """Tells for whom the run still waits after its sources have ended; returns for how many seconds at the most."""
+
+    def tell(waiting: Sequence[Connector]) -> float | None:
+        longest = min((one.patience for one in kernel.services if one.patience is not None), default=None)
+        counts = [(one, one.statistics) for one in waiting]
+        unread = ", ".join(f"{one.name} {found.buffered + found.in_flight}" for one, found in counts)
+        most = "" if longest is None else f", for {longest:.0f} s more at the most"
+        what = f"every source has ended, and the run waits until the last samples are read{most}"
+        run.warn("W-UNREAD", f"{what}: {unread}; Ctrl-C ends it now")
+        return longest
+
+    return tell
 
 
 def _status(kernel: Kernel, status: int, error: BaseException | None, failures: Failures, run: _Run) -> int:

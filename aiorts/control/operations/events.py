@@ -11,10 +11,10 @@ from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Nothing, Operation, Right
 from aiorts.control.operations.known import absent
 from aiorts.control.session import Session, Stream
-from aiorts.control.turns import HOLD_SECONDS
 from aiorts.errors import ControlError, format_error
 from aiorts.kernel.loop.bus import Event
 from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.kernel.loop.turns import HOLD_SECONDS
 from aiorts.late import dataclass
 from aiorts.observe import (
     Change,

@@ -18,11 +18,11 @@ from aiorts.control.operation import Nothing, Operation, Right
 from aiorts.control.pace import looks_of
 from aiorts.control.session import Session, Stream
 from aiorts.control.ticking import Ticking
-from aiorts.control.turns import HOLD_SECONDS
 from aiorts.control.values import Done, Names
 from aiorts.kernel.execution.cell import standing_error
 from aiorts.kernel.execution.member import overdue_hooks
 from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.kernel.loop.turns import HOLD_SECONDS
 from aiorts.late import dataclass
 from aiorts.observe import Monitor, Reading, SystemProfile, system_profile, system_profile_in_turns
 

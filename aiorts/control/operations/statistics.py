@@ -7,7 +7,7 @@ they are, and a long look is taken in turns. None of them takes a sample.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Iterable, Iterator, Mapping
+from collections.abc import Awaitable, Generator, Iterable, Iterator, Mapping
 from dataclasses import field
 from time import perf_counter
 from types import MappingProxyType
@@ -20,7 +20,7 @@ from aiorts.control.operations.wiring import places_of
 from aiorts.control.pace import looks_of
 from aiorts.control.session import Session, Stream
 from aiorts.control.ticking import Ticking
-from aiorts.control.turns import in_turns
+from aiorts.control.turns import answer_in_turns
 from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.kernel.execution.cell import cell, standing_error
 from aiorts.kernel.execution.member import overdue_hooks
@@ -49,7 +49,7 @@ _Made: TypeAlias = dict[str, Any]
 """`Counters` as dicts."""
 _One: TypeAlias = tuple[str, str, Any]
 """The kind of a thing, its name, and what it has counted."""
-_KINDS: Final = ("connectors", "service_connectors", "timed", "contexts", "components")
+_KINDS: Final = ("connectors", "service_connectors", "timed", "links", "contexts", "components")
 _NEVER: Final = object()
 _FASTEST: Final = 50.0
 
@@ -115,6 +115,9 @@ class Counters:
     another process."""
     contexts: Mapping[str, ContextCounters]
     components: Mapping[str, ComponentCounters]
+    links: Mapping[str, int] = field(default_factory=lambda: _NOTHING)
+    """Of connectors whose reader is in another kernel: samples that were sent and are not acknowledged yet. What is
+    unread there is not in the counts of this kernel; `connectors` with `both_ends` asks the other one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +137,7 @@ def _statistics(session: Session, given: Chosen) -> _Made | Awaitable[_Made]:
         **_moment(kernel),
         "connectors": {name: _counted(one) for name, one in _chosen(kernel.connectors, given.connectors)},
     }
-    return in_turns(kernel, _put(made, _rest(kernel, given)), made)
+    return answer_in_turns(kernel, _put(made, _rest(kernel, given)))
 
 
 def _moment(kernel: Microkernel) -> _Made:
@@ -144,10 +147,11 @@ def _moment(kernel: Microkernel) -> _Made:
     return {**head, **{kind: {} for kind in _KINDS}}
 
 
-def _put(made: _Made, counted: Iterable[_One]) -> Iterator[None]:
+def _put(made: _Made, counted: Iterable[_One]) -> Generator[None, None, _Made]:
     for kind, name, value in counted:
         made[kind][name] = value
         yield
+    return made
 
 
 def _rest(kernel: Microkernel, given: Chosen) -> Iterator[_One]:
@@ -155,6 +159,9 @@ def _rest(kernel: Microkernel, given: Chosen) -> Iterator[_One]:
     for name, wire in tuple(_chosen(kernel.connectors, given.timed)):
         if found := _timed(wire):
             yield "timed", name, found
+    for name, wire in tuple(_chosen(kernel.connectors, given.connectors)):
+        if wire.profile.far_end == "reader":
+            yield "links", name, wire.statistics.in_flight
     for name, service in tuple(_chosen(kernel.service_connectors, given.connectors)):
         yield "service_connectors", name, service.statistics
     for name, context in tuple(_chosen(kernel.contexts, given.contexts)):
@@ -285,7 +292,7 @@ class _Following:
             return
         seen: set[tuple[str, str]] = set()
         item = {**_moment(self._kernel), "whole": not self._known}
-        made = in_turns(self._kernel, self._steps(item, seen), item)
+        made = answer_in_turns(self._kernel, self._steps(item, seen))
         if isinstance(made, dict):
             self._send(item, seen)
         else:
@@ -302,7 +309,7 @@ class _Following:
         if not self._stream.send({**item, "gone": gone}):
             self._known.clear()  # the next one is whole
 
-    def _steps(self, item: _Made, seen: set[tuple[str, str]]) -> Iterator[None]:
+    def _steps(self, item: _Made, seen: set[tuple[str, str]]) -> Generator[None, None, _Made]:
         took, began = 0.0, perf_counter()
         for kind, name, value in self._counted():
             seen.add((kind, name))
@@ -312,6 +319,7 @@ class _Following:
             yield
             began = perf_counter()
         self._pace.spend(took)
+        return item
 
     def _counted(self) -> Iterator[_One]:
         kernel, given = self._kernel, self._given

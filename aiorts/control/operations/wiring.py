@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Iterator, Mapping
+from collections.abc import Awaitable, Generator, Mapping
 from dataclasses import field, replace
 from functools import partial
 from itertools import accumulate
@@ -13,7 +13,7 @@ from typing import Any, Final
 from aiorts.control.operation import Operation, Right, converters_read
 from aiorts.control.operations.known import absent
 from aiorts.control.session import Session
-from aiorts.control.turns import in_turns
+from aiorts.control.turns import answer_in_turns
 from aiorts.errors import AbsentError, LinkError, WiringError
 from aiorts.kernel.ports import PortDeclaration
 from aiorts.late import dataclass
@@ -56,6 +56,8 @@ class Wire:
     ledger: ConnectorStatistics | None = None
     both_ends: str = ""
     """Of a link, where it was asked for: the ledger from the writer to the reader, or why there is none now."""
+    waiting: int | None = None
+    """Of that ledger, the samples that wait at either end: to be sent, or to be read."""
     read: Mapping[str, tuple[int, ...]] | None = None
     """The figures of the reader's end of a link, where they were asked for and are measured: "age", how old samples
     were as they were read, by their stamps, "within", how far that may be off, and "waited", how long they were in the
@@ -129,7 +131,7 @@ async def _both_ends(session: Session, connector: Any, wire: Wire) -> Wire:
     except LinkError as error:
         return replace(wire, both_ends=f"not known: {error}")
     read = None if ledger.read is None else {what: tuple(spans) for what, spans in ledger.read.items()}
-    return replace(wire, both_ends=str(ledger), read=read)
+    return replace(wire, both_ends=str(ledger), waiting=ledger.buffered, read=read)
 
 
 def _fits(session: Session, given: Fitting) -> Mapping[str, str] | Awaitable[Mapping[str, str]]:
@@ -139,15 +141,16 @@ def _fits(session: Session, given: Fitting) -> Mapping[str, str] | Awaitable[Map
     if not isinstance(port, PortDeclaration):
         raise WiringError(f"{given.port}: is a component; say one of its ports")
 
-    def look() -> Iterator[None]:
+    def look() -> Generator[None, None, Mapping[str, str]]:
         for component in tuple(kernel.components.values()):
             for one in tuple(component.ports.values()) if visible(kernel, component) else ():
                 why = "" if one is port else kernel.connections.fault(port, one)
                 if one is not port and not (why and given.fitting):
                     made[one.path] = why
                 yield
+        return made
 
-    return in_turns(kernel, look(), made)
+    return answer_in_turns(kernel, look())
 
 
 def _all(session: Session) -> dict[str, Any]:

@@ -108,6 +108,11 @@ class FarLedger(Protocol):
     """The counts of both ends of a connector; its text says them."""
 
     @property
+    def buffered(self) -> int:
+        """Samples that wait at either end: to be sent, or to be read."""
+        ...
+
+    @property
     def read(self) -> Mapping[str, Sequence[int]] | None:
         """How old samples were as the reader read them, where that is measured; None: its end does not say it."""
         ...

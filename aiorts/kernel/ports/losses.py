@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from aiorts.errors import SLOW_READER
+from aiorts.kernel.loop import distances
 from aiorts.kernel.loop.bus import ConversionFailed
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.ports.port import NOTHING
@@ -37,9 +38,6 @@ WHY_DROPPED: Final = {
 }
 """By the reason for which a connector dropped samples: how that comes, and what helps."""
 _LOG = KernelLog()
-_FIRST_LOOK: Final = 10.0
-_LAST_LOOK: Final = 3600.0
-"""Seconds of the kernel's clock between two looks at connectors that lose samples."""
 _NEXT: Final = 1.0
 """Seconds of the kernel's clock in which a writer that goes on writing makes good for a sample that came too early."""
 _MOST_NAMED: Final = 8
@@ -65,7 +63,8 @@ class Losses:
         self._reported: dict[Connector, int] = {}
         """The connectors that lose samples, with how many were reported."""
         self._timer: Cancellable | None = None
-        self._wait = _FIRST_LOOK
+        self._wait = distances.FIRST
+        """Seconds of the kernel's clock to the next look at connectors that lose samples."""
         self._named = self._unnamed = 0
 
     def listen(self, connector: Connector) -> None:
@@ -127,7 +126,7 @@ class Losses:
                 self.listen(connector)
             else:
                 self._reported[connector] = lost
-        self._wait = min(2 * self._wait, _LAST_LOOK) if self._reported else _FIRST_LOOK
+        self._wait = distances.longer(self._wait) if self._reported else distances.FIRST
         if self._reported:
             self._timer = self._kernel.call_later(self._wait, self._look)
 

@@ -19,7 +19,7 @@ from aiorts.kernel.ports.in_port import in_ports_at
 from aiorts.kernel.ports.last_sample import offer_last
 from aiorts.model.options import SERVICE_KEYS, connector_profile
 from aiorts.model.ordering import ordered
-from aiorts.model.policy import Stamp
+from aiorts.model.policy import Push, Stamp, Subscription
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.timing import ConnectorTimes
 from aiorts.model.values import shown
@@ -27,6 +27,7 @@ from aiorts.model.values import shown
 if TYPE_CHECKING:
     from aiorts.kernel.ports.host import KernelSide
     from aiorts.kernel.ports.receiver import Receiver
+    from aiorts.kernel.ports.transport import Transport
     from aiorts.model.converter import Converter
 
 T = TypeVar("T")
@@ -206,10 +207,22 @@ def renew(kernel: KernelSide, connector: Connector, profile: ConnectorProfile) -
         new = connector._transport = PLAIN.of(profile)(connector, receiver, kernel)
         receiver.exchange(old, new)
         new.carry_on(old)
+        keep_newest(new)
         if kind is not PLAIN:
             new.replace(kind, receiver)
         receiver.refresh_all()
     out._refresh()
+
+
+def keep_newest(transport: Transport) -> None:
+    """Supersede what is unread but for the newest, where no more than that counts; the caller holds the lock."""
+    queue, periodic = transport.queue, transport.connector.profile.subscription is Subscription.PERIODIC
+    if len(queue) > 1 and transport.push is Push.NEW and not periodic:
+        newest = queue.pop()
+        transport.drop_these("superseded", queue)
+        queue.clear()
+        queue.append(newest)
+        transport.receiver.settle_tokens()
 
 
 def measure(connector: Connector, count: int) -> None:

@@ -77,11 +77,13 @@ def verdict(before: Window, after: Window, new: Collection[str] = (), ended: Col
         if _component(one.target) in ended:
             continue
         had = before.edges.get(name, _NO_SAMPLES)
-        if _too_many(one.dropped, one.written, had.dropped, *lengths, 0.0) and (
-            not after.stalled or _too_many(one.dropped, one.written, had.dropped, *lengths, _at_once(one, after, taken))
+        # Its reader did not get those either that an option left out before, and leaves out no longer.
+        lost_before = had.dropped + max(0, had.left_out - one.left_out * before.length_ns // after.length_ns)
+        if _too_many(one.dropped, one.written, lost_before, *lengths, 0.0) and (
+            not after.stalled or _too_many(one.dropped, one.written, lost_before, *lengths, _at_once(one, after, taken))
         ):
             lost = f"{one.dropped} of {one.written} samples were dropped in {seconds:g} s"
-            return Unhealthy("drops", name, f"{lost}, and {had.dropped} of {had.written} before")
+            return Unhealthy("drops", name, f"{lost}, and {lost_before} of {had.written} before")
     if taken > BUSY or after.stalled > BUSIEST:
         return None
     return _slower(before, after, ended, *lengths)

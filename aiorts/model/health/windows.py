@@ -26,6 +26,8 @@ class EdgeCounts(NamedTuple):
     written: int = 0
     dropped: int = 0
     """For another reason than those `ASKED_FOR`."""
+    left_out: int = 0
+    """For one of those."""
 
 
 class ContextCounts(NamedTuple):
@@ -65,9 +67,9 @@ class Window:
 
 def edge_since(start: EdgeCounts | None, end: EdgeCounts) -> EdgeCounts:
     """What was counted from one moment to the other; one that was made anew in between counts whole."""
-    if start is None or start.written > end.written or start.dropped > end.dropped:
+    if start is None or any(was > now for was, now in zip(start[2:], end[2:], strict=True)):
         return end
-    return EdgeCounts(end.source, end.target, end.written - start.written, end.dropped - start.dropped)
+    return EdgeCounts(end.source, end.target, *(now - was for was, now in zip(start[2:], end[2:], strict=True)))
 
 
 def context_since(start: ContextCounts | None, end: ContextCounts) -> ContextCounts:

@@ -14,8 +14,9 @@ from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 from aiorts.late import dataclass
+from aiorts.model.names import names_kernel
 from aiorts.model.numbering import Numbering
-from aiorts.model.options import CHANGEABLE
+from aiorts.model.options import CHANGEABLE, USUAL_APART
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
 from aiorts.model.wanted.steps import (
     Activate,
@@ -41,6 +42,7 @@ from aiorts.model.wanted.steps import (
 from aiorts.model.wanted.stepwise import finished
 
 _ABSENT: Final = object()
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 _RULES: Final = ("supervision", "start", "exclusive", "on_link_lost")
 """Of a component, what a `Supervise` changes."""
 E = TypeVar("E", ContextEntry, CompositeEntry)
@@ -281,7 +283,8 @@ class _Planner:
             if before is None or before == after:
                 continue
             if before.isolation != after.isolation:
-                yield Isolate(before, after)
+                at = (one for one, joined in self._after.items() if name in _components_of(joined))
+                yield Isolate(before, after, tuple(at))
                 continue
             if before.type != after.type:
                 yield Reload(before, after)
@@ -307,11 +310,17 @@ class _Planner:
             elif (made := _options(one)) != (was := _options(old)):
                 words = [word for word in {**was, **made} if was.get(word, _ABSENT) != made.get(word, _ABSENT)]
                 kind = Change if all(word in CHANGEABLE for word in words) and _in_place(old, one) else Renew
-                changing.append(kind(name, old, one))
+                changing.append(kind(name, old, one, USUAL_APART if self._is_linked(one) else _NOTHING))
         return connecting, changing, [Disconnect(name, one) for name, one in left.items()]
 
+    def _is_linked(self, connection: ConnectionEntry) -> bool:
+        """Whether an end of it is in another kernel or process."""
+        there = self._wanted.components
+        apart = any(name in there and bool(there[name].isolation) for name in _components_of(connection))
+        return apart or any(map(names_kernel, connection.ports))
+
     def _is_touched(self, connection: ConnectionEntry) -> bool:
-        return any(path.partition(".")[0] in self._touched for path in connection.ports)
+        return not self._touched.isdisjoint(_components_of(connection))
 
     # -- contexts --------------------------------------------------------------------------------------------------
 
@@ -361,6 +370,11 @@ def _shape(one: ComponentEntry) -> tuple[Any, ...]:
 def _options(one: ConnectionEntry) -> Mapping[str, Any]:
     """The options, without the name, which is what it was found by."""
     return {word: value for word, value in one.options.items() if word not in ("name", "allow_duplicate")}
+
+
+def _components_of(connection: ConnectionEntry) -> list[str]:
+    """The components at its ends."""
+    return [path.partition(".")[0] for path in connection.ports]
 
 
 def _in_place(before: ConnectionEntry, after: ConnectionEntry) -> bool:

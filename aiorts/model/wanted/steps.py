@@ -179,12 +179,16 @@ class Reload(_ComponentChange):
 class Isolate(_ComponentChange):
     """Put a component that is in no context into a process of its own, or back into that of its kernel."""
 
+    connectors: tuple[str, ...] = ()
+    """The names of its connectors, which are made anew."""
+
     @property
     def text(self) -> str:
-        if not self.after.isolation:
-            return f"isolate {self.after.name}: a process of its own -> the kernel's"
         limits = ", ".join(f"{word} {_value(value)}" for word, value in self.after.limits.items())
-        return f"isolate {self.after.name}: the kernel's process -> one of its own{f' ({limits})' if limits else ''}"
+        there = f"the kernel's process -> one of its own{f' ({limits})' if limits else ''}"
+        where = there if self.after.isolation else "a process of its own -> the kernel's"
+        anew = f"; counts begin at 0: {_listed(self.connectors)}" if self.connectors else ""
+        return f"isolate {self.after.name}: {where}{anew}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,29 +215,41 @@ class AddRules(_Change):
 
 
 @dataclass(frozen=True, slots=True)
-class Change(_Change):
-    """Change options of a connector in place: no sample is touched."""
+class _ConnectorChange(_Change):
+    """A connector gets other options, and back."""
 
     name: str
     before: ConnectionEntry
     after: ConnectionEntry
+    usual: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    """The defaults of a connector to another kernel or process, where it is one."""
 
     @property
-    def text(self) -> str:
-        return f"change {_ends(self.after)}: {_differences(self.before.options, self.after.options)}"
+    def _options(self) -> str:
+        return _differences({**self.usual, **self.before.options}, {**self.usual, **self.after.options})
 
 
 @dataclass(frozen=True, slots=True)
-class Renew(_Change):
-    """Replace a connector by one with other options; waiting writes and unread samples go over, in order."""
-
-    name: str
-    before: ConnectionEntry
-    after: ConnectionEntry
+class Change(_ConnectorChange):
+    """Change options of a connector in place: no sample is touched."""
 
     @property
     def text(self) -> str:
-        return f"renew {_ends(self.after)}: {_differences(self.before.options, self.after.options)}"
+        return f"change {_ends(self.after)}: {self._options}"
+
+
+@dataclass(frozen=True, slots=True)
+class Renew(_ConnectorChange):
+    """Replace a connector by one with other options; waiting writes and unread samples go over, in order.
+
+    Where only the newest counts afterwards, what is older is superseded.
+    """
+
+    @property
+    def text(self) -> str:
+        # Both kernels agree anew on a link, whose connector is another one.
+        anew = "; counts begin at 0" if self.usual else ""
+        return f"renew {_ends(self.after)}: {self._options}{anew}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,7 +38,9 @@ def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]
             ports.append(port)
             if said is not None:
                 yield said
-        for option, text in (*doubts(connection.options), *idle(connection.options)):
+        made = found.profiles.get(connection.number)
+        vain = () if made is None else idle(connection.options, made[0])
+        for option, text in (*doubts(connection.options), *vain):
             yield Said("warning", "W-OPTION", (*_key(connection), *option.split(".")), text, of_key=option != "name")
         yield from _link(found, connection, from_reader=any(isinstance(port, InPort) for port in ports))
         yield from _too_large(connection, ports)

@@ -10,6 +10,7 @@ import os
 import stat
 from collections.abc import Sequence
 from pathlib import Path
+from time import sleep
 from typing import Final, Literal, TypeAlias
 
 from aiorts_log.errors import RecordingError
@@ -22,6 +23,8 @@ except ImportError:  # not POSIX: only the exclusive creation protects the file
 Existing: TypeAlias = Literal["refuse", "append", "overwrite"]
 # Linux takes at most 1,024 buffers in one writev (IOV_MAX).
 _MOST_PARTS: Final = 512
+_PAUSES: Final = (0.001, 0.01, 0.05, 0.0)
+"""Seconds between tries to lock a file: `held_by` of another process has it for a moment."""
 GIB: Final = 2**30
 
 
@@ -128,11 +131,15 @@ class LockedFile:
             raise RecordingError(f"{self.path}: is no regular file; a recording needs one")
         if fcntl is None:
             return
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            holder = held_by(self.path) or "another recorder"
-            raise RecordingError(f"{self.path}: {holder} writes it; name another file") from None
+        for pause in _PAUSES:
+            try:
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                sleep(pause)
+            else:
+                return
+        holder = held_by(self.path) or "another recorder"
+        raise RecordingError(f"{self.path}: {holder} writes it; name another file")
 
     @property
     def descriptor(self) -> int:

@@ -3,7 +3,7 @@
 A component whose out-ports were all recorded is not started: in its place, in its contexts, stands one with the same
 ports and parameters and without its hooks, and the samples are sent from its out-ports when they are due. What others
 send to it goes nowhere, and calls of its services are refused. It finishes at the end of the recording, as a source
-does.
+does; for readers that have not read everything then, the run goes on for a while.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import copy
 import inspect
 import logging
 import math
+import time
 import types
 import warnings
 from collections.abc import Callable, Mapping
@@ -43,6 +44,8 @@ __all__ = ("InPlace", "ReplaySettings")
 _LOG = logging.getLogger(__name__)
 _NS: Final = 1_000_000_000
 _SHOWN: Final = 10
+_PATIENCE: Final = 60.0
+"""Seconds for which slow readers are waited for at the end, and longer where the replay took longer."""
 _REPLAYED: Final = "it is replayed, and none of its code runs"
 _HOOKS: Final = (
     *("on_initialize", "on_finalize", "on_startup", "on_shutdown", "on_activated", "on_deactivated", "on_execute"),
@@ -93,6 +96,8 @@ class InPlace(KernelService):
     _path: Path | None = None
     _player: Player | None = None
     _task: asyncio.Task[None] | None = None
+    _began = 0.0
+    """When the replay began, of `time.monotonic()`."""
 
     # -- what is replayed --------------------------------------------------------------------------------------------
 
@@ -213,6 +218,7 @@ class InPlace(KernelService):
             notify=self._warn,
         )
         _LOG.info("replays %s in the place of %s", self._path, _list(self._in_place))
+        self._began = time.monotonic()
         self._task = asyncio.get_running_loop().create_task(self._play(self._player), name="replay")
 
     async def _play(self, player: Player) -> None:
@@ -231,6 +237,7 @@ class InPlace(KernelService):
         except AiortsError as error:
             _LOG.error("%s: %s", self._path, str(error).removeprefix(f"{self._path}: "))
         finally:
+            self.patience = max(_PATIENCE, time.monotonic() - self._began)
             if lost:
                 self.kernel.exit_status = self.kernel.exit_status or FAILED
             for name in self._in_place:

@@ -27,7 +27,7 @@ def call(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> in
     Arguments are given by position, by NAME=VALUE, or all of them as one JSON list or object. Each is read by the type
     that the interface says: a number, a text, JSON for records and lists. Ctrl-C cancels the call.
     """
-    with kernels(changing=True, right=right_for(word.rpartition("=")[2] for word in words)) as found:
+    with kernels(changing=True, right=right_for(map(_value, words))) as found:
         one = found.find(path)
         answer = one.client.call("call", timeout + 2.0, timeout=timeout, **_given(one, path, words))
     if as_json:
@@ -48,7 +48,7 @@ def goal(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> in
     Arguments are those of aiorts call. Ctrl-C asks to cancel it, as any end of this command does. The status is 1 where
     it failed or was cancelled.
     """
-    with kernels(changing=True, right=right_for(word.rpartition("=")[2] for word in words)) as found:
+    with kernels(changing=True, right=right_for(map(_value, words))) as found:
         one = found.find(path)
         stream = one.client.stream("goal", timeout + 2.0, timeout=timeout, **_given(one, path, words))
         for feedback in stream:
@@ -76,8 +76,14 @@ def _given(one: Found, path: str, words: tuple[str, ...]) -> dict[str, Any]:
         return {"path": one.path, "kwargs": whole}
     if isinstance(whole, list):
         return {"path": one.path, "args": whole}
-    named = tuple(word for word in words if word.partition("=")[0].isidentifier() and "=" in word)
+    named = tuple(word for word in words if _value(word) != word)
     return {"path": one.path, "args": [word for word in words if word not in named], "kwargs": pairs(named)}
+
+
+def _value(word: str) -> str:
+    """The value of NAME=VALUE; any other word is one as it is."""
+    name, sign, value = word.partition("=")
+    return value if sign and name.isidentifier() else word
 
 
 def _json(word: str) -> Any:

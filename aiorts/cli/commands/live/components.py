@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from typing import Final
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from typing import Any, Final
 
 import click
 
@@ -113,7 +114,32 @@ def right_for(values: Iterable[str], *, code: bool = False) -> RightName:
     Args:
         code: whether code is named anyway.
     """
-    return "code" if code or not all(map(_NO_TEXT.fullmatch, values)) else "operate"
+    return "code" if code or any(map(_has_text, values)) else "operate"
+
+
+def _has_text(value: str) -> bool:
+    """Whether a value, or a value inside one that is JSON, is a text."""
+    if _NO_TEXT.fullmatch(value):
+        return False
+    if not value.lstrip().startswith(("{", "[")):
+        return True
+    from json import loads
+
+    try:
+        return not all(_NO_TEXT.fullmatch(text) for text in _texts(loads(value)))
+    except (ValueError, RecursionError):
+        return True
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """The texts in JSON. A key is one where it cannot be the name of a parameter or field."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, list):
+        yield from chain.from_iterable(map(_texts, value))
+    elif isinstance(value, dict):
+        yield from (key for key in value if not key.isidentifier())
+        yield from chain.from_iterable(map(_texts, value.values()))
 
 
 def pairs(words: tuple[str, ...]) -> dict[str, str]:

@@ -6,6 +6,7 @@ Two readings of the counters and a view make lines of text; nothing here reads, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Final
 
 from aiorts.cli.commands.live.edges import Edge
@@ -23,6 +24,7 @@ _HEADS: Final[Mapping[str, tuple[str, ...]]] = {
     "contexts": ("CONTEXT", "RATE/S", "OF", "LATE P50", "P99", "MAX", "OVERRUNS", "SKIPPED"),
     "components": ("COMPONENT", "STATE", "CALLS"),
 }
+_NONE: Final[Mapping[str, int | None]] = MappingProxyType({})
 _NARROWEST: Final = 12
 """Columns that are left of a name at the least."""
 _SHORTEST: Final = 3
@@ -69,18 +71,26 @@ class View:
 Tables = Mapping[str, Sequence[Row]]
 
 
-def tables(now: Counters, before: Counters | None, edges: Mapping[str, Edge]) -> Tables:
-    """The rows of all tables; rates only where there is a reading before."""
+def tables(
+    now: Counters, before: Counters | None, edges: Mapping[str, Edge], waiting: Mapping[str, int | None] = _NONE
+) -> Tables:
+    """The rows of all tables; rates only where there is a reading before.
+
+    Args:
+        waiting: by the names of links: the samples that wait at either end. A link that is not there has None.
+    """
     old = now if before is None else before
     return {
-        "connectors": [_connector(edges.get(name), name, now, old) for name in now["connectors"]],
+        "connectors": [_connector(edges.get(name), name, now, old, waiting) for name in now["connectors"]],
         "contexts": [_context(name, now, old) for name in now["contexts"]],
         "components": [_component(name, one, old) for name, one in now["components"].items()],
     }
 
 
-def _connector(edge: Edge | None, name: str, now: Counters, old: Counters) -> Row:
-    written, delivered, buffered, dropped, measure = now["connectors"][name]
+def _connector(edge: Edge | None, name: str, now: Counters, old: Counters, waiting: Mapping[str, int | None]) -> Row:
+    written, delivered, here, dropped, measure = now["connectors"][name]
+    in_flight = now.get("links", {}).get(name)
+    buffered = here if in_flight is None else waiting.get(name)  # of a link this kernel counts its own end alone
     lost, rate = sum(dropped.values()), rate_of(now, old, name)
     before = old["connectors"].get(name)
     losing = None if before is None else _per_second(lost - sum(before[3].values()), now, old)
@@ -91,7 +101,15 @@ def _connector(edge: Edge | None, name: str, now: Counters, old: Counters) -> Ro
     p50, p99 = (empty, empty) if latency is None else (span_text(latency[1]), span_text(latency[2]))
     path = name if edge is None else edge.path
     return Row(
-        (path, _number(rate), str(buffered), _number(losing) if lost else "", p50, p99, reasons),
+        (
+            path,
+            _number(rate),
+            "-" if buffered is None else str(buffered),
+            _number(losing) if lost else "",
+            p50,
+            p99,
+            reasons,
+        ),
         {
             "name": name,
             "from": "" if edge is None else edge.out,
@@ -100,6 +118,7 @@ def _connector(edge: Edge | None, name: str, now: Counters, old: Counters) -> Ro
             "written": written,
             "delivered": delivered,
             "buffered": buffered,
+            "in_flight": in_flight,
             "dropped": dropped,
             "measure": measure,
             "latency": span_plain(latency),
@@ -108,7 +127,7 @@ def _connector(edge: Edge | None, name: str, now: Counters, old: Counters) -> Ro
         {
             "rate": -1.0 if rate is None else rate,
             "dropped": float(lost),
-            "buffered": float(buffered),
+            "buffered": float(here if buffered is None else buffered),
             "late": 0.0 if latency is None else float(latency[2]),
         },
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final
 
@@ -18,11 +19,15 @@ from aiorts.cli.commands.live.showing import following_options, has_ended
 from aiorts.cli.commands.live.target import Running, complete, kernels
 from aiorts.cli.console.output import counted, say_line, say_now
 from aiorts.cli.console.report import printed
-from aiorts.errors import ClosedError, NoAnswerError
+from aiorts.errors import AbsentError, ClosedError, NoAnswerError
 
 _TIMED: Final = 64
 """Connectors whose latency is asked for at a time: to put the spans in order takes the kernel's time."""
+_ASKED: Final = 64
+"""Links whose reader's kernel is asked at a time."""
 _PATIENCE: Final = 5.0
+_FURTHER: Final = 0.5
+"""Seconds in which the counters are there, and in which other kernels are to have answered, too."""
 _LATE: Final = 1.5
 """Seconds without an answer after which the screen says so."""
 _FOOT: Final = "q quit  n r d b l sort  i reverse  / filter  0-3 tables  space pause"
@@ -57,8 +62,9 @@ def top(
     turns the order round; / filters, Escape shows all again; 1, 2, 3 show one table, 0 all; space holds still; arrows
     scroll. Elsewhere, and with --once or --json, it prints the tables after each interval.
 
-    All of it is counted anyway: no sample is taken and nothing in the kernel waits. In simulated time rates are per
-    second of that time. It ends with the kernel.
+    All of it is counted anyway: no sample is taken and nothing in the kernel waits. Of a link the reader's kernel is
+    asked, too, for its unread samples; "-" stands where it does not answer. In simulated time rates are per second of
+    that time. It ends with the kernel.
     """
     view = View((only,) if only else KINDS, sort, text=text)
     until = None if duration is None else time.monotonic() + duration
@@ -98,7 +104,9 @@ class _Watch:
         self.asked_at: float | None = None
         """When the call was sent whose answer has not come."""
         self._edges = edges(running.names)
-        self._call = self._names = 0
+        self._waiting: Mapping[str, int | None] = {}
+        """Of each link that is shown, the samples that wait at either end, as the other kernel said last."""
+        self._call = self._names = self._links = 0
 
     def ask(self, view: View) -> None:
         """Ask for the counters; `take` has the answer."""
@@ -106,6 +114,10 @@ class _Watch:
         if self.now is not None:
             rows = view.rows(self.tables()["connectors"]) if "connectors" in view.kinds else []
             timed = [row.plain["name"] for row in rows if row.plain["measure"]][:_TIMED]
+            if not self._links and (
+                links := [row.plain["name"] for row in rows if row.plain["in_flight"] is not None][:_ASKED]
+            ):
+                self._links = self.client.begin("connectors", names=links, both_ends=True)
             if not self._names and not self._edges.keys() >= self.now["connectors"].keys():
                 self._names = self.client.begin("names")  # connectors have come since
         self._call = self.client.begin("statistics", timed=timed)
@@ -121,6 +133,10 @@ class _Watch:
         if self._names and self.client.answered(self._names):
             number, self._names = self._names, 0
             self._edges = edges(self.client.result(number))
+        if self._links and self.client.answered(self._links):
+            number, self._links = self._links, 0
+            with suppress(AbsentError):  # a connector has ended since: the next answer is without it
+                self._waiting = {one["name"]: one.get("waiting") for one in self.client.result(number)}
         if self.asked_at is None or not self.client.answered(self._call):
             return False
         self.asked_at = None
@@ -128,7 +144,7 @@ class _Watch:
         return True
 
     def await_answer(self) -> None:
-        """Wait for it.
+        """Wait for it, and a little for what other kernels say.
 
         Raises:
             NoAnswerError: there is none in time.
@@ -136,15 +152,20 @@ class _Watch:
         """
         from select import select
 
-        until = time.monotonic() + _PATIENCE
-        while not (select([self.client], [], [], max(0.0, until - time.monotonic()))[0] and self.take()):
-            if time.monotonic() >= until:
-                raise NoAnswerError(f"{self.client.entry.address}: no answer")
+        began = time.monotonic()
+        while self.asked_at is not None or self._links:
+            left = began + (_FURTHER if self.asked_at is None else _PATIENCE) - time.monotonic()
+            if left <= 0.0:
+                break
+            if select([self.client], [], [], left)[0]:
+                self.take()
+        if self.asked_at is not None:
+            raise NoAnswerError(f"{self.client.entry.address}: no answer")
 
     def tables(self) -> Tables:
         """What the last readings say."""
         assert self.now is not None  # noqa: S101 - it has answered
-        return tables(self.now, self.before, self._edges)
+        return tables(self.now, self.before, self._edges, self._waiting)
 
     def head(self, found: Tables) -> str:
         """The system in one line."""

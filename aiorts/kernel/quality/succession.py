@@ -1,0 +1,29 @@
+"""What is unread in a connector goes over to another one, in order."""
+
+from __future__ import annotations
+
+from aiorts.kernel.ports.connector import Connector, transport_of
+from aiorts.kernel.ports.in_port import receiver_of
+from aiorts.kernel.ports.wiring import keep_newest
+from aiorts.kernel.quality.dated import Dated
+
+
+def pass_on(connector: Connector, successor: Connector) -> int:
+    """What is unread in a connector is unread in another one of the same in-port, which has nothing yet, at its place
+    in the order; the first loses it as dropped{moved}. Where only the newest counts there, older ones are superseded.
+
+    Returns: how many went over.
+    """
+    one, other = transport_of(connector), transport_of(successor)
+    one.settle()
+    with one.guard():
+        if isinstance(other, Dated):
+            other.moments.queue.extend([other.moments.now_ns()] * len(one.queue))
+        other.queue.extend(one.queue)
+        count = len(one.queue)
+        other.written += count
+        other.dead, one.dead = one.dead, 0
+        receiver_of(connector.in_).exchange(one, other)
+        one.discard("moved")
+        keep_newest(other)
+    return count
