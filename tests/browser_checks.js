@@ -30,6 +30,15 @@
     return [...found];
   },
 
+  /** Whether a node is painted: Chromium's own answer is wrong for SVG whose group is not displayed. */
+  painted(node) {
+    for (let one = node; one; one = one.parentElement) {
+      const { display, visibility, opacity } = getComputedStyle(one);
+      if (display === "none" || opacity === "0" || (one === node && visibility !== "visible")) return false;
+    }
+    return true;
+  },
+
   /** [r, g, b, alpha] of a colour of a computed style. */
   colour(text) {
     const [r, g, b, alpha = 1] = (text.match(/[\d.]+/g) ?? [0, 0, 0, 0]).map(Number);
@@ -63,11 +72,11 @@
     while (walk.nextNode()) {
       const text = walk.currentNode.data.trim(), node = walk.currentNode.parentElement, svg = node instanceof SVGElement;
       if (!text || ["OPTION", "SCRIPT", "NOSCRIPT"].includes(node.tagName) || node.closest(hidden)) continue;
-      if (!node.checkVisibility({ checkOpacity: true, checkVisibilityCSS: true })) continue;
+      if (!this.painted(node)) continue;
       range.selectNodeContents(walk.currentNode);
       const { left, top, width, height } = range.getBoundingClientRect(), x = left + width / 2, y = top + height / 2;
       if (!width || !height || x < 0 || y < 0 || x > innerWidth || y > innerHeight) continue;
-      if (svg && !document.elementFromPoint(x, y)?.closest("svg")) continue;   // covered, or outside of the scene
+      if (svg && !document.elementFromPoint(x, y)?.closest("main > svg")) continue;   // covered, or outside of the scene
       const style = getComputedStyle(node), halo = svg && style.stroke !== "none" && parseFloat(style.strokeWidth) > 2;
       found.push({
         text: text.slice(0, 40), kind: node.getAttribute("class") ?? node.tagName,
@@ -83,7 +92,7 @@
   targets() {
     const pressed = "button, a[href], input, select, summary, [role=treeitem], [role=tab], .box, .port-of .hit, .fold-body";
     return [...document.querySelectorAll(pressed)]
-      .filter((node) => node.checkVisibility() && !node.closest("[hidden], dialog:not([open])"))
+      .filter((node) => this.painted(node) && !node.closest("[hidden], dialog:not([open])"))
       .map((node) => {
         const { width, height, left, top, right, bottom } = node.getBoundingClientRect(), scale = node.getScreenCTM?.().a ?? 1;
         return {
