@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
@@ -32,9 +32,10 @@ from aiorts_studio.guard import (
 from aiorts_studio.kernels import Visitor, entry_of, lines_of, running
 from aiorts_studio.limits import UnderWay
 from aiorts_studio.offered import LARGE, check_names, operation_of, patience
-from aiorts_studio.openapi import document, document_of, page
+from aiorts_studio.openapi import document, page
 from aiorts_studio.problems import HttpError, problem_of, status_of
 from aiorts_studio.values import json_in, json_out
+from aiorts_studio.watching.studio import Studio
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 
 JSON: Final = "application/json"
 LINES: Final = "application/x-ndjson"
+PAGE: Final = Path(__file__).parent / "page"
+"""The folder of the page that shows what runs."""
 PAGES: Final = MappingProxyType(
     {
         ".css": "text/css",
@@ -59,11 +62,6 @@ body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto
 pre { overflow-x: auto; padding: .5rem; border: 1px solid }
 h2 { font-size: 1.1rem; margin-top: 2rem }
 """
-_HOME: Final = """
-<p>This serves the running systems of one user to pages and programs that have a token.
-The page that shows them is not there yet.</p>
-<p><a href="/docs">The API</a>, and <a href="/openapi.json">its description</a> (OpenAPI 3.1).</p>
-"""
 
 
 class Api:
@@ -74,6 +72,7 @@ class Api:
         right: what tokens allow.
         say: shows a line to the user who started the server.
         pages: files of the user's own pages, by their names in the address.
+        studio: what the page shows; all kernels of this user by default.
 
     Attributes:
         exchanged: called when a code was exchanged.
@@ -86,6 +85,7 @@ class Api:
         right: Right,
         say: Callable[[str], None],
         pages: Mapping[str, Path] = MappingProxyType({}),
+        studio: Studio | None = None,
     ) -> None:
         self.right = right
         self._pages = pages
@@ -93,6 +93,7 @@ class Api:
         self.under_way = UnderWay()
         self.exchanged: Callable[[], object] = _ignore
         self._say = say
+        self.studio = studio or Studio()
         self._visitors: dict[Holder, Visitor] = {}
         self._endings: set[asyncio.Task[None]] = set()
         self._described = document(right, f"{scheme}://{ours[0]}")
@@ -105,23 +106,26 @@ class Api:
         from starlette.routing import Route, WebSocketRoute
 
         from aiorts_studio.socket import Sockets
+        from aiorts_studio.watching.socket import PageSockets
 
         def fixed(answer: Callable[[], Response]) -> Callable[[Request], Response]:
             return lambda request: answer()
 
-        home, docs = document_of("aiorts studio", _HOME), page(self._described)
+        docs, sockets = page(self._described), Sockets(self)
         app = Starlette(
             routes=[
-                Route("/", fixed(lambda: HTMLResponse(home))),
+                Route("/", self._file),
                 Route("/docs", fixed(lambda: HTMLResponse(docs))),
-                Route("/studio.css", fixed(lambda: Response(_STYLE, media_type="text/css"))),
+                Route("/docs.css", fixed(lambda: Response(_STYLE, media_type="text/css"))),
                 Route("/openapi.json", fixed(lambda: _json(self._described))),
                 Route("/pages/{name}", self._page),
                 Route(EXCHANGE, self._exchange, methods=["POST"]),
                 Route(EXCHANGE, self._end_token, methods=["DELETE"]),
                 Route("/api/kernels", self._kernels),
                 Route("/api/kernels/{kernel:path}/{operation}", self._operate, methods=["POST"]),
-                WebSocketRoute("/api/socket", Sockets(self).attend),
+                WebSocketRoute("/api/socket", sockets.attend),
+                WebSocketRoute("/api/page", PageSockets(self, sockets, self.studio).attend),
+                Route("/{name:path}", self._file),
             ],
             exception_handlers={AiortsError: _problem, HTTPException: _http_problem},
         )
@@ -140,6 +144,14 @@ class Api:
         except OSError as error:
             raise HttpError(404, "E-ABSENT", f"/pages/{name}: {error.strerror}") from None
         return Response(content, media_type=PAGES[path.suffix])
+
+    async def _file(self, request: Request) -> Response:
+        """A file of the page that shows what runs."""
+        from starlette.responses import Response
+
+        name = request.path_params.get("name") or "index.html"
+        content = await to_thread.run_sync(page_file, name)
+        return Response(content, media_type=PAGES[Path(name).suffix])
 
     # -- tokens ----------------------------------------------------------------------------------------------------
 
@@ -194,6 +206,7 @@ class Api:
     async def close(self) -> None:
         """End all tokens, and what their clients have under way."""
         self.codes.end_all()
+        await self.studio.close()
         if self._endings:
             await asyncio.wait(self._endings)
 
@@ -249,6 +262,21 @@ class Answer:
                     await _line(send, said, more="end" not in said)
             except AiortsError as error:
                 await _end(send, error)
+
+
+def page_file(name: str) -> bytes:
+    """A file of the page; HttpError: there is none. Its name is one of a list: no path leads out of the folder."""
+    path = _page_files().get(name)
+    if path is None:
+        raise HttpError(404, "E-ABSENT", f"/{name:.80}: there is none")
+    return path.read_bytes()
+
+
+@cache
+def _page_files() -> Mapping[str, Path]:
+    return {
+        path.relative_to(PAGE).as_posix(): path for path in PAGE.rglob("*") if path.suffix in PAGES and path.is_file()
+    }
 
 
 async def _line(send: Send, value: Mapping[str, Any], *, more: bool = True) -> None:

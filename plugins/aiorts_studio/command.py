@@ -14,16 +14,22 @@ import click
 from aiorts import exits
 from aiorts.control import Right
 from aiorts.errors import ConfigurationError, MissingExtra
+from aiorts.late import dataclass
 from aiorts_studio.entrance import Entrance, Invitation, invitations
 
 if TYPE_CHECKING:
     from ssl import SSLContext
 
+    from aiorts_studio.watching.studio import Studio
+
+_NO_FILES: Final = "start `aiorts studio` with --files FOLDER, where recordings are to go"
+_NO_FILES_BEYOND: Final = "pages beyond the machine record nothing"
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-@click.command(short_help="Serve what runs over HTTP.")
-@click.option("--api", is_flag=True, help="Serve the HTTP API.")
+@click.command(short_help="Show what runs in a browser.")
+@click.argument("kernels", metavar="[KERNEL]...", nargs=-1)
+@click.option("--api", is_flag=True, help="For programs: print no more than the address and the code.")
 @click.option("--url", is_flag=True, help="Print the address of the server that runs, and a new code.")
 @click.option("--port", type=click.IntRange(0, 65_535), default=0, help="Listen there; 0 is any that is free.")
 @click.option("--edit", is_flag=True, help="Clients may change what runs; else they only look.")
@@ -34,6 +40,13 @@ _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     metavar="FOLDER",
     help="Serve pages of yours at /pages/NAME: the files that are in FOLDER now.",
 )
+@click.option(
+    "--files",
+    type=click.Path(path_type=Path, exists=True, file_okay=False, writable=True),
+    metavar="FOLDER",
+    help="Where recordings go that are begun on the page.",
+)
+@click.option("--beside", is_flag=True, hidden=True, help="End when standard input ends.")
 @click.option("--bind", metavar="ADDRESS", help="Listen at this address, for other machines; needs --certs.")
 @click.option(
     "--certs",
@@ -44,27 +57,32 @@ _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 )
 @click.option("--name", default="studio", show_default=True, help="Of the server, in its certificate.")
 def studio(
+    kernels: tuple[str, ...],
     api: bool,
     url: bool,
     port: int,
     edit: bool,
     opens: bool,
     pages: Path | None,
+    files: Path | None,
+    beside: bool,
     bind: str | None,
     certificates: Path | None,
     name: str,
 ) -> int:
-    """Serve what runs over HTTP, to pages and programs of this machine.
+    """Show what runs in a browser, and serve it to programs over HTTP.
 
-    It prints its address, and on a second line a code. A client exchanges the code for a token; the code is good once
-    and for 60 s. It ends with Ctrl-C. There is no page yet that shows what runs: /docs has the API.
+    Without KERNEL it shows all systems of this user, also those that start later. It prints its address, and on a
+    second line a code, which the page asks for; the code is good once and for 60 s, and --url prints a new one. It ends
+    with Ctrl-C. /docs has the HTTP API.
     """
     if url:
         for one in invitations():
             _print(one)
         return exits.DONE
-    if not api:
-        raise click.UsageError("expected --api or --url; there is no page yet that shows what runs")
+    for word in kernels:
+        if word.endswith((".toml", ".xml")) or Path(word).is_file():
+            raise click.UsageError(f"{word}: is a file; `aiorts run {word}` runs it, and its name is given here")
     if (bind is None) != (certificates is None):
         raise ConfigurationError("--bind and --certs: beyond this machine there is TLS only; give both or neither")
     if bind is not None and edit:
@@ -74,38 +92,64 @@ def studio(
             raise MissingExtra("aiorts studio", needed, "studio")
     from aiorts_studio.api import PAGES
     from aiorts_studio.serving import HOST, secured
+    from aiorts_studio.watching.studio import Studio
 
     tls, names = (None, (HOST, "localhost")) if certificates is None else secured(certificates, name, bind or HOST)
     right = Right.OPERATE if edit else Right.VIEW
-    files = () if pages is None else sorted(pages.iterdir())
-    shown = {one.name: one for one in files if one.suffix in PAGES and one.is_file()}
-    return asyncio.run(_serve(names, port, tls, right, shown, opens=opens))
+    own = () if pages is None else sorted(pages.iterdir())
+    shown = {one.name: one for one in own if one.suffix in PAGES and one.is_file()}
+    if files is not None and bind is not None:
+        raise ConfigurationError("--files: recordings are begun from this machine alone, and never with --bind")
+    watched = Studio(kernels, files, _NO_FILES if bind is None else _NO_FILES_BEYOND)
+    serving = _Serving(names, port, tls, right, shown, watched, opens=opens, bare=api, beside=beside)
+    return asyncio.run(serving.run())
 
 
-async def _serve(
-    names: Sequence[str], port: int, tls: SSLContext | None, right: Right, pages: Mapping[str, Path], *, opens: bool
-) -> int:
-    from aiorts_studio.api import Api
-    from aiorts_studio.guard import hosts_of
-    from aiorts_studio.serving import bound, served
+@dataclass(frozen=True, slots=True)
+class _Serving:
+    """What one server serves, and how it begins and ends."""
 
-    listening = bound(names[0], port)
-    loop, over = asyncio.get_running_loop(), asyncio.Event()
-    for number in _SIGNALS:
-        loop.add_signal_handler(number, over.set)
-    scheme = "http" if tls is None else "https"
-    ours = hosts_of(scheme, names, listening.getsockname()[1])
-    api = Api(scheme, ours, right, _say, pages)
-    entrance = Entrance(f"{scheme}://{ours[0]}", api.codes)
-    api.exchanged = entrance.remove_redirect
-    async with entrance.open(), served(listening, api.app, tls):
-        invitation = entrance.invite()
-        _print(invitation)
-        if opens:
-            await entrance.show(invitation)
-        await over.wait()
-        await api.close()
-    return exits.DONE
+    names: Sequence[str]
+    port: int
+    tls: SSLContext | None
+    right: Right
+    pages: Mapping[str, Path]
+    studio: Studio
+    opens: bool
+    bare: bool
+    """Whether address and code are printed alone, for programs."""
+    beside: bool
+    """Whether it ends with its standard input."""
+
+    async def run(self) -> int:
+        """Serve until a signal comes."""
+        from aiorts_studio.api import Api
+        from aiorts_studio.guard import hosts_of
+        from aiorts_studio.serving import bound, served
+
+        listening = bound(self.names[0], self.port)
+        loop, over = asyncio.get_running_loop(), asyncio.Event()
+        for number in _SIGNALS:
+            loop.add_signal_handler(number, over.set)
+        scheme = "http" if self.tls is None else "https"
+        ours = hosts_of(scheme, self.names, listening.getsockname()[1])
+        api = Api(scheme, ours, self.right, _say, self.pages, self.studio)
+        entrance = Entrance(f"{scheme}://{ours[0]}", api.codes)
+        api.exchanged = entrance.remove_redirect
+        async with entrance.open(), served(listening, api.app, self.tls):
+            invitation = entrance.invite()
+            if self.bare:
+                _print(invitation)
+            else:
+                click.echo(f"{invitation.url}/#{invitation.code}")
+                _say("the address is good once, and for 60 s; `aiorts studio --url` prints another; Ctrl-C ends it")
+            if self.opens:
+                await entrance.show(invitation)
+            if self.beside:
+                loop.add_reader(0, over.set)
+            await over.wait()
+            await api.close()
+        return exits.DONE
 
 
 def _print(invitation: Invitation) -> None:

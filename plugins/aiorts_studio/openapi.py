@@ -161,7 +161,7 @@ def page(described: Mapping[str, Any]) -> str:
 
 def document_of(title: str, body: str) -> str:
     """A page with our style and no script."""
-    head = f'<meta charset="utf-8"><title>{escape(title)}</title><link rel="stylesheet" href="/studio.css">'
+    head = f'<meta charset="utf-8"><title>{escape(title)}</title><link rel="stylesheet" href="/docs.css">'
     return f'<!doctype html><html lang="en"><head>{head}</head><body><h1>{escape(title)}</h1>{body}</body></html>'
 
 

@@ -31,8 +31,10 @@ STRANGERS: Final = 32
 """WebSockets that have said no token; of more the one that came first gives way."""
 CREDIT: Final = 4_096
 """Items that a stream may be ahead of its client."""
-_REFUSED: Final = 1008
-_OVER: Final = 1001
+REFUSED: Final = 1008
+"""The status of a WebSocket that is refused."""
+OVER: Final = 1001
+"""The status of a WebSocket that has ended."""
 
 
 class Sockets:
@@ -47,14 +49,14 @@ class Sockets:
         """Serve one WebSocket until it ends."""
         await socket.accept()
         try:
-            visitor = await self._greeted(socket)
+            visitor = await self.greeted(socket)
         except AiortsError as error:
-            await _close(socket, _REFUSED, str(error))
+            await close(socket, REFUSED, str(error))
             return
         if visitor is not None:
             await self._carry(socket, visitor)
 
-    async def _greeted(self, socket: WebSocket) -> Visitor | None:
+    async def greeted(self, socket: WebSocket) -> Visitor | None:
         """The client that says its token; None: it has gone. HttpError: it says none."""
         asking = asyncio.create_task(socket.receive())
         self._strangers[asking] = None
@@ -74,7 +76,7 @@ class Sockets:
         message = asking.result()
         if message["type"] == "websocket.disconnect":
             return None
-        said = _object(message)
+        said = said_in(message)
         token = said.get("token")
         return self._api.visitor(token if isinstance(token, str) else "")
 
@@ -88,7 +90,7 @@ class Sockets:
         finally:
             if self._by_client.get(number) is replaced:
                 del self._by_client[number]
-        await _close(socket, _OVER, "the token has ended" if visitor.closed else "another has come in its place")
+        await close(socket, OVER, "the token has ended" if visitor.closed else "another has come in its place")
 
 
 class _Credit:
@@ -126,7 +128,7 @@ class _Carrier:
                 while (message := await self._socket.receive())["type"] != "websocket.disconnect":
                     try:
                         self._visitor.requests.fill(time.monotonic())
-                        self._do(group, _object(message))
+                        self._do(group, said_in(message))
                     except AiortsError as error:
                         await self._say({"problem": problem_of(error)})
             finally:
@@ -136,7 +138,7 @@ class _Carrier:
     def _do(self, group: asyncio.TaskGroup, said: Mapping[str, Any]) -> None:
         """Do what a message says; AiortsError: it says nothing that is known."""
         if "subscribe" in said:
-            number = _whole(said, "subscribe")
+            number = whole(said, "subscribe")
             if number in self._streams:
                 raise HttpError(409, "E-BUSY", f"a stream has the id {number} already")
             kernel, name, arguments = said.get("kernel"), said.get("operation"), said.get("arguments", {})
@@ -146,15 +148,15 @@ class _Carrier:
             check_names(operation, arguments)
             if not operation.streams:
                 raise RecordError(f"{name}: does not stream; ask for it with POST")
-            credit = _Credit(min(_whole(said, "credit"), CREDIT))
+            credit = _Credit(min(whole(said, "credit"), CREDIT))
             running = group.create_task(self._stream(number, kernel, operation, arguments, credit))
             self._streams[number] = running, credit
         elif "unsubscribe" in said:
-            number = _whole(said, "unsubscribe")
+            number = whole(said, "unsubscribe")
             self._stream_of(number)[0].cancel()
             del self._streams[number]  # a task that has not begun would not do it
         elif "credit" in said:
-            self._stream_of(_whole(said, "credit"))[1].add(_whole(said, "items"))
+            self._stream_of(whole(said, "credit"))[1].add(whole(said, "items"))
         else:
             raise RecordError("expected subscribe, unsubscribe or credit")
 
@@ -187,7 +189,8 @@ class _Carrier:
             await self._socket.send_text(json_out(message).decode())
 
 
-def _object(message: Mapping[str, Any]) -> dict[str, Any]:
+def said_in(message: Mapping[str, Any]) -> dict[str, Any]:
+    """The object that a message of a client is; RecordError: it is none."""
     text = message.get("text")
     value = json_in(text) if text is not None else None
     if not isinstance(value, dict):
@@ -195,14 +198,16 @@ def _object(message: Mapping[str, Any]) -> dict[str, Any]:
     return value
 
 
-def _whole(said: Mapping[str, Any], name: str) -> int:
+def whole(said: Mapping[str, Any], name: str) -> int:
+    """The whole number of this name in a message; RecordError: there is none."""
     value = said.get(name)
     if type(value) is not int or not 0 <= value <= LARGEST:
         raise RecordError(f"{name}: expected a whole number")
     return value
 
 
-async def _close(socket: WebSocket, code: int, why: str) -> None:
+async def close(socket: WebSocket, code: int, why: str) -> None:
+    """Close a WebSocket with the reason; one that is closed stays so."""
     from starlette.websockets import WebSocketDisconnect
 
     with suppress(WebSocketDisconnect, RuntimeError):  # it is closed already

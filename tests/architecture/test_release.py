@@ -125,7 +125,7 @@ def test_the_tests_of_the_source_distribution_are_collected(unpacked: Path, monk
 @pytest.mark.slow(
     kept_by="architecture/test_wheel.py::test_what_is_installed_needs_a_python_of_today_and_five_packages"
 )
-def test_the_wheel_has_the_guide_the_types_and_the_licence_and_nothing_of_others(wheel: Path) -> None:
+def test_the_wheel_has_the_guide_the_types_and_the_licences_and_no_data_of_others(wheel: Path) -> None:
     names = set(contents(wheel))
     assert {f"aiorts/guide/pages/{page.relative_to(FOLDER)}" for page in FOLDER.rglob("*") if page.is_file()} <= names
     plugins = ("bench", "flexi", "foxglove", "log", "openrtm", "studio", "zenoh")
@@ -133,8 +133,8 @@ def test_the_wheel_has_the_guide_the_types_and_the_licence_and_nothing_of_others
     assert {f"{package}/py.typed" for package in packages} <= names
     assert [name for name in names if re.search(r"\.pyc$|cache|hypothesis|\.(mcap|bag|db3|csv|ipynb)$", name)] == []
     assert [name for name in names if name.endswith(OF_OTHERS)] == []
-    assert [name.rpartition("/")[2] for name in names if "/licenses/" in name] == ["LICENSE"]
-    assert metadata(wheel)["License-Expression"] == "Apache-2.0"
+    assert {name.rpartition("/")[2] for name in names if "/licenses/" in name} == {"LICENSE", "LICENSES.txt"}
+    assert metadata(wheel)["License-Expression"] == "Apache-2.0 AND MIT AND ISC AND BSD-3-Clause"
 
 
 @pytest.mark.slow(

@@ -1,0 +1,118 @@
+/** A component in full: profile, connectors, ports, parameters, services, state chart, last error and last lines. */
+import { commandsOf, copy, named, quoted } from "../commands.js";
+import { boxFigures, boxes, choose, edges, figures, kernels } from "../store.js";
+import { count, endsOf, kernelTrouble, number, portSpoken, reasonsOf } from "../words.js";
+import { useAnswer } from "./asked.js";
+import { StateChart } from "./chart.js";
+import { Commands } from "./as_commands.js";
+import { Cut, html, said } from "./parts.js";
+import { canPlot, plot } from "./plots.js";
+
+/** @import {Box, Edge} from "../types.js" */
+
+const EVERY_MS = 1500;
+
+/** @param {{box: Box}} props */
+export function ComponentPart({ box }) {
+  const remote = box.kind === "remote";
+  const { value, problem } = useAnswer(box.kernel, remote ? "names" : "part", remote ? {} : { components: [box.name] }, remote ? 0 : EVERY_MS);
+  const report = remote ? undefined : value?.components?.[box.name], kernel = kernels.value.get(box.kernel);
+  const { state, said: words } = boxFigures.value.get(box.id) ?? box;
+  const trouble = kernel ? kernelTrouble(kernel, kernel.since_s) : "";
+  return html`<h2><${Cut} text=${box.name} /></h2>
+    <p class="quiet type">${report?.type ?? box.type}</p>
+    <p class="pills"><span class=${`pill is-${state}`}>${state}</span>${trouble && html`<span class="pill is-silent">${kernel?.name}: ${trouble}</span>`}
+      ${box.infrastructure && html`<span class="pill plain">infrastructure</span>`}</p>
+    ${words && html`<p class="bad">${words}</p>`}
+    ${report?.doc && html`<p class="doc">${report.doc.split("\n\n")[0].replaceAll("`", "")}</p>`}
+    ${problem && !trouble && html`<p class="quiet" role="status">${problem}</p>`}
+    <${LastError} box=${box} text=${report?.last_error ?? ""} />
+    <${Connectors} box=${box} />
+    ${report?.machine && html`<${StateChart} kernel=${box.kernel} component=${box.name} machine=${report.machine} />`}
+    ${report?.modes && html`<section><h3 class="over">Modes</h3><p class="pills">${report.modes.modes.map((/** @type {string} */ one) => html`
+      <span key=${one} class=${`pill ${one === report.modes.mode ? "lit" : "plain"}`} aria-current=${one === report.modes.mode}>${one}</span>`)}</p></section>`}
+    <${Ports} box=${box} ports=${report?.ports ?? {}} />
+    ${report && html`<${Parameters} box=${box} report=${report} />`}
+    ${report && html`<${Calls} calls=${report.calls} />`}
+    ${report?.composite && html`<section><h3 class="over">Members</h3><p class="doc">${report.composite.members.join(", ")}</p></section>`}
+    ${report?.log?.length > 0 && html`<section><h3 class="over">Last lines</h3><ul class="last-lines">${report.log.slice(-5).map((/** @type {any} */ line, /** @type {number} */ index) => html`
+      <li key=${index} class=${line.level.toLowerCase()}><b>${line.level}</b> ${line.text}</li>`)}</ul></section>`}
+    <${Commands} commands=${commandsOf({ kind: "box", id: box.id })} />`;
+}
+
+/** @param {{box: Box, text: string}} props */
+function LastError({ box, text }) {
+  const message = box.error?.message || text;
+  if (!message) return null;
+  const where = box.error?.file ? `${box.error.file}${box.error.line ? `:${box.error.line}` : ""}` : "";
+  return html`<section class="failure" aria-label="Last error"><h3 class="over">Last error</h3><p>${message}</p>
+    ${where && html`<p><button class="lead" onClick=${() => void copy(where)} title="Copy the place"><code>${where}</code></button></p>`}</section>`;
+}
+
+/** @param {{box: Box}} props */
+function Connectors({ box }) {
+  const own = [...edges.value.values()].filter((edge) => edge.from[0] === box.id || edge.to[0] === box.id);
+  if (!own.length) return html`<section><h3 class="over">Connectors</h3><p class="quiet">None of its ports is connected.</p></section>`;
+  own.sort((a, b) => Number(a.from[0] === box.id) - Number(b.from[0] === box.id));
+  return html`<section><h3 class="over">Connectors</h3><table><thead><tr><th scope="col">to, from</th><th scope="col" class="figure">rate</th><th scope="col" class="figure">dropped</th></tr></thead>
+    <tbody>${own.map((edge) => html`<${ConnectorRow} key=${edge.id} edge=${edge} box=${box} />`)}</tbody></table></section>`;
+}
+
+/** @param {{edge: Edge, box: Box}} props */
+function ConnectorRow({ edge, box }) {
+  const row = figures.value.get(edge.id), outward = edge.from[0] === box.id, [from, to] = endsOf(edge, boxes.value);
+  const words = outward ? `${edge.from[1]} → ${to}` : `${edge.to[1]} ← ${from}`, service = isService(box, outward ? edge.from[1] : edge.to[1]);
+  return html`<tr><td><button class="lead" onClick=${() => choose("edge", edge.id)}><${Cut} text=${words} /></button><small>${edge.state === "up" ? edge.policy : edge.state}</small></td>
+    <td class="figure">${service || row?.rate === null || row?.rate === undefined ? "–" : `${number(row.rate)} Hz`}${row?.backlog ? html`<small>${count(row.backlog)} wait</small>` : null}</td>
+    <td class=${`figure ${row?.dropped ? "bad" : ""}`}>${service ? "–" : row ? count(row.dropped) : "–"}<small>${row && reasonsOf(row).map(([why]) => why).join(", ")}</small></td></tr>`;
+}
+
+/** @param {Box} box @param {string} port */
+const isService = (box, port) => box.ports.some((one) => one.name === port && one.kind === "service");
+
+/** @param {{box: Box, ports: Record<string, any>}} props ports: as the kernel reports them */
+function Ports({ box, ports }) {
+  if (!box.ports.length) return null;
+  return html`<section><h3 class="over">Ports</h3><table><tbody>${box.ports.map((port) => {
+    const report = ports[port.name], shape = report?.shape ? ` ${said(report.shape)}` : "", path = `${box.name}.${port.name}`;
+    return html`<tr key=${port.name}><td><span class=${`mark ${port.kind} ${port.side}`} aria-hidden="true"></span><${Cut} text=${port.name} class="name" />
+        <small>${report?.doc || portSpoken(port).split(", ")[1]}</small></td>
+      <td class="figure"><${Cut} text=${`${port.type}${shape}`} /><small>${port.unit}${report?.interfaces?.length ? report.interfaces.map((/** @type {any} */ one) => one.name).join(", ") : ""}</small></td>
+      <td class="does">${canPlot(port) && html`<button onClick=${() => plot(box.kernel, path, port.type)} aria-label=${`Plot ${path}`}>Plot</button>`}</td></tr>`;
+  })}</tbody></table></section>`;
+}
+
+/** @param {{box: Box, report: any}} props */
+function Parameters({ box, report }) {
+  const all = Object.entries(report.params ?? {}), sets = Object.keys(report.configuration?.sets ?? {});
+  if (!all.length) return null;
+  return html`<section><h3 class="over">Parameters${sets.length > 1 && html` <span>of set ${report.configuration.active} (also ${sets.filter((one) => one !== report.configuration.active).join(", ")})</span>`}</h3>
+    <table><tbody>${all.map(([name, one]) => {
+      const value = said(one.value), changed = JSON.stringify(one.value) !== JSON.stringify(one.default), limits = constraint(one);
+      return html`<tr key=${name}><td><${Cut} text=${name} class="name" /><small>${one.doc}</small></td>
+        <td class="figure"><button class=${`value ${changed ? "changed" : ""}`} title=${changed ? `The default is ${said(one.default)}. Copies the command that sets it.` : "Copies the command that sets it"}
+            onClick=${() => void copy(`aiorts conf ${named(box.kernel, box.name)} ${quoted(`${name}=${value}`)}`)}><${Cut} text=${value === "" ? "“”" : value} />${one.unit && html` <span class="unit">${one.unit}</span>`}</button>
+          <small>${limits || one.type}</small></td></tr>`;
+    })}</tbody></table></section>`;
+}
+
+/** What a value may be, in words. @param {any} one */
+function constraint(one) {
+  const low = one.ge ?? one.gt, high = one.le ?? one.lt;
+  if (low !== null && low !== undefined && high !== null && high !== undefined) return `${one.ge !== null ? "" : "above "}${said(low)} to ${one.le !== null ? "" : "below "}${said(high)}`;
+  if (low !== null && low !== undefined) return `${one.ge !== null ? "at least" : "above"} ${said(low)}`;
+  if (high !== null && high !== undefined) return `${one.le !== null ? "at most" : "below"} ${said(high)}`;
+  return one.choices?.length ? one.choices.map((/** @type {unknown} */ each) => said(each) || "“”").join(" | ") : one.pattern ?? one.allowed ?? "";
+}
+
+/** @param {{calls: Record<string, any>}} props calls: by port or interface */
+function Calls({ calls }) {
+  const all = Object.entries(calls ?? {});
+  if (!all.length) return null;
+  return html`<section><h3 class="over">Calls of services</h3><table><thead><tr><th scope="col">interface</th><th scope="col" class="figure">calls</th><th scope="col" class="figure">failed</th></tr></thead>
+    <tbody>${all.map(([name, one]) => {
+      const bad = (one.failures ?? 0) + (one.timeouts ?? 0) + (one.refused ?? 0), mean = one.calls ? one.total_ns / one.calls / 1e6 : 0;
+      return html`<tr key=${name}><td><${Cut} text=${name} /></td><td class="figure">${count(one.calls ?? 0)}<small>${one.calls ? `${number(mean)} ms each` : ""}</small></td>
+        <td class=${`figure ${bad ? "bad" : ""}`}>${count(bad)}</td></tr>`;
+    })}</tbody></table></section>`;
+}

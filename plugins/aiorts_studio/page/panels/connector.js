@@ -1,0 +1,69 @@
+/** A connector in full: what passes, what is lost and why, and what helps. */
+import { commandsOf } from "../commands.js";
+import { ask, boxes, choose, edges, figures, kernels, right, say, tell } from "../store.js";
+import { capacityOf, count, endsOf, number, reasonsOf, toneOf } from "../words.js";
+import { useAnswer } from "./asked.js";
+import { Commands } from "./as_commands.js";
+import { Cut, counted, html } from "./parts.js";
+
+/** @import {Edge, EdgeFigures} from "../types.js" */
+
+/** Why samples are dropped -> what it means, and what helps. */
+const REASONS = /** @type {Record<string, [string, string]>} */ ({
+  overwritten: ["The buffer was full when a sample came, and the oldest one made room.", "The reader takes fewer than come: let it read all that waits or run more often, lengthen the buffer (length), or let the writer wait (full = \"block\"). Where only the newest counts, this is as it should be."],
+  rejected: ["The buffer was full when a sample came, and the new one was refused.", "The reader takes fewer than come: let it run more often, lengthen the buffer (length), or let the writer wait (full = \"block\")."],
+  superseded: ["A newer sample came before this one was passed on.", "It is what push = \"new\" asks for; push = \"all\" passes on every sample."],
+  timeout: ["The writer waited for room in the buffer, and gave up.", "Find out why the reader stands still; timeout says how long a writer waits."],
+  inactive: ["The reader's component was not active.", "Activate it, or connect it once it is."],
+  expired: ["The sample was older than its lifespan when it was to be read.", "The reader is late: let it run more often, or lengthen lifespan."],
+  unconverted: ["The converter of the connector could not make the reader's type of it.", "The log of the reader says which value; see the option convert."],
+  undecodable: ["The reader's process could not decode it.", "The types of the two ends are not the same: compare the versions that run."],
+  disconnected: ["The link was cut while the sample was on its way.", "See the state of the link; on_link_lost says what becomes of samples then."],
+});
+
+/** @param {{edge: Edge}} props */
+export function ConnectorPart({ edge }) {
+  const row = figures.value.get(edge.id), [from, to] = endsOf(edge, boxes.value), both = edge.bundle > 1;
+  const { value } = useAnswer(edge.kernel, both ? "names" : "part", both ? {} : { connectors: [edge.name] }, both ? 0 : 1500);
+  const report = value?.connectors?.[edge.name], tone = toneOf(edge, row), room = capacityOf(edge);
+  const others = [...edges.value.values()].filter((one) => one.id !== edge.id && ((one.from[0] === edge.from[0] && one.to[0] === edge.to[0]) || (one.from[0] === edge.to[0] && one.to[0] === edge.from[0])));
+  const reasons = row ? reasonsOf(row) : Object.entries(/** @type {Record<string, number>} */ (report?.ledger.dropped ?? {}));
+  return html`<h2><${Cut} text=${`${from} → ${to}`} /></h2>
+    <p class="quiet">${edge.link ? "link between two kernels" : both ? counted(edge.bundle, "connector") : "connector"}${edge.policy && `, ${edge.policy}`}</p>
+    <p class="pills"><span class=${`pill tone-${tone || "idle"}`}>${{ "": "connected", busy: "samples pass", idle: "nothing passes", full: "nearly full", lossy: "drops samples", down: "down", waiting: "waits for the other end" }[tone]}</span></p>
+    <section aria-label="Ends"><table><tbody>${/** @type {const} */ (["from", "to"]).map((end) => html`<tr key=${end}><td>${end}</td>
+      <td class="figure"><button class="lead" onClick=${() => choose("box", edge[end][0])}><${Cut} text=${end === "from" ? from : to} /></button></td></tr>`)}</tbody></table></section>
+    ${reasons.length > 0 && html`<section class="failure" aria-label="Why samples are lost"><h3 class="over">Why samples are lost</h3>${reasons.map(([why, times]) => html`
+      <p key=${why}><b>${count(times)} ${why.replaceAll("_", " ")}</b>${(REASONS[why] ?? []).map((words, index) => html`<span class=${index ? "remedy" : ""}>${words}</span>`)}</p>`)}</section>`}
+    <section><h3 class="over">Now</h3><table><tbody>
+      <${Figure} name="arrive" value=${row?.rate} unit="samples/s" />
+      <${Figure} name="lost now" value=${row?.loss} unit="samples/s" bad=${(row?.loss ?? 0) > 0} />
+      <${Figure} name="wait for the reader" value=${row?.backlog} unit=${Number.isFinite(room) ? `of ${room}` : "samples"} whole=${true} bad=${tone === "full"} />
+      ${edge.link && html`<${Figure} name="round trip" value=${row?.trip} unit="ms" />`}
+      <${Age} edge=${edge} row=${row} measured=${Boolean(report?.options.measure)} />
+    </tbody></table></section>
+    ${report && html`<section><h3 class="over">Since it was made</h3><table><tbody>
+      <${Figure} name="written" value=${report.ledger.written} whole=${true} /><${Figure} name="delivered" value=${report.ledger.delivered} whole=${true} />
+      <${Figure} name="wait" value=${report.ledger.buffered} whole=${true} />
+      <${Figure} name="dropped" value=${Object.values(/** @type {Record<string, number>} */ (report.ledger.dropped)).reduce((sum, one) => sum + one, 0)} whole=${true} bad=${reasons.length > 0} />
+      </tbody></table><p class="quiet">written = delivered + wait + dropped</p></section>`}
+    ${others.length > 0 && html`<section><h3 class="over">Also between these two</h3><ul class="plain">${others.map((one) => html`<li key=${one.id}>
+      <button class="lead" onClick=${() => choose("edge", one.id)}><${Cut} text=${endsOf(one, boxes.value).join(" → ")} /></button></li>`)}</ul></section>`}
+    <${Commands} commands=${commandsOf({ kind: "edge", id: edge.id })} />`;
+}
+
+/** @param {{name: string, value: number | null | undefined, unit?: string, whole?: boolean, bad?: boolean}} props */
+export function Figure({ name, value, unit = "", whole = false, bad = false }) {
+  return html`<tr><td>${name}</td><td class=${`figure ${bad ? "bad" : ""}`}>${value === null || value === undefined ? "–" : html`${whole ? count(value) : number(value)} <span class="unit">${unit}</span>`}</td></tr>`;
+}
+
+/** The age of samples when they are read: known where it is measured. @param {{edge: Edge, row: EdgeFigures | undefined, measured: boolean}} props */
+function Age({ edge, row, measured }) {
+  const may = right.value === "operate", known = row?.age !== null && row?.age !== undefined;
+  const measure = () => {
+    if (!may) tell("Only a page that may change what runs can have ages measured: aiorts studio --edit");
+    else ask(edge.kernel, "measure", { connectors: [edge.name] }).then(() => tell("The age is measured as long as this page is open"), (/** @type {Error} */ error) => tell(error.message));
+  };
+  return html`<tr><td>age when read</td><td class="figure">${known ? html`${number(row.age ?? 0)} <span class="unit">ms</span>` : "–"}
+    ${!known && !measured && !edge.link && html` <button aria-disabled=${!may} title=${may ? "" : "Needs aiorts studio --edit"} onClick=${measure}>Measure</button>`}</td></tr>`;
+}

@@ -1,0 +1,66 @@
+/** What has happened in the kernels, the newest first; each line leads to its component. */
+import { signal } from "../vendor/preact-signals.js";
+import { on, say } from "../store.js";
+import { Cut, Lead, Rows, counted, html, moment } from "./parts.js";
+
+/** @import {Happening, Happenings} from "../types.js" */
+
+const KEPT = 2000;
+const EVERY_MS = 150;
+const HEIGHT = 24;
+const MINUTE_NS = 60_000_000_000n;
+
+const drawn = signal(/** @type {Happening[]} */ ([]));
+const minute = signal(false);
+/** The newest first. @type {Happening[]} */
+let items = [];
+let timer = 0;
+
+/** @param {Happenings} message */
+function take(message) {
+  items = [...message.items].reverse().concat(items).slice(0, KEPT);
+  timer ||= window.setTimeout(() => {
+    timer = 0;
+    drawn.value = items;
+  }, EVERY_MS);
+}
+on("event", take);
+on("history", (/** @type {Happenings} */ message) => {
+  items = [];
+  take(message);
+});
+// What happens while the panel is closed is there when it is opened: events are few.
+on("hello", () => say({ t: "events", on: true }));
+
+/** Those of the last minute before the newest one of their kernel. @param {Happening[]} all */
+function ofLastMinute(all) {
+  /** @type {Record<string, bigint>} */
+  const newest = {};
+  for (const { kernel, at_ns } of all) newest[kernel] ??= BigInt(at_ns);
+  return all.filter(({ kernel, at_ns }) => newest[kernel] - BigInt(at_ns) <= MINUTE_NS);
+}
+
+export function Events() {
+  const shown = minute.value ? ofLastMinute(drawn.value) : drawn.value;
+  return html`<div class="log">
+    <div class="bar">
+      <button aria-pressed=${minute.value} onClick=${() => { minute.value = !minute.value; }}>What changed in the last minute</button>
+      <button onClick=${() => { drawn.value = items = []; }}>Clear</button>
+      <span class="quiet" role="status">${counted(shown.length, "event")}</span>
+    </div>
+    ${shown.length ? html`<${Rows} count=${shown.length} height=${HEIGHT} role="table" label="Events" row=${(/** @type {number} */ index) => html`<${Line} key=${index} item=${shown[index]} index=${index} />`} />`
+      : html`<p class="none">Nothing has changed ${minute.value ? "in the last minute" : "since this page was opened"}.</p>`}
+  </div>`;
+}
+
+/** What is bad news. */
+const BAD = /fail|error|lost|drop|overrun|late|silen|ended|overdue|gone/i;
+
+/** @param {{item: Happening, index: number}} props */
+function Line({ item, index }) {
+  return html`<div class=${`line ${BAD.test(item.kind) ? "warning" : ""}`} role="row" aria-rowindex=${index + 1}>
+    <span class="when" role="cell">${moment(item.at_ns)}</span><span class="kind" role="cell"><${Cut} text=${item.kind} /></span>
+    <span class="who" role="cell"><${Lead} kernel=${item.kernel} component=${item.component} /></span>
+    <span class="what" role="cell" tabindex="0"><${Cut} text=${item.text} /></span>
+  </div>`;
+}

@@ -1,0 +1,356 @@
+/**
+ * The scene: boxes with ports, edges with labels, frames. Our own SVG, since boxes must be reachable by keyboard and
+ * screen reader, with two things that make 1,000 of them cheap:
+ *
+ *   culling   only what is in view is in the document. A grid finds it; while the same cells are in view, a move of
+ *             the view is one `transform` and nothing else.
+ *   level     below scale FAR one canvas draws everything, and the SVG holds the focused and the chosen box only.
+ */
+import { effect } from "../vendor/preact-signals.js";
+import * as store from "../store.js";
+import { boxSpoken, frameSaid, kernelSaid, kernelTrouble } from "../words.js";
+import { classOf, makeBox } from "./box.js";
+import { makeEdge, updateEdge } from "./edge.js";
+import { FAR, sizesAt } from "./fonts.js";
+import { makeFrame, sayFrame } from "./frame.js";
+import { Grid, cellsOf } from "./grid.js";
+import { coloursOf, paint } from "./paint.js";
+import { crossings } from "./paths.js";
+import { make, html } from "./svg.js";
+import { World } from "./world.js";
+
+/** @import {Box, Edge, Frame} from "../types.js" */
+/** @typedef {{x: number, y: number, k: number}} View screen = scene * k + (x, y) */
+
+/** A zoom that brings 300 boxes at once into view is spread over frames; of boxes and of edges each. */
+const NEW_PER_FRAME = 40;
+const LAYERS = /** @type {const} */ (["frames", "edges", "titles", "boxes", "labels"]);
+
+export class Scene {
+  /** @param {HTMLElement} host */
+  constructor(host) {
+    this.host = host;
+    /** @type {View} */
+    this.view = { x: 0, y: 0, k: 1 };
+    this.width = this.height = 0;
+    this.grid = new Grid();
+    this.world = new World();
+    /** @type {Map<number, SVGElement>} */
+    this.boxes = new Map();
+    /** @type {Map<number, import("./edge.js").Drawn>} */
+    this.edges = new Map();
+    /** @type {Map<number, import("./frame.js").Drawn>} */
+    this.frames = new Map();
+    this.shown = { boxes: /** @type {Set<number>} */ (new Set()), edges: /** @type {Set<number>} */ (new Set()) };
+    /** The box that is in the tab order; it stays in the document wherever the view goes. @type {number | null} */
+    this.focused = null;
+    this.far = false;
+    this.sizes = sizesAt(1);
+    this.seen = "";
+    this.due = 0;
+    /** Called after the view or what is in it has changed. */
+    this.onView = () => {};
+    /** Called after other things are in the document than before. */
+    this.onCulled = () => {};
+    this.canvas = host.appendChild(html("canvas", { "aria-hidden": "true" }));
+    // "application": a screen reader passes the arrow keys on to us, for the walk along the edges.
+    this.svg = host.appendChild(make("svg", { role: "application", "aria-label": "The system", "aria-roledescription": "graph" }));
+    this.root = this.svg.appendChild(make("g", { class: "world" }));
+    this.layers = Object.fromEntries(LAYERS.map((name) => [name, this.root.appendChild(make("g", { class: name }))]));
+    new ResizeObserver(() => this.resize()).observe(host);
+    this.resize();
+    store.on("picture", () => this.takePicture());
+    store.on("change", (change) => this.takeChange(change));
+    store.on("figures", (news) => this.takeFigures(news));
+    store.on("choose", () => this.takeChoice());
+    effect(() => {
+      this.world.takeKernels(store.kernels.value);
+      this.freshen();
+    });
+    setInterval(() => this.sayKernels(), 1000);
+  }
+
+  resize() {
+    [this.width, this.height] = [this.host.clientWidth, this.host.clientHeight];
+    [this.canvas.width, this.canvas.height] = [this.width * devicePixelRatio, this.height * devicePixelRatio];
+    /** @type {Record<string, string> | null} */
+    this.colours = null;   // the canvas knows no CSS variables
+    this.changed();
+  }
+
+  // -- what comes from the server ------------------------------------------------------------------------------------
+
+  takePicture() {
+    for (const kind of /** @type {const} */ (["boxes", "edges"])) for (const id of [...this.grid.filed[kind].keys()]) this.drop(kind, id);
+    this.takeChange({ frames: [...store.frames.peek().values()], boxes: [...store.boxes.peek().values()], edges: [...store.edges.peek().values()] });
+  }
+
+  /** @param {{frames?: Frame[], boxes?: Box[], edges?: Edge[], gone?: import("../types.js").Gone}} change */
+  takeChange({ frames = [], boxes = [], edges = [], gone = {} }) {
+    for (const id of gone.boxes ?? []) this.drop("boxes", id);
+    for (const id of gone.edges ?? []) this.drop("edges", id);
+    for (const box of boxes) this.putBox(box);
+    const touched = this.world.takeEdges(store.edges.peek());
+    for (const edge of edges) {
+      for (const id of this.grid.beside("edges", edge.id)) touched.add(id);   // those that it crossed
+      this.grid.put("edges", edge.id, edge.points);
+      for (const id of this.grid.beside("edges", edge.id)) touched.add(id);
+      touched.add(edge.id);
+    }
+    for (const id of touched) this.redraw(id);
+    if (this.focused === null || !store.boxes.peek().has(this.focused)) this.focused = store.boxes.peek().keys().next().value ?? null;
+    if (frames.length || gone.frames?.length || !store.frames.peek().size) this.drawFrames();
+    this.changed();
+  }
+
+  /** @param {Box} box */
+  putBox(box) {
+    this.grid.put("boxes", box.id, [[box.x, box.y], [box.x + box.w, box.y + box.h]]);
+    const old = this.boxes.get(box.id);
+    if (!old) return;
+    const node = makeBox(box, this.lookOf(box)), focus = old.contains(document.activeElement);
+    this.boxes.set(box.id, node);
+    old.replaceWith(node);   // in its place, with the focus where it was
+    if (focus) node.focus({ preventScroll: true });
+  }
+
+  /** @param {number} id of an edge */
+  redraw(id) {
+    const old = this.edges.get(id), edge = store.edges.peek().get(id);
+    if (!old || !edge) return;
+    if (!this.shown.edges.has(id)) return void this.edges.delete(id);   // drawn anew when it comes into view
+    const drawn = this.edgeOf(edge), focus = old.node.contains(document.activeElement);
+    this.edges.set(id, drawn);
+    old.node.replaceWith(drawn.node);
+    old.label.replaceWith(drawn.label);
+    if (focus) drawn.node.focus({ preventScroll: true });
+  }
+
+  drawFrames() {
+    const inside = document.activeElement?.closest("[data-frame]")?.getAttribute("data-frame");
+    const all = [...store.frames.peek().values()].sort((a, b) => b.w * b.h - a.w * a.h);   // the outer ones below
+    this.frames = new Map(all.map((frame) => [frame.id, makeFrame(frame, this.frameSaid(frame), this.frameClass(frame), this.sizes)]));
+    const drawn = [...this.frames.values()];
+    this.layers.frames.replaceChildren(...drawn.map((one) => one.node));
+    this.layers.titles.replaceChildren(...drawn.map((one) => one.title));
+    if (inside) /** @type {HTMLElement | null} */ (this.layers.titles.querySelector(`[data-frame="${inside}"]`))?.focus();
+  }
+
+  /** @param {import("../types.js").Figures} news */
+  takeFigures({ e = {}, b = {}, f = {} }) {
+    for (const id of Object.keys(e).map(Number)) this.freshenEdge(id);
+    for (const id of Object.keys(b).map(Number)) if (store.boxes.peek().has(id)) this.putBox(/** @type {Box} */ (store.boxes.peek().get(id)));
+    for (const id of Object.keys(f).map(Number)) this.freshenFrame(id);
+    if (this.far) this.draw();
+  }
+
+  takeChoice() {
+    const chosen = store.selected.peek();
+    if (chosen?.kind === "box") this.focusOn(Number(chosen.id));
+    this.freshen();
+  }
+
+  // -- what is drawn, and how ------------------------------------------------------------------------------------------
+
+  /** @param {Box} box */
+  lookOf(box) {
+    const { state, said } = this.world.figuresOf(box), chosen = store.selected.peek();
+    return {
+      state, said, silent: this.world.silent(box.kernel), spoken: boxSpoken(box, state, said, store.kernels.peek().get(box.kernel)),
+      chosen: chosen?.kind === "box" && chosen.id === box.id, first: box.id === this.focused, sizes: this.sizes,
+    };
+  }
+
+  /** @param {Edge} edge */
+  lookOfEdge(edge) {
+    const chosen = store.selected.peek();
+    return {
+      chosen: chosen?.kind === "edge" && chosen.id === edge.id, silent: this.world.silent(edge.kernel),
+      own: chosen?.kind === "box" && (edge.from[0] === chosen.id || edge.to[0] === chosen.id), crowded: this.world.crowded(edge), small: this.sizes.text > 14,
+    };
+  }
+
+  /** @param {Edge} edge */
+  edgeOf(edge) {
+    return makeEdge(edge, store.figures.peek().get(edge.id), this.lookOfEdge(edge), store.boxes.peek(), this.world.jointsOf(edge),
+      crossings(edge.points, this.beside(edge)));
+  }
+
+  /** The paths of other edges that run through the same cells. @param {Edge} edge */
+  * beside(edge) {
+    for (const id of this.grid.beside("edges", edge.id)) {
+      const other = store.edges.peek().get(id);
+      if (other) yield other.points;
+    }
+  }
+
+  /** @param {Frame} frame */
+  frameSaid(frame) {
+    const kernel = store.kernels.peek().get(frame.kernel);
+    if (kernel && frame.kind === "kernel") return kernelTrouble(kernel, this.world.since(kernel)) || kernelSaid(kernel);
+    return frameSaid(frame, store.frameFigures.peek().get(frame.id));
+  }
+
+  /** @param {Frame} frame */
+  frameClass(frame) {
+    const chosen = store.selected.peek();
+    const row = store.frameFigures.peek().get(frame.id);
+    return [this.world.silent(frame.kernel) && "silent", row?.overruns && "late", frame.parent === null && "outer",
+      chosen?.kind === "frame" && chosen.id === frame.id && "chosen"].filter(Boolean).join(" ");
+  }
+
+  /** @param {number} id */
+  freshenEdge(id) {
+    const drawn = this.edges.get(id), edge = store.edges.peek().get(id);
+    if (drawn && edge && this.shown.edges.has(id)) updateEdge(drawn, edge, store.figures.peek().get(id), this.lookOfEdge(edge), store.boxes.peek());
+  }
+
+  /** @param {number} id */
+  freshenFrame(id) {
+    const drawn = this.frames.get(id), frame = store.frames.peek().get(id);
+    if (!drawn || !frame) return;
+    sayFrame(drawn, frame, this.frameSaid(frame));
+    drawn.node.setAttribute("class", `frame ${frame.kind} ${this.frameClass(frame)}`);
+    drawn.title.setAttribute("class", `title ${frame.kind} ${this.frameClass(frame)}`);
+    drawn.title.setAttribute("aria-label", [frame.name, this.frameSaid(frame)].filter(Boolean).join(", "));
+  }
+
+  /** Draw anew what may look different: a kernel has fallen silent, something else is chosen. */
+  freshen() {
+    for (const id of this.shown.edges) this.freshenEdge(id);
+    for (const id of this.frames.keys()) this.freshenFrame(id);
+    for (const [id, node] of this.boxes) {
+      const box = store.boxes.peek().get(id);
+      if (!box) continue;
+      const look = this.lookOf(box);
+      node.setAttribute("class", `box ${box.kind} ${box.infrastructure ? "infrastructure" : ""} ${classOf(look)}`);
+      node.setAttribute("aria-label", look.spoken);
+      node.setAttribute("tabindex", look.first ? "0" : "-1");
+    }
+    if (this.far) this.draw();
+  }
+
+  sayKernels() {
+    for (const [id, frame] of store.frames.peek()) if (frame.kind === "kernel" && this.world.silent(frame.kernel)) this.freshenFrame(id);
+  }
+
+  /** @param {number} id of the box that is in the tab order from now on */
+  focusOn(id) {
+    this.focused = id;
+    this.changed();
+  }
+
+  // -- what is in view -----------------------------------------------------------------------------------------------
+
+  /** @param {View} view */
+  setView(view) {
+    this.view = view;
+    this.draw();
+  }
+
+  changed() {
+    this.seen = "";
+    this.draw();
+  }
+
+  /** Draw once in the next frame, however often this is called. */
+  draw() {
+    this.due ||= requestAnimationFrame(() => {
+      this.due = 0;
+      this.drawNow();
+    });
+  }
+
+  drawNow() {
+    const { x, y, k } = this.view;
+    // An attribute, not CSS with `will-change`: a layer of its own is as large as the world, and rasters all of it.
+    this.root.setAttribute("transform", `translate(${x} ${y}) scale(${k})`);
+    const context = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
+    if (this.far !== k < FAR) {
+      this.far = k < FAR;
+      this.seen = "";
+      this.host.classList.toggle("far", this.far);
+      context.setTransform(1, 0, 0, 1, 0, 0);
+      context.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    }
+    if (!this.far) this.takeSizes(sizesAt(k));
+    this.cull();
+    if (this.far) {
+      this.colours ??= coloursOf(this.host);
+      paint(context, this.view, this.world, this.colours, devicePixelRatio);
+    }
+    this.onView();
+  }
+
+  /** Text has other sizes: what was drawn was cut to fit the ones before. @param {import("./fonts.js").Sizes} sizes */
+  takeSizes(sizes) {
+    if (sizes.text === this.sizes.text) return;
+    this.sizes = sizes;
+    for (const [name, size] of Object.entries(sizes)) this.root.style.setProperty(`--${name}`, `${size}px`);
+    for (const id of [...this.boxes.keys()]) {
+      if (this.shown.boxes.has(id)) this.putBox(/** @type {Box} */ (store.boxes.peek().get(id)));
+      else this.boxes.delete(id);
+    }
+    for (const id of this.shown.edges) this.freshenEdge(id);
+    this.drawFrames();
+  }
+
+  /** The rectangle of the scene that is in view. @returns {import("./grid.js").Rect} */
+  rect() {
+    const { x, y, k } = this.view;
+    return { x0: -x / k, y0: -y / k, x1: (this.width - x) / k, y1: (this.height - y) / k };
+  }
+
+  /** Put into the document what has come into view, take out what has left. */
+  cull() {
+    const rect = this.rect(), cells = `${cellsOf(rect)},${this.far}`;
+    if (cells === this.seen) return;
+    this.seen = cells;
+    const wanted = this.far ? { boxes: new Set(), edges: new Set() } : this.grid.find(rect);
+    if (this.focused !== null && store.boxes.peek().has(this.focused)) wanted.boxes.add(this.focused);
+    for (const kind of /** @type {const} */ (["boxes", "edges"])) {
+      for (const id of this.shown[kind]) if (!wanted[kind].has(id)) this.hide(kind, id);
+      let left = NEW_PER_FRAME;
+      for (const id of wanted[kind]) {
+        if (this.shown[kind].has(id)) continue;
+        if (left-- > 0 || id === this.focused) this.show(kind, id);
+        else wanted[kind].delete(id);   // its turn comes in one of the next frames
+      }
+      this.shown[kind] = wanted[kind];
+      if (left < 0) this.changed();
+    }
+    this.onCulled();
+  }
+
+  /** @param {"boxes" | "edges"} kind @param {number} id */
+  show(kind, id) {
+    if (kind === "boxes") {
+      const box = /** @type {Box} */ (store.boxes.peek().get(id)), node = this.boxes.get(id) ?? makeBox(box, this.lookOf(box));
+      this.boxes.set(id, node);
+      this.layers.boxes.append(node);
+      return;
+    }
+    const edge = /** @type {Edge} */ (store.edges.peek().get(id)), drawn = this.edges.get(id) ?? this.edgeOf(edge);
+    this.edges.set(id, drawn);
+    updateEdge(drawn, edge, store.figures.peek().get(id), this.lookOfEdge(edge), store.boxes.peek());
+    this.layers.edges.append(drawn.node);
+    this.layers.labels.append(drawn.label);
+  }
+
+  /** @param {"boxes" | "edges"} kind @param {number} id */
+  hide(kind, id) {
+    if (kind === "boxes") this.boxes.get(id)?.remove();
+    else {
+      this.edges.get(id)?.node.remove();
+      this.edges.get(id)?.label.remove();
+    }
+    this.shown[kind].delete(id);
+  }
+
+  /** @param {"boxes" | "edges"} kind @param {number} id */
+  drop(kind, id) {
+    this.hide(kind, id);
+    this.grid.remove(kind, id);
+    this[kind].delete(id);
+  }
+}

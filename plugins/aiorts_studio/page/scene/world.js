@@ -1,0 +1,104 @@
+/** What the scene has to know of things beyond what is drawn of each: neighbours of edges, silent kernels. */
+import * as store from "../store.js";
+import { parting } from "./paths.js";
+
+/** @import {Box, Edge, Kernel, Point} from "../types.js" */
+
+/** The height of a row of ports: labels of two edges this near share a line. */
+const ROW = 26;
+
+export class World {
+  constructor() {
+    /** Edges by the port from which they come, or to which they go. @type {Map<string, Edge[]>} */
+    this.byPort = new Map();
+    /** @type {Map<number, Edge[]>} */
+    this.byBox = new Map();
+    /** @type {Set<string>} */
+    this.quiet = new Set();
+    /** When each kernel's state was heard of. @type {WeakMap<Kernel, number>} */
+    this.heard = new WeakMap();
+  }
+
+  // -- for the canvas --------------------------------------------------------------------------------------------------
+
+  get frames() { return store.frames.peek().values(); }
+  get boxes() { return store.boxes.peek().values(); }
+  get edges() { return store.edges.peek().values(); }
+  row = (/** @type {number} */ id) => store.figures.peek().get(id);
+  state = (/** @type {Box} */ box) => this.figuresOf(box).state;
+  silent = (/** @type {string} */ kernel) => this.quiet.has(kernel);
+  chosen = (/** @type {"box" | "edge"} */ kind, /** @type {number} */ id) => {
+    const one = store.selected.peek();
+    return one?.kind === kind && one.id === id;
+  };
+
+  own = (/** @type {Edge} */ edge) => {
+    const one = store.selected.peek();
+    return one?.kind === "edge" ? one.id === edge.id : one?.kind === "box" && (edge.from[0] === one.id || edge.to[0] === one.id);
+  };
+
+  /** @param {Box} box */
+  figuresOf(box) {
+    return store.boxFigures.peek().get(box.id) ?? { state: box.state, said: box.said };
+  }
+
+  // -- kernels ---------------------------------------------------------------------------------------------------------
+
+  /** @param {Map<string, Kernel>} kernels */
+  takeKernels(kernels) {
+    this.quiet = new Set([...kernels.values()].filter((one) => one.state !== "live").map((one) => one.address));
+    for (const one of kernels.values()) if (!this.heard.has(one)) this.heard.set(one, performance.now());
+  }
+
+  /** For how many seconds a kernel has been as it is. @param {Kernel} kernel */
+  since(kernel) {
+    return kernel.since_s + (performance.now() - (this.heard.get(kernel) ?? performance.now())) / 1000;
+  }
+
+  // -- edges -----------------------------------------------------------------------------------------------------------
+
+  /** Take all edges; the ids of those at whose ends something is different. @param {Map<number, Edge>} edges @returns {Set<number>} */
+  takeEdges(edges) {
+    const before = this.byPort;
+    this.byPort = new Map();
+    this.byBox = new Map();
+    for (const edge of edges.values()) {
+      for (const key of [keyOf("from", edge), keyOf("to", edge)]) this.byPort.set(key, [...(this.byPort.get(key) ?? []), edge]);
+      for (const id of new Set([edge.from[0], edge.to[0]])) this.byBox.set(id, [...(this.byBox.get(id) ?? []), edge]);
+    }
+    const touched = new Set();
+    for (const [key, group] of this.byPort) {
+      const old = before.get(key) ?? [];
+      if (old.length !== group.length || group.some((one, i) => one !== old[i])) for (const one of group) touched.add(one.id);
+    }
+    return touched;
+  }
+
+  /** Where an edge parts from another of its port, or joins one: the points at which it has a dot. @param {Edge} edge @returns {Point[]} */
+  jointsOf(edge) {
+    const found = new Map();
+    for (const side of /** @type {const} */ (["from", "to"])) {
+      const path = side === "from" ? edge.points : edge.points.toReversed();
+      for (const other of (this.byPort.get(keyOf(side, edge)) ?? []).slice(0, 40)) {
+        const point = other === edge ? null : parting(path, side === "from" ? other.points : other.points.toReversed());
+        if (point) found.set(String(point), point);
+      }
+    }
+    return [...found.values()];
+  }
+
+  /** Whether another label stands right below that of an edge. @param {Edge} edge */
+  crowded(edge) {
+    const [x, y] = edge.label;
+    return (this.byBox.get(edge.to[0]) ?? []).some((one) => one !== edge && one.to[0] === edge.to[0]
+      && Math.abs(one.label[0] - x) < 90 && one.label[1] >= y && one.label[1] - y <= ROW);
+  }
+
+  /** The edges of a box. @param {number} id */
+  edgesOf(id) {
+    return this.byBox.get(id) ?? [];
+  }
+}
+
+/** @param {"from" | "to"} side @param {Edge} edge */
+const keyOf = (side, edge) => `${side} ${edge[side].join(".")}`;

@@ -1,0 +1,156 @@
+/**
+ * The system by keyboard. One box is in the tab order; from it the arrows go along edges. A live region says what the
+ * ear needs and the focus alone does not tell.
+ */
+import { commandsOf, copy } from "./commands.js";
+import { nudge } from "./scene/drag.js";
+import { boxes, choose, chooseNothing, edges, frames, keysOpen, say, selected, tell } from "./store.js";
+import { endsOf } from "./words.js";
+
+/** @import {Box, Edge} from "./types.js" */
+/** @import {Scene} from "./scene/scene.js" */
+
+/** All keys, in the order in which they are listed. */
+export const KEYS = [
+  { keys: "→ ←", does: "along an edge: to the reader, to the writer" },
+  { keys: "↑ ↓", does: "to the next box or edge of the same side" },
+  { keys: "Shift + → ←", does: "to the edge itself; → and ← then go to its ends" },
+  { keys: "Home End", does: "to the first and the last box" },
+  { keys: "Enter", does: "select; fold or unfold what folds" },
+  { keys: "Alt + arrows", does: "move the box" },
+  { keys: "/", does: "search" },
+  { keys: "c", does: "copy the command that shows the selected thing" },
+  { keys: "+ − 0", does: "zoom in, zoom out, fit" },
+  { keys: "t", does: "tidy: lay out everything anew" },
+  { keys: "?", does: "show these keys" },
+  { keys: "Esc", does: "close, or select nothing" },
+];
+
+const STEP = 16;
+const MOVES = /** @type {Record<string, [number, number]>} */ ({ ArrowRight: [STEP, 0], ArrowLeft: [-STEP, 0], ArrowUp: [0, -STEP], ArrowDown: [0, STEP] });
+
+/** @param {Scene} scene @param {import("./scene/view.js").Moves} view @param {(text: string) => void} hear says a text to a screen reader */
+export function walk(scene, view, hear) {
+  /** The things among which ↑ and ↓ choose, as the last step found them. @type {{kind: "box" | "edge", ids: number[]}} */
+  let side = { kind: "box", ids: [] };
+
+  /** @param {"box" | "edge"} kind @param {number[]} ids @param {number} at @param {string} words */
+  function enter(kind, ids, at, words) {
+    side = { kind, ids };
+    choose(kind, ids[at], { focus: true });
+    hear(ids.length > 1 ? `${at + 1} of ${ids.length} ${words}` : "");
+  }
+
+  /** @param {Box} box @param {boolean} forwards @param {boolean} toEdge */
+  function step(box, forwards, toEdge) {
+    const [here, there] = forwards ? /** @type {const} */ (["from", "to"]) : /** @type {const} */ (["to", "from"]);
+    const found = scene.world.edgesOf(box.id).filter((one) => one[here][0] === box.id).sort((a, b) => a.label[1] - b.label[1]);
+    if (!found.length) return hear(`${box.name} ${forwards ? "writes to no component" : "reads from no component"}`);
+    const words = `that ${box.name} ${forwards ? "writes to" : "reads from"}`;
+    if (toEdge) return enter("edge", found.map((one) => one.id), 0, `edges of ${box.name}`);
+    return enter("box", [...new Set(found.map((one) => one[there][0]))], 0, words);
+  }
+
+  /** @param {"box" | "edge"} kind @param {number} id @param {number} by */
+  function turn(kind, id, by) {
+    if (side.kind !== kind || side.ids.length < 2 || !side.ids.includes(id)) side = { kind, ids: kind === "box" ? neighbours(id) : edgesBeside(id) };
+    const { ids } = side, at = (ids.indexOf(id) + by + ids.length) % ids.length;
+    enter(kind, ids, at, "");
+  }
+
+  /** @param {Edge} edge @param {"from" | "to"} end */
+  const toEnd = (edge, end) => choose("box", edge[end][0], { focus: true });
+
+  /** @param {number} at 0 or -1 */
+  function toFirst(at) {
+    const ids = inOrder([...boxes.value.values()]);
+    if (ids.length) choose("box", /** @type {number} */ (ids.at(at)), { focus: true });
+  }
+
+  /** @param {KeyboardEvent} event @param {Element} target @returns {Record<string, () => void>} */
+  function does(event, target) {
+    const box = boxes.value.get(Number(target.closest(".box")?.getAttribute("data-box") ?? NaN));
+    const edge = edges.value.get(Number(target.closest(".edge-of")?.getAttribute("data-edge") ?? NaN));
+    const fold = target.closest("[data-fold]");
+    if (fold) return { Enter: () => toggleFold(Number(fold.getAttribute("data-fold"))), " ": () => toggleFold(Number(fold.getAttribute("data-fold"))) };
+    if (box && event.altKey) return Object.fromEntries(Object.entries(MOVES).map(([key, by]) => [key, () => nudge(box.id, ...by)]));
+    if (event.altKey) return {};
+    if (box) {
+      return {
+        ArrowRight: () => step(box, true, event.shiftKey), ArrowLeft: () => step(box, false, event.shiftKey),
+        ArrowDown: () => turn("box", box.id, 1), ArrowUp: () => turn("box", box.id, -1), Home: () => toFirst(0), End: () => toFirst(-1),
+        Enter: () => (box.kind === "folded" ? unfold(box) : choose("box", box.id, { focus: true })),
+        " ": () => choose("box", box.id, { focus: true }),
+      };
+    }
+    if (!edge) return {};
+    return {
+      ArrowRight: () => toEnd(edge, "to"), ArrowLeft: () => toEnd(edge, "from"), ArrowDown: () => turn("edge", edge.id, 1),
+      ArrowUp: () => turn("edge", edge.id, -1), Enter: () => choose("edge", edge.id, { focus: true }),
+    };
+  }
+
+  scene.host.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || !(event.target instanceof Element)) return;
+    obey(event, does(event, event.target));
+  });
+  document.addEventListener("keydown", (event) => {
+    const { target } = event;
+    if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented || !(target instanceof HTMLElement || target instanceof SVGElement)) return;
+    if (target.matches("input, textarea, select, [contenteditable]")) {
+      if (event.key === "Escape" && target instanceof HTMLElement) target.blur();
+      return;
+    }
+    obey(event, {
+      "/": () => document.getElementById("search")?.focus(), "?": () => { keysOpen.value = !keysOpen.peek(); },
+      "+": () => view.by(1.25), "=": () => view.by(1.25), "-": () => view.by(0.8), 0: () => view.fit(), t: () => tidy(), c: () => copySelected(),
+      Escape: () => { if (keysOpen.peek()) keysOpen.value = false; else chooseNothing(); },
+    });
+  });
+}
+
+/** @param {KeyboardEvent} event @param {Record<string, () => void>} does */
+function obey(event, does) {
+  if (!Object.hasOwn(does, event.key)) return;
+  event.preventDefault();
+  event.stopPropagation();
+  does[event.key]();
+}
+
+/** Lay out everything anew. */
+export function tidy() {
+  if (say({ t: "tidy" })) tell("Tidied");
+}
+
+/** @param {number} id of a frame */
+export function toggleFold(id) {
+  const frame = frames.peek().get(id);
+  say({ t: "fold", id, on: !frame?.folded });
+}
+
+/** @param {Box} box */
+export function unfold(box) {
+  if (box.frame !== null) say({ t: "fold", id: box.frame, on: false });
+}
+
+/** Copy the command that shows the selected thing. */
+export function copySelected() {
+  const [first] = commandsOf(selected.peek());
+  if (first) void copy(first.command);
+  else tell("Nothing is selected");
+}
+
+/** @param {Box[]} some @returns {number[]} */
+const inOrder = (some) => some.sort((a, b) => a.x - b.x || a.y - b.y).map((one) => one.id);
+
+/** The boxes of the same frame. @param {number} id @returns {number[]} */
+function neighbours(id) {
+  const frame = boxes.value.get(id)?.frame;
+  return inOrder([...boxes.value.values()].filter((one) => one.frame === frame));
+}
+
+/** The edges of the box from which an edge comes. @param {number} id @returns {number[]} */
+function edgesBeside(id) {
+  const from = edges.value.get(id)?.from[0];
+  return [...edges.value.values()].filter((one) => one.from[0] === from).sort((a, b) => endsOf(a, boxes.value)[0].localeCompare(endsOf(b, boxes.value)[0])).map((one) => one.id);
+}

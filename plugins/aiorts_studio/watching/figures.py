@@ -1,0 +1,124 @@
+"""The figures of a kernel: rates, losses and what waits, from its counters.
+
+Pure: items of the stream `counters` come in, rows for pages come out.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final, TypeAlias
+
+from aiorts_studio.watching.words import said_of, state_of
+
+Row: TypeAlias = list[Any]
+_KINDS: Final = ("connectors", "service_connectors", "timed", "contexts", "components")
+_LOOKS: Final = 6
+"""Looks over which rates are taken: one second of five a second."""
+
+
+class Figures:
+    """The counters of one kernel, and those of the second before."""
+
+    def __init__(self) -> None:
+        self.now: dict[str, dict[str, Any]] = {kind: {} for kind in _KINDS}
+        self.at_ns = 0
+        self.trips: dict[str, float] = {}
+        """The round trips of links in ms, by connector."""
+        self.late: dict[str, str] = {}
+        """What made a context late most often, by context."""
+        self._earlier: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_LOOKS)
+
+    def take(self, item: Mapping[str, Any]) -> None:
+        """Take an item of the stream: what has changed, or all."""
+        if item["whole"]:
+            self._earlier.clear()
+            self.now = {kind: {} for kind in _KINDS}
+        elif self.at_ns:
+            self._earlier.append((self.at_ns, dict(self.now["connectors"])))
+        self.at_ns = item["at_ns"]
+        for kind in _KINDS:
+            self.now[kind].update(item[kind])
+            for name in item["gone"].get(kind, ()):
+                self.now[kind].pop(name, None)
+
+    def take_part(self, part: Mapping[str, Any]) -> None:
+        """Take a look at links and contexts, as the operation `part` has them."""
+        for name, one in part["connectors"].items():
+            if (trip := one["ledger"]["round_trip_ns"]) is not None:
+                self.trips[name] = round(trip / 1e6, 3)
+        for name, one in part["contexts"].items():
+            missed = one["statistics"]["missed"]
+            self.late[name] = max(missed, key=missed.__getitem__) if missed else ""
+
+    def edge(self, names: Sequence[str]) -> Row | None:
+        """The figures of the connectors that one edge stands for: sums, and the largest age and round trip."""
+        rows = [row for name in names if (row := self._connector(name)) is not None]
+        if len(rows) < 2:
+            return rows[0] if rows else None
+        reasons: Counter[str] = Counter()
+        for row in rows:
+            reasons.update(row[4] or {})
+        sums = [
+            _digits(sum(row[at] or 0 for row in rows)) if at in (0, 3) else sum(row[at] for row in rows)
+            for at in range(4)
+        ]
+        largest = [max((row[at] for row in rows if row[at] is not None), default=None) for at in (5, 6)]
+        return [*sums, dict(reasons) or None, *largest]
+
+    def _connector(self, name: str) -> Row | None:
+        """The rate in Hz, drops, samples that wait, drops a second and by reason, the age and the round trip in ms."""
+        counted = self.now["connectors"].get(name)
+        if counted is None:
+            return None
+        written, _, buffered, dropped, _ = counted
+        lost, rate, losing = sum(dropped.values()), None, 0.0
+        if (before := self._before(name)) is not None:
+            at_ns, (written_then, _, _, dropped_then, _) = before
+            seconds = (self.at_ns - at_ns) / 1e9
+            rate = _digits((written - written_then) / seconds)
+            losing = _digits((lost - sum(dropped_then.values())) / seconds)
+        return [rate, lost, buffered, losing, dropped or None, self._age_ms(name), self.trips.get(name)]
+
+    def is_lossy(self, name: str) -> bool:
+        """Whether the connector has dropped samples."""
+        counted = self.now["connectors"].get(name)
+        return counted is not None and bool(counted[3])
+
+    def _before(self, name: str) -> tuple[int, Any] | None:
+        for at_ns, counted in self._earlier:
+            if name in counted and at_ns < self.at_ns:
+                return at_ns, counted[name]
+        return None
+
+    def _age_ms(self, name: str) -> float | None:
+        spans = self.now["timed"].get(name, {}).get("age")
+        return None if spans is None else round(spans[1] / 1e6, 3)
+
+    def box(self, name: str) -> Row | None:
+        """The state of a component, and what is said of it."""
+        found = self.now["components"].get(name)
+        if found is None:
+            return None
+        states, overdue = found["states"], found.get("overdue") or {}
+        return [state_of(states, failed=found["failed"]), said_of(states, overdue)]
+
+    def frame(self, context: str) -> Row | None:
+        """The lateness of a context in ms (p99; None without a rate), its overruns, and what made it late most."""
+        found = self.now["contexts"].get(context)
+        if found is None:
+            return None
+        late = round(found["lateness_p99_ns"] / 1e6, 1) if found["rate"] else None
+        return [late, found["overruns"], self.late.get(context, "")]
+
+
+def _digits(value: float) -> float:
+    """Three digits: more would flicker."""
+    return float(f"{value:.3g}")
+
+
+def different(rows: Mapping[int, Row], told: dict[int, Row], wanted: Iterable[int]) -> dict[int, Row]:
+    """The rows that a page has in view and was not told; they count as told from then on."""
+    found = {number: rows[number] for number in wanted if number in rows and told.get(number) != rows[number]}
+    told.update(found)
+    return found

@@ -1,0 +1,268 @@
+"""The scene of the page: frames, boxes and edges of all kernels, with places.
+
+Pure: profiles and changes come in, messages to pages come out. Every thing has a number that stays while it is there,
+and over a restart of its kernel.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from itertools import count
+from typing import Any, Final, TypeAlias
+
+from aiorts_studio.watching.graph import FOLDED, Graph, side_of
+from aiorts_studio.watching.layout import Key, Layout, Route, Spot, meets
+from aiorts_studio.watching.view import View
+from aiorts_studio.watching.words import class_of, context_said, error_of, link_state, policy_of, said_of, state_of
+
+Message: TypeAlias = dict[str, Any]
+Thing: TypeAlias = dict[str, Any]
+
+KINDS: Final = ("frames", "boxes", "edges")
+_INFRASTRUCTURE: Final = frozenset(("FlexiDump", "FlexiLogger"))
+"""Classes of components that only look on."""
+_PAD: Final = 16.0
+"""Between the frame of a kernel and those of its contexts."""
+
+
+class Scene:
+    """The things of all kernels that are watched.
+
+    Attributes:
+        views: the kernels by key.
+        things: what pages show, by kind and number.
+        connectors: by the key of a kernel, the number of the edge of each connector whose figures the edge has.
+        numbers: the number of each thing by key.
+    """
+
+    def __init__(self) -> None:
+        self.views: dict[str, View] = {}
+        self.things: dict[str, dict[int, Thing]] = {kind: {} for kind in KINDS}
+        self.connectors: dict[str, dict[str, int]] = {}
+        self.numbers: dict[Key, int] = {}
+        self._next = count(1)
+        self._graph = Graph({})
+        self._layout = Layout()
+        self._routes: dict[Key, Route] = {}
+        self._told: list[Thing] = []
+        self._folded: set[Key] = set()
+        self._moved: dict[Key, tuple[float, float]] = {}
+        """Places that boxes were given by hand."""
+        self._tidy = True
+
+    def number(self, *key: str) -> int:
+        """The number of a thing; the same for the same thing."""
+        if key not in self.numbers:
+            self.numbers[key] = next(self._next)
+        return self.numbers[key]
+
+    # -- what pages do with it -------------------------------------------------------------------------------------
+
+    def tidy(self) -> None:
+        """Place all anew when it is drawn next."""
+        self._tidy = True
+
+    def move(self, number: int, x: float, y: float) -> None:
+        """Put a box where there is room next to a place, when it is drawn next."""
+        for key in self._layout.spots:
+            if self.numbers.get(key) == number:
+                self._moved[key] = x, y
+
+    def fold(self, number: int, *, on: bool) -> None:
+        """Have one box stand for all that is in a frame, or no longer, when it is drawn next."""
+        for key, known in self.numbers.items():
+            if known == number and key[0] == "frame":
+                (self._folded.add if on else self._folded.discard)(key)
+                self._tidy = True
+
+    # -- what pages are told ---------------------------------------------------------------------------------------
+
+    def picture(self) -> Message:
+        """All things, for a page that comes."""
+        made = {kind: list(self.things[kind].values()) for kind in KINDS}
+        return {"t": "picture", "kernels": self.kernels(), **made, "missed": 0}
+
+    def kernels(self) -> list[Thing]:
+        """The kernels, as pages have them."""
+        return [{**view.about, "address": view.address} for view in self.views.values()]
+
+    async def draw(self) -> Message | None:
+        """Bring the things up to date; the change to tell, or None where there is none.
+
+        What is laid out anew is laid out in a thread: 1,000 boxes take some tenths of a second.
+        """
+        graph = self._graph = Graph(self.views, self._folded)
+        tidy, self._tidy = self._tidy, False
+        if tidy or not self._adapt(graph):
+            self._layout, self._routes = await asyncio.to_thread(_laid_out, graph, dict(self._moved))
+        self.connectors = {key: {} for key in self.views}
+        for key, bundle in graph.bundles.items():
+            writer = bundle[0][0]
+            for view, name in bundle:
+                if view is writer:  # the reader's end of a link counts the same samples again
+                    self.connectors.setdefault(view.key, {})[name] = self.number(*key)
+        return self._change()
+
+    def _change(self) -> Message | None:
+        message: Message = {"t": "change"}
+        gone: dict[str, list[Any]] = {}
+        for kind, things in {"frames": self._frames(), "boxes": self._boxes(), "edges": self._edges()}.items():
+            before = self.things[kind]
+            different = [one for number, one in things.items() if before.get(number) != one]
+            if different:
+                message[kind] = different
+            if left := [number for number in before if number not in things]:
+                gone[kind] = left
+            self.things[kind] = things
+        kernels, told = self.kernels(), {one["address"]: one for one in self._told}
+        if changed := [one for one in kernels if told.get(one["address"]) != one]:
+            message["kernels"] = changed
+        there = {one["address"] for one in kernels}
+        if ended := [address for address in told if address not in there]:
+            gone["kernels"] = ended
+        self._told = kernels
+        if gone:
+            message["gone"] = gone
+        return message if len(message) > 1 else None
+
+    def _adapt(self, graph: Graph) -> bool:
+        """Put in what is different and leave all else where it stands; False: it is to be laid out anew."""
+        layout, again = self._layout, set[Key]()
+        for key in [key for key in layout.spots if key not in graph.spots]:
+            layout.remove(key)
+        for key in [key for key in self._routes if key not in graph.edges]:
+            layout.forget(key)
+            del self._routes[key]
+        groups = graph.bands()
+        new = [spot for key, spot in graph.spots.items() if not _is_placed(layout.spots.get(key), spot)]
+        placed = [key for key in self._moved if key in layout.spots and self._moved[key] != layout.moved.get(key)]
+        for spot in new:
+            layout.remove(spot.key)
+            before = [edge.source for edge in graph.edges.values() if edge.target == spot.key]
+            after = [edge.target for edge in graph.edges.values() if edge.source == spot.key]
+            if not layout.add(spot, groups[spot.band], before, after):
+                return False
+        for key in placed:
+            layout.move(key, *self._moved[key])
+        moved = {*(spot.key for spot in new), *placed}
+        for edge in graph.edges.values():
+            if edge.source in moved or edge.target in moved or edge.key not in self._routes:
+                again.add(edge.key)
+        for key in moved:
+            again.update(one for one, route in self._routes.items() if meets(route, layout.spots[key]))
+        for key in again:
+            self._routes[key] = layout.route(graph.edges[key])
+        return True
+
+    # -- things as pages have them ---------------------------------------------------------------------------------
+
+    def _frames(self) -> dict[int, Thing]:
+        made: dict[int, Thing] = {}
+        layout = self._layout
+        for view in self.views.values():
+            bands = [(key, band) for key, band in layout.bands.items() if layout.groups.get(key) == view.key]
+            if not bands:
+                continue
+            key: Key = ("frame", view.key)
+            number, top = self.number(*key), bands[0][1].top
+            bottom = bands[-1][1].top + bands[-1][1].height
+            place = {"x": -_PAD, "y": top - 44.0, "w": layout.right + 2 * _PAD, "h": bottom - top + 44.0 + _PAD}
+            said = f"process {view.about['pid']} on {view.about['host']}"
+            made[number] = self._frame(key, "kernel", view, view.about["name"], said, place, None)
+            for band, extent in bands:
+                context = band[2]
+                key = ("frame", view.key, context)
+                report = view.contexts.get(context)
+                apart = view.processes_of(() if report is None else report["members"])
+                said = context_said(report) + "".join(f" · process {pid}" for pid in apart)
+                place = {"x": 0.0, "y": extent.top, "w": layout.right, "h": extent.height}
+                kind, name = "process" if apart else "context", context or "in no context"
+                made[self.number(*key)] = self._frame(key, kind, view, name, said, place, number)
+        return made
+
+    def _frame(self, key: Key, kind: str, view: View, name: str, said: str, place: Thing, parent: int | None) -> Thing:
+        about = {"id": self.number(*key), "kind": kind, "kernel": view.address, "name": name, "said": said}
+        return {**about, **place, "parent": parent, "folded": key in self._folded}
+
+    def _boxes(self) -> dict[int, Thing]:
+        made: dict[int, Thing] = {}
+        for key, spot in self._layout.spots.items():
+            view, number = self.views.get(key[1]), self.number(*key)
+            if view is None:
+                continue
+            frame = ("frame", *key[1:]) if key[0] == FOLDED else ("frame", view.key, spot.band[2])
+            place = {
+                "id": number, "kernel": view.address, "name": spot.title, "frame": self.number(*frame),
+                "x": round(spot.x, 1), "y": round(spot.y, 1), "w": round(spot.w, 1), "h": spot.h,
+            }  # fmt: skip
+            box = _box(view, key[2], spot) if key[0] == "box" else _other_box(spot, key[0])
+            made[number] = {**place, **box}
+        return made
+
+    def _edges(self) -> dict[int, Thing]:
+        made: dict[int, Thing] = {}
+        for key, edge in self._graph.edges.items():
+            bundle, route, number = self._graph.bundles[key], self._routes[key], self.number(*key)
+            view, name = bundle[0]
+            report = view.connectors.get(name)
+            is_link = report is not None and report["options"]["on_link_lost"] is not None
+            links = [found for one, there in bundle if (found := one.service("links").get(there))]
+            count = sum(one is view for one, _ in bundle)
+            policy = "service" if report is None else policy_of(report["options"])
+            made[number] = {
+                "id": number, "kernel": view.address, "name": name,
+                "from": [self.number(*edge.source), edge.out], "to": [self.number(*edge.target), edge.into],
+                "points": [list(point) for point in route.points], "label": list(route.label),
+                "policy": policy if count == 1 else f"{count} connectors",
+                "state": link_state(links) if is_link else "up", "why": "; ".join(one for one in links if one != "up"),
+                "link": is_link, "bundle": count,
+            }  # fmt: skip
+        return made
+
+
+def _laid_out(graph: Graph, moved: Mapping[Key, tuple[float, float]]) -> tuple[Layout, dict[Key, Route]]:
+    layout = Layout()
+    layout.place(list(graph.spots.values()), list(graph.edges.values()), graph.bands())
+    for key, (x, y) in moved.items():
+        if key in layout.spots:
+            layout.move(key, x, y)
+    return layout, {key: layout.route(edge) for key, edge in graph.edges.items()}
+
+
+def _is_placed(old: Spot | None, new: Spot) -> bool:
+    """Whether a box has a place that is good for what it is to be; its texts are brought up to date."""
+    if old is None or (old.band, old.inputs, old.outputs) != (new.band, new.inputs, new.outputs):
+        return False
+    old.title, old.kind = new.title, new.kind
+    return True
+
+
+def _other_box(spot: Spot, kind: str) -> Thing:
+    """A box that stands for others: a frame that is folded, or an end whose kernel is not watched."""
+    sides = (("in", spot.inputs), ("out", spot.outputs))
+    ports = [
+        {"name": name, "side": side, "kind": "data", "type": "", "unit": "", "y": spot.port_y(name, out=side == "out")}
+        for side, names in sides
+        for name in names
+    ]
+    kind = "remote" if kind == "far" else kind
+    about = {"type": spot.kind, "kind": kind, "state": "", "said": "", "error": None, "infrastructure": False}
+    return {**about, "ports": ports}
+
+
+def _box(view: View, name: str, spot: Spot) -> Thing:
+    report = view.components[name]
+    ports = [
+        {
+            "name": one["name"], "side": side_of(one), "kind": "service" if one["direction"] == "service" else "data",
+            "type": one["type"], "unit": one["unit"] or "", "y": spot.port_y(one["name"], out=side_of(one) == "out"),
+        }
+        for one in report["ports"].values()
+    ]  # fmt: skip
+    kind, failed = class_of(report["type"]), report["last_error"] is not None
+    return {
+        "type": kind, "kind": "component", "state": state_of(report["states"], failed=failed),
+        "said": said_of(report["states"], report["overdue"]), "error": error_of(report["last_error"]),
+        "infrastructure": kind in _INFRASTRUCTURE, "ports": ports,
+    }  # fmt: skip

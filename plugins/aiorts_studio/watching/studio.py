@@ -1,0 +1,306 @@
+"""All that is watched, and the pages that see it."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+from anyio import to_thread
+
+from aiorts.errors import AiortsError, NoAnswerError
+from aiorts.sessions import AsyncClient, Entry, entries
+from aiorts_studio.values import json_out
+from aiorts_studio.watching.feeds import happening
+from aiorts_studio.watching.figures import Row, different
+from aiorts_studio.watching.page import FAR, Page
+from aiorts_studio.watching.plots import Shown, Tap
+from aiorts_studio.watching.recording import Recorder
+from aiorts_studio.watching.scene import Scene
+from aiorts_studio.watching.view import View, about
+from aiorts_studio.watching.watch import Follower, Watch
+
+PAGES: Final = 16
+"""Pages at once."""
+_LOOK: Final = 0.5
+"""Seconds between looks for kernels that begin: a folder tells nobody what comes into it, and a page is open."""
+_DRAW: Final = 0.05
+"""Seconds in which changes are gathered before the scene is drawn: 1,000 components come one by one."""
+_SETTLES: Final = 0.5
+"""Seconds without a change after which a kernel that has just begun is laid out once more."""
+_OPEN: Final = 3.0
+_MINUTE: Final = 60 * 10**9
+_KEPT: Final = 500
+"""Changes of the last minute that are kept."""
+_FORGOTTEN: Final = 60.0
+"""Seconds for which a kernel that has ended is shown."""
+
+
+class Studio:
+    """Watches kernels while pages are open; without one it asks nothing of them.
+
+    Args:
+        names: names or addresses of the kernels to watch; none is all of this user, also those that begin later.
+        files: the folder where recordings go; None: nothing is recorded, and pages are told why.
+
+    Attributes:
+        scene: what pages show.
+        pages: the pages that are open.
+        recorder: records what pages ask for.
+    """
+
+    def __init__(self, names: Sequence[str] = (), files: Path | None = None, why_no_files: str = "") -> None:
+        self.scene = Scene()
+        self.pages: set[Page] = set()
+        self.recorder = Recorder(files, why_no_files, self._tell)
+        self._coming = 0
+        self._names = names
+        self._working: asyncio.Task[None] | None = None
+        self._sessions: dict[str, asyncio.Task[None]] = {}
+        """By the epoch of a kernel, its watching; done where it has ended, and its file is still there."""
+        self._watches: dict[str, Watch] = {}
+        """By the key of the view."""
+        self._followers: dict[Follower, None] = {}
+        self._taps: dict[tuple[str, str], Tap] = {}
+        self._history: deque[dict[str, Any]] = deque(maxlen=_KEPT)
+        self._dirty, self._drawn = asyncio.Event(), asyncio.Event()
+
+    # -- pages -----------------------------------------------------------------------------------------------------
+
+    async def join(self, page: Page) -> None:
+        """Have a page told all that is there, and what changes from then on."""
+        self._coming += 1
+        if self._working is None:
+            self._drawn.clear()
+            self._working = asyncio.create_task(self._work(), name="studio")
+        try:
+            with suppress(TimeoutError):  # then it begins with what is there
+                async with asyncio.timeout(_LOOK):
+                    await self._drawn.wait()
+        finally:
+            self._coming -= 1
+        self.pages.add(page)
+        page.put(self.scene.picture())
+        page.put({"t": "history", "items": list(self._history)})
+        page.put(self.recorder.state())
+        page.look(self.scene.things)
+
+    async def leave(self, page: Page) -> None:
+        """Forget a page; with the last one the watching ends."""
+        self.pages.discard(page)
+        if not self.pages and not self._coming:
+            await self.close()
+
+    async def close(self) -> None:
+        """End the watching."""
+        await self.recorder.close()
+        tasks = [*self._sessions.values(), *([self._working] if self._working is not None else [])]
+        self._working = None
+        self._sessions = {}
+        for task in tasks:
+            task.cancel()
+        if tasks:
+            await asyncio.wait(tasks)
+
+    def see(self, page: Page, rect: tuple[float, float, float, float], scale: float) -> None:
+        """A page has this in view; it is told its figures at once."""
+        if page.is_far != (scale < FAR):
+            page.told["e"].clear()
+        page.rect, page.scale = rect, scale
+        page.look(self.scene.things)
+        for watch in self._watches.values():
+            self._tell_figures(watch, (page,))
+
+    # -- what pages ask for ----------------------------------------------------------------------------------------
+
+    def follow(self, one: Follower) -> None:
+        """Have a follower follow the kernels that it is about, now and when they begin."""
+        self._followers[one] = None
+        for watch in self._watches.values():
+            watch.start(one)
+
+    def unfollow(self, one: Follower) -> None:
+        """End a follower."""
+        if one in self._followers:
+            del self._followers[one]
+            for watch in self._watches.values():
+                watch.stop(one)
+
+    def show(self, kernel: str, path: str, shown: Shown) -> None:
+        """Have a page told the values of a port."""
+        tap = self._taps.get((kernel, path))
+        if tap is not None:
+            tap.shown.append(shown)
+            return
+        tap = self._taps[kernel, path] = Tap(kernel, path)
+        tap.shown.append(shown)
+        self.follow(tap)
+
+    def hide(self, kernel: str, path: str, shown: Shown) -> None:
+        """Tell a page the values of a port no longer."""
+        shown.close()
+        tap = self._taps.get((kernel, path))
+        if tap is not None and shown in tap.shown:
+            tap.shown.remove(shown)
+            if not tap.shown:
+                del self._taps[kernel, path]
+                self.unfollow(tap)
+
+    # -- kernels ---------------------------------------------------------------------------------------------------
+
+    async def _work(self) -> None:
+        looking = asyncio.create_task(self._look(), name="studio kernels")
+        try:
+            while True:
+                await self._dirty.wait()
+                await asyncio.sleep(_DRAW)
+                self._dirty.clear()
+                change = await self.scene.draw()
+                self._drawn.set()
+                if change is not None:
+                    self._tell(change)
+                    for page in self.pages:
+                        page.look(self.scene.things)
+        finally:
+            looking.cancel()
+
+    async def _look(self) -> None:
+        while True:
+            found: Sequence[Entry] = ()
+            with suppress(AiortsError):  # the folder is not safe: nothing in it is watched
+                found = await to_thread.run_sync(entries)
+            wanted = [one for one in found if not self._names or one.name in self._names or one.address in self._names]
+            for entry in wanted:
+                if entry.epoch not in self._sessions:
+                    self._sessions[entry.epoch] = asyncio.create_task(self._watch(entry), name="studio watch")
+            there = {one.epoch for one in wanted}
+            self._sessions = {epoch: one for epoch, one in self._sessions.items() if epoch in there or not one.done()}
+            self._forget()
+            if not wanted:
+                self._drawn.set()
+            await asyncio.sleep(_LOOK)
+
+    async def _watch(self, entry: Entry) -> None:
+        """Watch one kernel until it ends; one that does not answer is tried again and again."""
+        while True:
+            try:
+                client = await AsyncClient.open(entry, timeout=_OPEN, who="aiorts studio", right="view")
+            except NoAnswerError as error:
+                self._view(entry, "").say("silent", str(error))
+                self.changed()
+                continue
+            except AiortsError:
+                return  # it has just ended, or lets nobody look
+            view = self._view(entry, client.hello["lasting"])
+            watch = self._watches[view.key] = Watch(client, view, self, self._followers)
+            settling = asyncio.create_task(self._settle(view), name="studio layout")
+            try:
+                await watch.run()
+            finally:
+                settling.cancel()
+                await client.aclose()
+            return
+
+    def _view(self, entry: Entry, lasting: str) -> View:
+        """The view of a kernel: of the one that it was before a restart, where it is the same again."""
+        views = self.scene.views
+        view = views.get(entry.address)
+        for one in views.values():
+            if view is None and lasting and one.lasting == lasting and one.about["state"] == "ended":
+                view = one
+        if view is None:
+            view = views[entry.address] = View(entry.address, entry.address, about(entry))
+        view.address, view.lasting = entry.address, lasting or view.lasting
+        view.about.update(name=entry.name, pid=entry.pid)
+        return view
+
+    async def _settle(self, view: View) -> None:
+        """Lay a kernel that has just begun out once more when it is assembled: what came one by one stands in a row."""
+        while not view.settled:
+            count = view.changes
+            await asyncio.sleep(_SETTLES)
+            if view.changes == count and view.components:
+                view.settled = True
+                self.tidy()
+
+    def _forget(self) -> None:
+        """Forget kernels that ended long ago."""
+        now = time.monotonic()
+        for key, view in list(self.scene.views.items()):
+            if view.about["state"] == "ended" and now > view.answered + _FORGOTTEN:
+                del self.scene.views[key]
+                self._watches.pop(key, None)
+                self.changed()
+
+    # -- what pages are told ---------------------------------------------------------------------------------------
+
+    def move(self, number: int, x: float, y: float) -> None:
+        """Put a box elsewhere."""
+        self.scene.move(number, x, y)
+        self.changed()
+
+    def fold(self, number: int, *, on: bool) -> None:
+        """Fold a frame into one box, or unfold it."""
+        self.scene.fold(number, on=on)
+        self.changed()
+
+    def tidy(self) -> None:
+        """Lay all out anew."""
+        self.scene.tidy()
+        self.changed()
+
+    def changed(self) -> None:
+        """Draw the scene anew, soon."""
+        self._dirty.set()
+
+    def happened(self, watch: Watch, item: Mapping[str, Any]) -> None:
+        """Keep a change of a profile for the pages that come within a minute."""
+        now = time.time_ns()
+        self._history.append(happening(watch.view.address, item["kind"], item["event"], now))
+        while self._history and self._history[0]["at_ns"] < now - _MINUTE:
+            self._history.popleft()
+
+    def counted(self, watch: Watch) -> None:
+        """Tell pages the figures of a kernel."""
+        self._tell_figures(watch, tuple(self.pages))
+
+    def _tell(self, message: Mapping[str, Any]) -> None:
+        text = json_out(message).decode() if self.pages else ""
+        for page in self.pages:
+            page.put(text)
+
+    def _tell_figures(self, watch: Watch, pages: Sequence[Page]) -> None:
+        """Tell each page the figures that it has in view and was not told."""
+        if not pages or not watch.figures.at_ns:
+            return
+        figures, key = watch.figures, watch.view.key
+        edges: dict[int, list[str]] = {}
+        for name, number in self.scene.connectors.get(key, {}).items():
+            if name in figures.now["connectors"]:
+                edges.setdefault(number, []).append(name)
+        wanted = frozenset[int]().union(*(page.seen["e"] for page in pages if not page.is_far))
+        near = {number: row for number in wanted & edges.keys() if (row := figures.edge(edges[number])) is not None}
+        far: dict[int, Row] = {number: [int(any(map(figures.is_lossy, names)))] for number, names in edges.items()}
+        boxes = self._rows("box", key, figures.now["components"], figures.box)
+        frames = self._rows("frame", key, figures.now["contexts"], figures.frame)
+        for page in pages:
+            rows, seen = (far, frozenset(far)) if page.is_far else (near, page.seen["e"])
+            message = {
+                "e": different(rows, page.told["e"], seen),
+                "b": different(boxes, page.told["b"], page.seen["b"]),
+                "f": different(frames, page.told["f"], frames),
+            }
+            if any(message.values()):
+                page.put({"t": "figures", "at": {watch.view.address: figures.at_ns}, **message})
+
+    def _rows(self, kind: str, key: str, names: Mapping[str, Any], row: Callable[[str], Row | None]) -> dict[int, Row]:
+        numbers = self.scene.numbers
+        return {
+            number: found
+            for name in names
+            if (number := numbers.get((kind, key, name))) is not None and (found := row(name)) is not None
+        }

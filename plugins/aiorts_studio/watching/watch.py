@@ -1,0 +1,173 @@
+"""One kernel that is watched: its session, its profile as it changes, and its counters while a page looks."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from typing import Any, Final, Protocol
+
+from aiorts.errors import AiortsError, NoAnswerError
+from aiorts.sessions import END, AsyncClient, AsyncStream
+from aiorts_studio.watching.figures import Figures
+from aiorts_studio.watching.view import View
+
+RATE: Final = 5.0
+"""Looks a second at the counters of a kernel."""
+_SILENT: Final = 2.5
+"""Seconds without counters after which a kernel is said not to answer: the page says so within 3 s."""
+
+
+_PAUSE: Final = 1.0
+"""Seconds between looks at what no stream tells."""
+_LINKS: Final = 64
+"""Links whose round trip is looked at."""
+
+
+class Told(Protocol):
+    """Who is told of what a kernel says."""
+
+    def changed(self) -> object:
+        """Take that the view is other than before."""
+
+    def counted(self, watch: Watch) -> object:
+        """Take that there are new figures."""
+
+    def happened(self, watch: Watch, item: Mapping[str, Any]) -> object:
+        """Take a change of the profile, as the kernel tells it."""
+
+
+class Follower(Protocol):
+    """Follows a kernel for as long as its session lasts."""
+
+    kernel: str
+    """The address of the kernel that it is about; "" is any."""
+
+    async def run(self, watch: Watch) -> None:
+        """Follow it; the session's end ends it, too."""
+
+
+class Watch:
+    """Watches one kernel until its session ends.
+
+    Args:
+        session: with the kernel.
+        view: is kept up to date with what the kernel says.
+        told: is called with what is new.
+        followers: what follows kernels now.
+
+    Attributes:
+        figures: the counters, while the kernel answers.
+    """
+
+    def __init__(self, session: AsyncClient, view: View, told: Told, followers: Iterable[Follower]) -> None:
+        self.session, self.view = session, view
+        self.figures = Figures()
+        self._told, self._followers = told, followers
+        self._following: dict[Follower, asyncio.Task[None]] = {}
+
+    async def run(self) -> None:
+        """Watch it until its session ends."""
+        try:
+            async with self.session.stream("changes") as changes:
+                self._take_snapshot(changes.began)
+                await self._follow(changes)
+        except AiortsError as error:
+            self._say("ended", str(error))
+        else:
+            self._say("ended", "has ended")
+
+    async def _follow(self, changes: AsyncStream) -> None:
+        for one in self._followers:
+            self.start(one)
+        own = [asyncio.create_task(one(), name="studio watch") for one in (self._count, self._look)]
+        try:
+            async for item in changes:
+                self._take(item)
+        finally:
+            tasks = [*own, *self._following.values()]
+            self._following = {}
+            for task in tasks:
+                task.cancel()
+            for done in await asyncio.gather(*tasks, return_exceptions=True):
+                if isinstance(done, Exception) and not isinstance(done, AiortsError):
+                    raise done
+
+    def start(self, one: Follower) -> None:
+        """Have a follower follow this kernel from now on, if it is about it."""
+        if self.session.is_open and one.kernel in ("", self.view.address):
+            self._following[one] = asyncio.create_task(one.run(self), name="studio follower")
+
+    def stop(self, one: Follower) -> None:
+        """End a follower here."""
+        if (task := self._following.pop(one, None)) is not None:
+            task.cancel()
+
+    # -- its profile -----------------------------------------------------------------------------------------------
+
+    def _take(self, item: Mapping[str, Any]) -> None:
+        if item["kind"] == "ProfileSnapshot":
+            self._take_snapshot(item)
+            return
+        for part in item["parts"]:
+            known, name, now = self.view.profile[part["section"]], part["name"], part["now"]
+            if now is None:
+                known.pop(name, None)
+            else:
+                known[name] = now
+        self.view.changes += 1
+        self._told.happened(self, item)
+        self._told.changed()
+
+    def _take_snapshot(self, item: Mapping[str, Any]) -> None:
+        profile = item["profile"]
+        self.view.profile = profile
+        self.view.changes += 1
+        self.view.about["simulated"] = profile["clock"]["kind"] == "SimulatedClock"
+        self._told.changed()
+        self._say("live", "")
+
+    # -- its figures -----------------------------------------------------------------------------------------------
+
+    async def _count(self) -> None:
+        async with self.session.stream("counters", rate=RATE) as stream:
+            while (item := await self._next(stream)) is not END:
+                self.figures.take(item)
+                self._told.counted(self)
+
+    async def _next(self, stream: AsyncStream) -> Any:
+        """The next item; while there is none the kernel is said not to answer."""
+        while True:
+            try:
+                item = await stream.next(timeout=_SILENT)
+            except NoAnswerError:
+                self._say("silent", "does not answer")
+            else:
+                self.view.answered = time.monotonic()
+                self._say("live", "")
+                return item
+
+    async def _look(self) -> None:
+        """Look at what no stream tells: states and round trips of links, and who made contexts late."""
+        overruns: dict[str, int] = {}
+        while True:
+            links = [name for name, one in self.view.connectors.items() if one["options"]["on_link_lost"] is not None]
+            counted = {name: one["overruns"] for name, one in self.figures.now["contexts"].items()}
+            late = [name for name, count in counted.items() if count > overruns.get(name, 0)]
+            overruns = counted
+            if links or late:
+                with suppress(NoAnswerError):
+                    self._take_part(await self.session.call("part", connectors=links[:_LINKS], contexts=late))
+            await asyncio.sleep(_PAUSE)
+
+    def _take_part(self, part: Mapping[str, Any]) -> None:
+        self.figures.take_part(part)
+        services = self.view.profile.setdefault("services", {})
+        if services.get("links", {}) != part["links"]:
+            services["links"] = part["links"]
+            self._told.changed()
+
+    def _say(self, state: str, why: str) -> None:
+        if self.view.say(state, why):
+            self._told.changed()

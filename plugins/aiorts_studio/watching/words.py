@@ -1,0 +1,65 @@
+"""What a page says of components, connectors, contexts and links, in words."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+from aiorts.model.lifecycle import state_text
+
+_PLACE: Final = re.compile(r"\(([^()\s]+\.py):(\d+)\)")
+
+
+def state_of(states: Mapping[str, str], *, failed: bool) -> str:
+    """The state of a component in one word, by its states in its contexts."""
+    if failed:
+        return "error"
+    found = set(states.values())
+    return "active" if "active" in found else next(iter(states.values()), "inactive")
+
+
+def said_of(states: Mapping[str, str], overdue: Mapping[str, Any]) -> str:
+    """What is to be said of the state beside its word: a hook over its deadline, states that differ; "" is nothing."""
+    return state_text(states, overdue) if overdue or len(set(states.values())) > 1 else ""
+
+
+def error_of(text: str | None) -> dict[str, Any] | None:
+    """The last error of a component, with the place that its text names."""
+    if text is None:
+        return None
+    found = _PLACE.search(text)
+    place = {"file": found[1], "line": int(found[2])} if found else {}
+    return {"message": text, **place}
+
+
+def policy_of(options: Mapping[str, Any]) -> str:
+    """The options of a connector in a few words."""
+    words = [options["subscription"]]
+    if options["subscription"] != "new" and options["push"] not in ("all", None):
+        words.append(f"push {options['push']}")
+    if options["push_rate"]:
+        words.append(f"{options['push_rate']:g} Hz")
+    words += [f"{options['length']} long", options["full"]]
+    return ", ".join(words)
+
+
+def link_state(links: Iterable[str]) -> str:
+    """How far a link is, by what both of its ends say: "up", "waiting" or "down"."""
+    states = {one.partition(":")[0] for one in links}
+    if states <= {"up"}:
+        return "up"
+    return "waiting" if any(one.startswith("connecting") for one in states) else "down"
+
+
+def context_said(report: Mapping[str, Any] | None) -> str:
+    """What an execution context is: its kind, and its rate in Hz."""
+    if report is None:
+        return ""
+    kind = report["kind"]
+    return f"{kind}, {report['rate']:g} Hz" if report["rate"] else str(kind)
+
+
+def class_of(type_text: str) -> str:
+    """The name of a class without its module."""
+    return type_text.rpartition(":")[2].rpartition(".")[2]

@@ -1,0 +1,32 @@
+"""A browser for each module; without Chromium or playwright the tests here are skipped, and say so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from browser_parts import CHROMIUM, browser
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    """Headless Chromium."""
+    if CHROMIUM is None:
+        pytest.skip("NOT RUN: there is no chromium on this machine")
+    if find_spec("playwright") is None:
+        pytest.skip("NOT RUN: playwright, of the extra dev, is not installed")
+    with browser() as started:
+        yield started
+
+
+@pytest.fixture(scope="session")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the screenshots of this run are."""
+    return tmp_path_factory.mktemp("pictures")
