@@ -28,13 +28,21 @@ TRACK: Final = 12.0
 LABEL: Final = 104.0
 """Room for the figures of an edge before its in-port."""
 BAND_HEAD: Final = 48.0
-BAND_FOOT: Final = 24.0
+BAND_FOOT: Final = 32.0
+_FOOT: Final = BAND_FOOT - ROW
+"""The least room below the boxes of a band: each may have one port more, and no other moves."""
+_NEAR: Final = GAP - ROW
+"""The least room between two boxes of a column."""
 BAND_GAP: Final = 12.0
 GROUP_HEAD: Final = 44.0
 """Height of the title of a group of bands."""
 GROUP_GAP: Final = 28.0
 LEFT: Final = 28.0
 _STEP: Final = 16.0
+_CLEAR: Final = 14.0
+"""Between a column and the first edge that runs down beside it."""
+_WIDER: Final = _CLEAR - 6.0
+"""By how much a box that comes later may be wider than its column: edges run down right of it all the same."""
 _MARGIN: Final = 10.0
 """Between an edge that runs across, and the boxes above and below it."""
 _FARTHEST: Final = 4_000
@@ -206,7 +214,7 @@ class Layout:
     # -- one more, and nothing else moves --------------------------------------------------------------------------
 
     def add(self, spot: Spot, group: str, before: Iterable[Key] = (), after: Iterable[Key] = ()) -> bool:
-        """Place one box more.
+        """Place one box more, or one that has other ports now: at its old place where that has room.
 
         Args:
             group: of its band, where that is new.
@@ -215,6 +223,8 @@ class Layout:
         Returns:
             Whether it has a place. Else its band is new and cannot stand at the end: all are to be placed anew.
         """
+        old = self.spots.get(spot.key)
+        self.remove(spot.key)
         if spot.band not in self.bands:
             last = next(reversed(self.bands), None)
             if last is not None and group in self.groups.values() and self.groups[last] != group:
@@ -222,23 +232,25 @@ class Layout:
             self.groups[spot.band] = group
             self.bands[spot.band] = Band(self._begin(spot.band), BAND_HEAD + spot.h + BAND_FOOT)
         sources, targets = ([self.spots[one] for one in side if one in self.spots] for side in (before, after))
-        if sources:
+        wish = [one.y for one in (*sources, *targets)]
+        if old is not None and old.band == spot.band:
+            spot.column, wish = old.column, [old.y]
+        elif sources:
             spot.column = max(one.column for one in sources) + 1
         elif targets:
             spot.column = max(0, min(one.column for one in targets) - 1)
         band = self.bands[spot.band]
-        wish = [one.y for one in (*sources, *targets)] or [band.top + BAND_HEAD]
+        wish = wish or [band.top + BAND_HEAD]
         y = None
         while y is None:  # the next column where this one is full; behind the last there is always room
             if spot.column >= len(self._lefts):
                 spot.column = len(self._lefts)
-                self._lefts.append(self._lefts[-1] + self._widths[-1] + LABEL + TRACK * 8 if self._lefts else LEFT)
-                self._widths.append(spot.w)
-            if spot.w <= self._widths[spot.column] + LABEL / 2:
-                low, high = band.top + BAND_HEAD, band.top + band.height - BAND_FOOT
+                self._begin_column(spot.w)
+            if spot.w <= self._widths[spot.column] + _WIDER:
+                low, high = band.top + BAND_HEAD, band.top + band.height - _FOOT
                 y = self._free(spot.column, sum(wish) / len(wish), spot.h, low, high)
             if y is None:
-                if spot.column == len(self._lefts) - 1 and band.height < BAND_HEAD + spot.h + BAND_FOOT:
+                if spot.column == len(self._lefts) - 1 and band.height < BAND_HEAD + spot.h + _FOOT:
                     return False  # higher than its band
                 spot.column += 1
         spot.y, spot.x = y, self._lefts[spot.column] + max(0.0, (self._widths[spot.column] - spot.w) / 2)
@@ -246,17 +258,24 @@ class Layout:
         insort(self._taken.setdefault(spot.column, []), (spot.y, spot.y + spot.h))
         return True
 
+    def _begin_column(self, width: float) -> None:
+        """Have one column more, at the right of all."""
+        self._lefts.append(self._lefts[-1] + self._widths[-1] + LABEL + TRACK * 8 if self._lefts else LEFT)
+        self._widths.append(width)
+
     def move(self, key: Key, x: float, y: float) -> None:
         """Put a box where there is room in its band, next to a place: `x` and `y` of its corner at the top left."""
         spot = self.spots[key]
         self.remove(key)
         self.moved[key] = x, y
         band = self.bands[spot.band]
-        low, high = band.top + BAND_HEAD, band.top + band.height - BAND_FOOT
+        low, high = band.top + BAND_HEAD, band.top + band.height - _FOOT
+        if x >= self._lefts[-1] + self._widths[-1]:
+            self._begin_column(spot.w)
         found = [
             (abs(left - x) + abs(free - y), column, left, free)
             for column in range(len(self._lefts))
-            if spot.w <= self._widths[column] + LABEL / 2
+            if spot.w <= self._widths[column] + _WIDER
             and (free := self._free(column, y, spot.h, low, high)) is not None
             and (left := self._lefts[column] + max(0.0, (self._widths[column] - spot.w) / 2)) is not None
         ]
@@ -273,7 +292,7 @@ class Layout:
 
     def _free(self, column: int, wanted: float, size: float, low: float, high: float) -> float | None:
         """The place nearest to `wanted` for a box of this height; None where there is none."""
-        margin = GAP / 2
+        margin = _NEAR
         taken = [one for one in self._taken.get(column, ()) if one[1] > low and one[0] < high]
         ends = [(low - margin, low - margin), *taken, (high + margin, high + margin)]
         room = [(end + margin, begin - margin - size) for (_, end), (begin, _) in pairwise(ends)]
@@ -312,8 +331,8 @@ class Layout:
         if channel < 0:
             return self._lefts[0] - LABEL - TRACK * (track + 1)
         right = self._lefts[channel] + self._widths[channel]
-        room = self._lefts[channel + 1] - right - LABEL - 14 if channel + 1 < len(self._lefts) else 1e6
-        return right + 14 + (track * TRACK) % max(room, TRACK)  # more than there is room for: over one another
+        room = self._lefts[channel + 1] - right - LABEL - _CLEAR if channel + 1 < len(self._lefts) else 1e6
+        return right + _CLEAR + (track * TRACK) % max(room, TRACK)  # more than there is room for: over one another
 
     def _run(self, over: tuple[int, int], key: Key, y1: float, y2: float) -> float:
         """A height that is free in all columns of a run, near to one of its ends: then it has a bend less."""
