@@ -41,6 +41,9 @@ class Figures:
             self.now[kind].update(item[kind])
             for name in item["gone"].get(kind, ()):
                 self.now[kind].pop(name, None)
+        for kept, kind in ((self.trips, "connectors"), (self.late, "contexts")):
+            for name in kept.keys() - self.now[kind].keys():
+                del kept[name]
 
     def take_part(self, part: Mapping[str, Any]) -> None:
         """Take a look at links and contexts, as the operation `part` has them."""

@@ -9,7 +9,7 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from aiorts.errors import AiortsError
+from aiorts.errors import AbsentError, AiortsError
 from aiorts.sessions import END
 from aiorts_studio.watching.page import Page
 
@@ -20,6 +20,8 @@ FASTEST: Final = 60.0
 """Messages a second of one plot."""
 _TEXTS: Final = 10.0
 """Whole values a second, of a watch without fields."""
+_DIGITS: Final = 10
+"""Digits of a place in a sequence are fewer."""
 Column: TypeAlias = tuple[float, float, float]
 """The time in s, the smallest and the largest value since the column before."""
 
@@ -29,7 +31,7 @@ def field_of(data: Any, path: str) -> float | None:
     for word in path.split(".") if path else ():
         if isinstance(data, Mapping):
             data = data.get(word)
-        elif isinstance(data, list | tuple) and word.isdecimal() and int(word) < len(data):
+        elif isinstance(data, list | tuple) and len(word) < _DIGITS and word.isdecimal() and int(word) < len(data):
             data = data[int(word)]
         else:
             return None
@@ -69,7 +71,7 @@ class Shown:
     """
 
     def __init__(self, page: Page, number: int, fields: Sequence[str], rate: float) -> None:
-        self.page, self.number = page, number
+        self.page, self.number, self._fields = page, number, fields
         self._columns = Columns(fields) if fields else None
         self._whole: Any = None
         self._pause = 1.0 / min(rate, FASTEST if fields else _TEXTS)
@@ -82,6 +84,8 @@ class Shown:
         """Take a sample; it is sent with those of the same column."""
         if self._began is None:
             self._began = seconds
+            if absent := [name for name in self._fields if field_of(data, name) is None]:
+                self.fail(AbsentError(f"no number in what came first: {', '.join(absent):.200}"))
         if self._columns is None:
             self._whole = data
         else:
@@ -116,14 +120,17 @@ class Tap:
 
     Attributes:
         shown: the watches.
+        failed: why nothing comes.
     """
 
     def __init__(self, kernel: str, path: str) -> None:
         self.kernel, self.path = kernel, path
         self.shown: list[Shown] = []
+        self.failed: AiortsError | None = None
 
     async def run(self, watch: Watch) -> None:
         """Follow the port until its kernel's session ends."""
+        self.failed = None
         try:
             component, _, port = self.path.partition(".")
             ports = watch.view.components.get(component, {}).get("ports", {})
@@ -132,6 +139,7 @@ class Tap:
             else:
                 await self._tap(watch)
         except AiortsError as error:
+            self.failed = error
             for one in self.shown:
                 one.fail(error)
 

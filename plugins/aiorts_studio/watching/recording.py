@@ -31,6 +31,7 @@ class Recorder:
     def __init__(self, folder: Path | None, why: str, tell: Callable[[Mapping[str, Any]], object]) -> None:
         self._folder, self._why, self._tell = folder, why, tell
         self._file = ""
+        self._begins = False
         self._process: asyncio.subprocess.Process | None = None
         self._ending: asyncio.Task[None] | None = None
 
@@ -52,8 +53,8 @@ class Recorder:
         """
         if self._folder is None:
             raise ControlError(self._why)
-        if self._process is not None:
-            raise ControlError(f"{self._file} is recorded; end it first")
+        if self._process is not None or self._begins:
+            raise ControlError("a recording goes on; end it first")
         kernels = {kernel for kernel, _ in ports}
         if len(kernels) != 1:
             raise ControlError("a recording is of one kernel; choose ports of one")
@@ -61,12 +62,16 @@ class Recorder:
         self._file = f"{kernel.rpartition('/')[2]}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.mcap"
         names = [f"{kernel}/{path}" for _, path in ports]
         target = str(self._folder / self._file)
-        self._process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "aiorts", "record", "--json", "-o", target, "--", *names),
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-        )
+        self._begins = True
+        try:
+            self._process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "aiorts", "record", "--json", "-o", target, "--", *names),
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.PIPE,
+            )
+        finally:
+            self._begins = False
         self._ending = asyncio.create_task(self._wait(self._process), name="studio recording")
         self._tell(self.state())
 

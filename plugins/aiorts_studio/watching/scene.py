@@ -11,8 +11,9 @@ from collections.abc import Mapping
 from itertools import count
 from typing import Any, Final, TypeAlias
 
+from aiorts.errors import AbsentError
 from aiorts_studio.watching.graph import FOLDED, Graph, side_of
-from aiorts_studio.watching.layout import Key, Layout, Route, Spot, meets
+from aiorts_studio.watching.layout import Edge, Key, Layout, Point, Route, Spot, meets
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import class_of, context_said, error_of, link_state, policy_of, said_of, state_of
 
@@ -22,6 +23,8 @@ Thing: TypeAlias = dict[str, Any]
 KINDS: Final = ("frames", "boxes", "edges")
 _INFRASTRUCTURE: Final = frozenset(("FlexiDump", "FlexiLogger"))
 """Classes of components that only look on."""
+_SPARE: Final = 1_000
+"""Things that are gone whose numbers are kept all the same: they may come again."""
 _PAD: Final = 16.0
 """Between the frame of a kernel and those of its contexts."""
 
@@ -76,6 +79,14 @@ class Scene:
                 (self._folded.add if on else self._folded.discard)(key)
                 self._tidy = True
 
+    def check_port(self, kernel: str, path: str) -> None:
+        """Take the path of a data port; AbsentError: no kernel of this address has it."""
+        component, _, port = path.partition(".")
+        for view in self.views.values():
+            if view.address == kernel and port in view.components.get(component, {}).get("ports", {}):
+                return
+        raise AbsentError(f"{kernel:.80}: has no port {path:.80}")
+
     # -- what pages are told ---------------------------------------------------------------------------------------
 
     def picture(self) -> Message:
@@ -92,22 +103,37 @@ class Scene:
 
         What is laid out anew is laid out in a thread: 1,000 boxes take some tenths of a second.
         """
-        graph = self._graph = Graph(self.views, self._folded)
+        graph = Graph(self.views, self._folded)
         tidy, self._tidy = self._tidy, False
         if tidy or not self._adapt(graph):
-            self._layout, self._routes = await asyncio.to_thread(_laid_out, graph, dict(self._moved))
+            spots, edges, bands = list(graph.spots.values()), list(graph.edges.values()), graph.bands()
+            made = await asyncio.to_thread(_laid_out, spots, edges, bands, dict(self._moved))
+            self._layout, self._routes = made
+        self._graph = graph
         self.connectors = {key: {} for key in self.views}
         for key, bundle in graph.bundles.items():
             writer = bundle[0][0]
             for view, name in bundle:
                 if view is writer:  # the reader's end of a link counts the same samples again
                     self.connectors.setdefault(view.key, {})[name] = self.number(*key)
-        return self._change()
+        change = self._change()
+        self._forget()
+        return change
+
+    def _forget(self) -> None:
+        """Forget numbers, places and folds of what is gone, when that is more than what is there."""
+        there = {number for things in self.things.values() for number in things}
+        if len(self.numbers) > 2 * len(there) + _SPARE:
+            folded = {key for key in self._folded if key[1] in self.views}
+            self.numbers = {key: one for key, one in self.numbers.items() if one in there or key in folded}
+            self._folded = folded
+            self._moved = {key: place for key, place in self._moved.items() if key in self.numbers}
 
     def _change(self) -> Message | None:
         message: Message = {"t": "change"}
         gone: dict[str, list[Any]] = {}
-        for kind, things in {"frames": self._frames(), "boxes": self._boxes(), "edges": self._edges()}.items():
+        boxes = self._boxes()
+        for kind, things in {"frames": self._frames(), "boxes": boxes, "edges": self._edges(boxes)}.items():
             before = self.things[kind]
             different = [one for number, one in things.items() if before.get(number) != one]
             if different:
@@ -138,7 +164,6 @@ class Scene:
         new = [spot for key, spot in graph.spots.items() if not _is_placed(layout.spots.get(key), spot)]
         placed = [key for key in self._moved if key in layout.spots and self._moved[key] != layout.moved.get(key)]
         for spot in new:
-            layout.remove(spot.key)
             before = [edge.source for edge in graph.edges.values() if edge.target == spot.key]
             after = [edge.target for edge in graph.edges.values() if edge.source == spot.key]
             if not layout.add(spot, groups[spot.band], before, after):
@@ -189,8 +214,8 @@ class Scene:
         made: dict[int, Thing] = {}
         for key, spot in self._layout.spots.items():
             view, number = self.views.get(key[1]), self.number(*key)
-            if view is None:
-                continue
+            if view is None or (key[0] == "box" and key[2] not in view.components):
+                continue  # it has gone while this was laid out
             frame = ("frame", *key[1:]) if key[0] == FOLDED else ("frame", view.key, spot.band[2])
             place = {
                 "id": number, "kernel": view.address, "name": spot.title, "frame": self.number(*frame),
@@ -200,10 +225,12 @@ class Scene:
             made[number] = {**place, **box}
         return made
 
-    def _edges(self) -> dict[int, Thing]:
+    def _edges(self, boxes: Mapping[int, Thing]) -> dict[int, Thing]:
         made: dict[int, Thing] = {}
         for key, edge in self._graph.edges.items():
             bundle, route, number = self._graph.bundles[key], self._routes[key], self.number(*key)
+            if not {self.number(*edge.source), self.number(*edge.target)} <= boxes.keys():
+                continue
             view, name = bundle[0]
             report = view.connectors.get(name)
             is_link = report is not None and report["options"]["on_link_lost"] is not None
@@ -221,13 +248,15 @@ class Scene:
         return made
 
 
-def _laid_out(graph: Graph, moved: Mapping[Key, tuple[float, float]]) -> tuple[Layout, dict[Key, Route]]:
+def _laid_out(
+    spots: list[Spot], edges: list[Edge], bands: Mapping[Key, str], moved: Mapping[Key, Point]
+) -> tuple[Layout, dict[Key, Route]]:
     layout = Layout()
-    layout.place(list(graph.spots.values()), list(graph.edges.values()), graph.bands())
+    layout.place(spots, edges, bands)
     for key, (x, y) in moved.items():
         if key in layout.spots:
             layout.move(key, x, y)
-    return layout, {key: layout.route(edge) for key, edge in graph.edges.items()}
+    return layout, {edge.key: layout.route(edge) for edge in edges}
 
 
 def _is_placed(old: Spot | None, new: Spot) -> bool:

@@ -6,10 +6,9 @@ import asyncio
 import time
 from collections.abc import Coroutine, Mapping
 from contextlib import suppress
-from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.errors import AiortsError, RecordError
+from aiorts.errors import AbsentError, AiortsError, RecordError
 from aiorts_studio.kernels import Visitor, entry_of
 from aiorts_studio.offered import check_names, operation_of, patience
 from aiorts_studio.problems import HttpError, problem_of
@@ -18,19 +17,24 @@ from aiorts_studio.values import json_out
 from aiorts_studio.watching.feeds import EventFeed, Feed, LogFeed
 from aiorts_studio.watching.page import Page
 from aiorts_studio.watching.plots import FASTEST, Shown
-from aiorts_studio.watching.studio import PAGES, Studio
+from aiorts_studio.watching.studio import Studio
+from aiorts_studio.watching.watch import begun
 
 if TYPE_CHECKING:
     from starlette.websockets import WebSocket
 
     from aiorts_studio.api import Api
 
+PAGES: Final = 16
+"""Pages at once."""
 _CALLS: Final = 16
 """Calls of one page that may be under way."""
 _WATCHES: Final = 32
 """Ports whose values one page may be shown."""
 _PORTS: Final = 64
 """Ports of one recording."""
+_FARTHEST: Final = 1e9
+"""Numbers of a page are no larger: places, scales and rates."""
 _FIELDS: Final = 16
 """Fields of one port that may be shown."""
 
@@ -40,20 +44,25 @@ class PageSockets:
 
     def __init__(self, api: Api, sockets: Sockets, studio: Studio) -> None:
         self._api, self._sockets, self._studio = api, sockets, studio
+        self._open = 0
 
     async def attend(self, socket: WebSocket) -> None:
         """Serve one page until it goes."""
         await socket.accept()
         try:
             visitor = await self._sockets.greeted(socket)
-            if len(self._studio.pages) >= PAGES:
+            if self._open >= PAGES:
                 raise HttpError(429, "E-BUSY", f"{PAGES} pages are open already; close one")
         except AiortsError as error:
             await close(socket, REFUSED, str(error))
             return
         if visitor is not None:
             gone = asyncio.Event()
-            await visitor.work(_PageSocket(self._api, self._studio, socket, visitor).carry(), gone.wait)
+            self._open += 1
+            try:
+                await visitor.work(_PageSocket(self._api, self._studio, socket, visitor).carry(), gone.wait)
+            finally:
+                self._open -= 1
             await close(socket, OVER, "the token has ended" if visitor.closed else "")
 
 
@@ -145,6 +154,8 @@ class _PageSocket:
         if not isinstance(ports, list) or not 0 < len(ports) <= _PORTS:
             raise RecordError(f"ports: expected 1 to {_PORTS} pairs of kernel and port")
         pairs = [(kernel, path) for kernel, path in map(_pair, ports)]
+        for kernel, path in pairs:
+            self._studio.scene.check_port(kernel, path)
         self._run(self._begin_recording(pairs))
 
     async def _begin_recording(self, ports: list[tuple[str, str]]) -> None:
@@ -155,7 +166,7 @@ class _PageSocket:
             self._page.put(recorder.state(str(error)))
 
     def _run(self, work: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.create_task(work, name="studio call")
+        task = begun(work, "studio call")
         self._calls.add(task)
         task.add_done_callback(self._calls.discard)
 
@@ -177,8 +188,12 @@ class _PageSocket:
             raise RecordError(f"fields: expected at most {_FIELDS} texts")
         rate = min(max(_number(said.get("columns_per_s", 10.0), "columns_per_s"), 0.1), FASTEST)
         shown = Shown(self._page, number, fields, rate)
-        self._shown[number] = kernel, path, shown
-        self._studio.show(kernel, path, shown)
+        try:
+            self._studio.show(kernel, path, shown)
+        except AbsentError as error:
+            shown.fail(error)
+        else:
+            self._shown[number] = kernel, path, shown
 
     def _unwatch(self, number: int) -> None:
         if number in self._shown:
@@ -211,7 +226,7 @@ def _rect(value: Any) -> tuple[float, float, float, float]:
 
 
 def _number(value: Any, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+    if type(value) not in (int, float) or not -_FARTHEST <= value <= _FARTHEST:
         raise RecordError(f"{name}: expected a number")
     return float(value)
 

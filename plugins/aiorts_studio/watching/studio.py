@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -22,10 +22,8 @@ from aiorts_studio.watching.plots import Shown, Tap
 from aiorts_studio.watching.recording import Recorder
 from aiorts_studio.watching.scene import Scene
 from aiorts_studio.watching.view import View, about
-from aiorts_studio.watching.watch import Follower, Watch
+from aiorts_studio.watching.watch import Follower, Watch, begun
 
-PAGES: Final = 16
-"""Pages at once."""
 _LOOK: Final = 0.5
 """Seconds between looks for kernels that begin: a folder tells nobody what comes into it, and a page is open."""
 _DRAW: Final = 0.05
@@ -33,6 +31,8 @@ _DRAW: Final = 0.05
 _SETTLES: Final = 0.5
 """Seconds without a change after which a kernel that has just begun is laid out once more."""
 _OPEN: Final = 3.0
+_AGAIN: Final = 1.0
+"""Seconds until a kernel that refuses is asked once more."""
 _MINUTE: Final = 60 * 10**9
 _KEPT: Final = 500
 """Changes of the last minute that are kept."""
@@ -76,7 +76,7 @@ class Studio:
         self._coming += 1
         if self._working is None:
             self._drawn.clear()
-            self._working = asyncio.create_task(self._work(), name="studio")
+            self._working = begun(self._work(), "studio")
         try:
             with suppress(TimeoutError):  # then it begins with what is there
                 async with asyncio.timeout(_LOOK):
@@ -85,7 +85,7 @@ class Studio:
             self._coming -= 1
         self.pages.add(page)
         page.put(self.scene.picture())
-        page.put({"t": "history", "items": list(self._history)})
+        page.put({"t": "history", "items": self._of_the_last_minute()})
         page.put(self.recorder.state())
         page.look(self.scene.things)
 
@@ -97,14 +97,15 @@ class Studio:
 
     async def close(self) -> None:
         """End the watching."""
-        await self.recorder.close()
         tasks = [*self._sessions.values(), *([self._working] if self._working is not None else [])]
         self._working = None
         self._sessions = {}
         for task in tasks:
             task.cancel()
+        self._watches = {}
         if tasks:
             await asyncio.wait(tasks)
+        await self.recorder.close()  # takes its time: a page that comes meanwhile begins anew
 
     def see(self, page: Page, rect: tuple[float, float, float, float], scale: float) -> None:
         """A page has this in view; it is told its figures at once."""
@@ -131,11 +132,14 @@ class Studio:
                 watch.stop(one)
 
     def show(self, kernel: str, path: str, shown: Shown) -> None:
-        """Have a page told the values of a port."""
+        """Have a page told the values of a port; AbsentError: there is none."""
         tap = self._taps.get((kernel, path))
         if tap is not None:
             tap.shown.append(shown)
+            if tap.failed is not None:
+                shown.fail(tap.failed)
             return
+        self.scene.check_port(kernel, path)
         tap = self._taps[kernel, path] = Tap(kernel, path)
         tap.shown.append(shown)
         self.follow(tap)
@@ -153,13 +157,19 @@ class Studio:
     # -- kernels ---------------------------------------------------------------------------------------------------
 
     async def _work(self) -> None:
-        looking = asyncio.create_task(self._look(), name="studio kernels")
+        looking = begun(self._look(), "studio kernels")
         try:
             while True:
                 await self._dirty.wait()
                 await asyncio.sleep(_DRAW)
                 self._dirty.clear()
-                change = await self.scene.draw()
+                try:
+                    change = await self.scene.draw()
+                except Exception as error:  # noqa: BLE001 - the next change is drawn all the same
+                    report = {"message": "studio: the scene was not drawn", "exception": error}
+                    asyncio.get_running_loop().call_exception_handler(report)
+                    self.scene.tidy()
+                    continue
                 self._drawn.set()
                 if change is not None:
                     self._tell(change)
@@ -176,9 +186,9 @@ class Studio:
             wanted = [one for one in found if not self._names or one.name in self._names or one.address in self._names]
             for entry in wanted:
                 if entry.epoch not in self._sessions:
-                    self._sessions[entry.epoch] = asyncio.create_task(self._watch(entry), name="studio watch")
-            there = {one.epoch for one in wanted}
-            self._sessions = {epoch: one for epoch, one in self._sessions.items() if epoch in there or not one.done()}
+                    self._sessions[entry.epoch] = begun(self._watch(entry), "studio watch")
+            self._sessions = {epoch: one for epoch, one in self._sessions.items() if not one.done()}
+            self._end({one.address for one in wanted})
             self._forget()
             if not wanted:
                 self._drawn.set()
@@ -194,7 +204,8 @@ class Studio:
                 self.changed()
                 continue
             except AiortsError:
-                return  # it has just ended, or lets nobody look
+                await asyncio.sleep(_AGAIN)
+                return  # it has just ended, or has too many clients: what is still there is tried once more
             view = self._view(entry, client.hello["lasting"])
             watch = self._watches[view.key] = Watch(client, view, self, self._followers)
             settling = asyncio.create_task(self._settle(view), name="studio layout")
@@ -202,6 +213,8 @@ class Studio:
                 await watch.run()
             finally:
                 settling.cancel()
+                if self._watches.get(view.key) is watch:
+                    del self._watches[view.key]
                 await client.aclose()
             return
 
@@ -227,13 +240,19 @@ class Studio:
                 view.settled = True
                 self.tidy()
 
+    def _end(self, there: Collection[str]) -> None:
+        """Say of kernels that they have ended, where that was while no page was open."""
+        for view in self.scene.views.values():
+            is_known = view.about["state"] == "ended" or view.address in there or view.key in self._watches
+            if not is_known and view.say("ended", "has ended"):
+                self.changed()
+
     def _forget(self) -> None:
         """Forget kernels that ended long ago."""
         now = time.monotonic()
         for key, view in list(self.scene.views.items()):
             if view.about["state"] == "ended" and now > view.answered + _FORGOTTEN:
                 del self.scene.views[key]
-                self._watches.pop(key, None)
                 self.changed()
 
     # -- what pages are told ---------------------------------------------------------------------------------------
@@ -261,8 +280,10 @@ class Studio:
         """Keep a change of a profile for the pages that come within a minute."""
         now = time.time_ns()
         self._history.append(happening(watch.view.address, item["kind"], item["event"], now))
-        while self._history and self._history[0]["at_ns"] < now - _MINUTE:
-            self._history.popleft()
+
+    def _of_the_last_minute(self) -> list[dict[str, Any]]:
+        since = time.time_ns() - _MINUTE
+        return [one for one in self._history if one["at_ns"] >= since]
 
     def counted(self, watch: Watch) -> None:
         """Tell pages the figures of a kernel."""

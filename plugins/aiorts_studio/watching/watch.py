@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Coroutine, Iterable, Mapping
 from contextlib import suppress
 from typing import Any, Final, Protocol
 
@@ -23,6 +23,20 @@ _PAUSE: Final = 1.0
 """Seconds between looks at what no stream tells."""
 _LINKS: Final = 64
 """Links whose round trip is looked at."""
+
+
+def begun(work: Coroutine[Any, Any, None], name: str) -> asyncio.Task[None]:
+    """A task whose error is told to the loop's handler when it ends, and ends nothing else."""
+    task = asyncio.create_task(work, name=name)
+    task.add_done_callback(_report)
+    return task
+
+
+def _report(task: asyncio.Task[None]) -> None:
+    error = None if task.cancelled() else task.exception()
+    if error is not None and not isinstance(error, AiortsError):
+        report = {"message": f"{task.get_name()} has failed", "exception": error, "task": task}
+        task.get_loop().call_exception_handler(report)
 
 
 class Told(Protocol):
@@ -81,7 +95,7 @@ class Watch:
     async def _follow(self, changes: AsyncStream) -> None:
         for one in self._followers:
             self.start(one)
-        own = [asyncio.create_task(one(), name="studio watch") for one in (self._count, self._look)]
+        own = [begun(one(), "studio watch") for one in (self._count, self._look)]
         try:
             async for item in changes:
                 self._take(item)
@@ -90,14 +104,12 @@ class Watch:
             self._following = {}
             for task in tasks:
                 task.cancel()
-            for done in await asyncio.gather(*tasks, return_exceptions=True):
-                if isinstance(done, Exception) and not isinstance(done, AiortsError):
-                    raise done
+            await asyncio.gather(*tasks, return_exceptions=True)
 
     def start(self, one: Follower) -> None:
         """Have a follower follow this kernel from now on, if it is about it."""
         if self.session.is_open and one.kernel in ("", self.view.address):
-            self._following[one] = asyncio.create_task(one.run(self), name="studio follower")
+            self._following[one] = begun(one.run(self), "studio follower")
 
     def stop(self, one: Follower) -> None:
         """End a follower here."""
@@ -157,7 +169,7 @@ class Watch:
             late = [name for name, count in counted.items() if count > overruns.get(name, 0)]
             overruns = counted
             if links or late:
-                with suppress(NoAnswerError):
+                with suppress(AiortsError):  # no answer, or one of them has just gone: the next look is another
                     self._take_part(await self.session.call("part", connectors=links[:_LINKS], contexts=late))
             await asyncio.sleep(_PAUSE)
 
