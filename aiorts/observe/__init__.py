@@ -9,7 +9,6 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.model.lifecycle import state_text
     from aiorts.observe.change_values import Change, PastEvent, ProfileSnapshot
     from aiorts.observe.changes import Changes, system_profile_in_turns
     from aiorts.observe.declaration import Declaration, declaration_of
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
 _late(
     globals(),
     {
-        "aiorts.model.lifecycle": "state_text",
         "aiorts.observe.change_values": "Change PastEvent ProfileSnapshot",
         "aiorts.observe.changes": "Changes system_profile_in_turns",
         "aiorts.observe.declaration": "Declaration declaration_of",
