@@ -18,8 +18,15 @@ if TYPE_CHECKING:
     from aiorts.model.plain import Schemas
 
 __all__ = (
-    *("OPERATIONS", "Control", "Operation", "Right", "Schemas", "Session"),
-    *("converters_read", "is_code", "state_text"),
+    "OPERATIONS",
+    "Control",
+    "Operation",
+    "Right",
+    "Schemas",
+    "Session",
+    "converters_read",
+    "is_code",
+    "state_text",
 )
 
 _late(
