@@ -24,6 +24,8 @@ DEPEND_ON_PYTHON = (
     *("functions", "extensions", "realtime", "time", "wire", "testing"),
 )
 """Folders of tests whose subject is different on another Python: tasks, threads, timers, signatures, codecs."""
+IN_BROWSER = "tests/studio/browser"
+"""Tests that need Chromium."""
 WHOLE = (
     *("tests/cli/test_run.py", "tests/cli/test_filter.py", "tests/types/test_record.py"),
     *("tests/types/test_registry.py", "tests/scale/test_exact_counts.py"),
@@ -57,9 +59,27 @@ def quick(session: nox.Session) -> None:
 
 @nox.session
 def slow(session: nox.Session) -> None:
-    """The rest of the tests."""
+    """The rest of the tests, but for those in a browser, which `page` runs."""
     session.install("-q", "-e", ".[dev]")
-    session.run("python", "-m", "pytest", "-q", "-n", "2", "--tier", "slow", *session.posargs)
+    session.run("python", "-m", "pytest", "-q", "-n", "2", "--tier", "slow", f"--ignore={IN_BROWSER}", *session.posargs)
+
+
+@nox.session
+def page(session: nox.Session) -> None:
+    """The studio's page: its libraries are those of npm, its types are right, and its tests in a browser."""
+    folder = ROOT / ".ci/page"
+    if shutil.which("npm") is None:
+        print("NOT RUN types and libraries of the studio's page: there is no npm", flush=True)
+    else:
+        with session.chdir(folder):
+            session.run("npm", "ci", "--no-audit", "--no-fund", "--loglevel=error", external=True)
+            session.run("npm", "run", "--silent", "check", external=True)
+            session.run("npm", "run", "--silent", "types", external=True)
+    if shutil.which("chromium") is None:
+        print(f"NOT RUN {IN_BROWSER}: there is no chromium", flush=True)
+        return
+    session.install("-q", "-e", ".[dev]")
+    session.run("python", "-m", "pytest", "-q", "--tier", "all", IN_BROWSER, *session.posargs)
 
 
 @nox.session

@@ -26,10 +26,13 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-FLAGS = (
-    "--headless=new --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync --force-color-profile=srgb --hide-scrollbars"
-).split()
+FLAGS = [
+    f"--{flag}"
+    for flag in (
+        *("headless=new", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "disable-background-networking"),
+        *("disable-component-update", "disable-sync", "force-color-profile=srgb", "hide-scrollbars"),
+    )
+]
 SIZE = (1600, 1000)
 WAIT_MS = 1000 * WAIT
 THEMES = ("light", "dark")

@@ -30,11 +30,11 @@ from aiorts_studio.guard import (
     answer,
 )
 from aiorts_studio.kernels import Visitor, entry_of, lines_of, running
-from aiorts_studio.limits import UnderWay
 from aiorts_studio.offered import LARGE, check_names, operation_of, patience
 from aiorts_studio.openapi import document, page
-from aiorts_studio.problems import HttpError, problem_of, status_of
-from aiorts_studio.values import json_in, json_out
+from aiorts_studio.plain.limits import UnderWay
+from aiorts_studio.plain.problems import HttpError, problem_of, status_of
+from aiorts_studio.plain.values import json_in, json_out
 from aiorts_studio.watching.studio import Studio
 
 if TYPE_CHECKING:
@@ -105,8 +105,8 @@ class Api:
         from starlette.responses import HTMLResponse, Response
         from starlette.routing import Route, WebSocketRoute
 
+        from aiorts_studio.page_socket import PageSockets
         from aiorts_studio.socket import Sockets
-        from aiorts_studio.watching.socket import PageSockets
 
         def fixed(answer: Callable[[], Response]) -> Callable[[Request], Response]:
             return lambda request: answer()
@@ -125,7 +125,7 @@ class Api:
                 Route("/api/kernels/{kernel:path}/{operation}", self._operate, methods=["POST"]),
                 WebSocketRoute("/api/socket", sockets.attend),
                 WebSocketRoute("/api/page", PageSockets(self, sockets, self.studio).attend),
-                Route("/{name:path}", self._file),
+                *(Route(f"/{name}", self._file) for name in _page_files()),
             ],
             exception_handlers={AiortsError: _problem, HTTPException: _http_problem},
         )
@@ -149,9 +149,8 @@ class Api:
         """A file of the page that shows what runs."""
         from starlette.responses import Response
 
-        name = request.path_params.get("name") or "index.html"
-        content = await to_thread.run_sync(page_file, name)
-        return Response(content, media_type=PAGES[Path(name).suffix])
+        path = _page_files()[request.url.path[1:] or "index.html"]
+        return Response(await to_thread.run_sync(path.read_bytes), media_type=PAGES[path.suffix])
 
     # -- tokens ----------------------------------------------------------------------------------------------------
 
@@ -264,16 +263,9 @@ class Answer:
                 await _end(send, error)
 
 
-def page_file(name: str) -> bytes:
-    """A file of the page; HttpError: there is none. Its name is one of a list: no path leads out of the folder."""
-    path = _page_files().get(name)
-    if path is None:
-        raise HttpError(404, "E-ABSENT", f"/{name:.80}: there is none")
-    return path.read_bytes()
-
-
 @cache
 def _page_files() -> Mapping[str, Path]:
+    """The files of the page by the paths at which they are served: a list, so that no path leads out of the folder."""
     return {
         path.relative_to(PAGE).as_posix(): path for path in PAGE.rglob("*") if path.suffix in PAGES and path.is_file()
     }

@@ -70,7 +70,7 @@ def test_the_page_shows_all_of_it_and_loads_nothing_from_elsewhere() -> None:
     assert all(path.replace("&", "&amp;") in shown for path in described["paths"])
     assert "<script" not in shown
     assert shown.count("href=") == 1
-    assert 'href="/studio.css"' in shown
+    assert 'href="/docs.css"' in shown
 
 
 @pytest.mark.anyio
@@ -95,5 +95,5 @@ async def test_answers_are_as_described() -> None:
             jsonschema.validate(reply.value, {**schema, "components": described["components"]})
             checked += reply.status == 200
         assert checked >= 12
-        for path in ("/", "/docs", "/studio.css"):
+        for path in ("/", "/docs", "/docs.css"):
             assert (await client.ask("GET", path, headers={"Authorization": ""})).status == 200

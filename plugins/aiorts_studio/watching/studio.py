@@ -14,8 +14,8 @@ from anyio import to_thread
 
 from aiorts.errors import AiortsError, NoAnswerError
 from aiorts.sessions import AsyncClient, Entry, entries
-from aiorts_studio.problems import problem_of
-from aiorts_studio.values import json_out
+from aiorts_studio.plain.problems import problem_of
+from aiorts_studio.plain.values import json_out
 from aiorts_studio.watching.ages import Ages
 from aiorts_studio.watching.feeds import happening
 from aiorts_studio.watching.figures import Row, different

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from browser_parts import Served
 
 pytestmark = pytest.mark.slow
-COMPONENTS = {"imu", "odometry", "metres", "turn_rate", "show", "checker", "pid0", "plant0"}
+PARTS = Path(__file__).parent / "parts"
+COMPONENTS = {"imu", "odometry", "metres", "turn_rate", "show", "checker", "wave", "slow", "fails"}
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +26,7 @@ def site(chromium: Browser) -> Iterator[Served]:
     """A server that shows two kernels."""
     with (
         kernel("roomba", "examples/roomba/system.toml", "--set", "imu.speed=0.3"),
-        kernel("pid", "examples/pid/system.toml"),
+        kernel("lossy", PARTS / "lossy.toml"),
         served("--edit") as found,
     ):
         yield found
@@ -78,9 +79,11 @@ def test_what_is_selected_is_shown_in_full(page: Opened, pictures: Path) -> None
     assert checks.small_targets(page) == []
     assert checks.cut_without_tip(page) == []
     shot(page, pictures, "component")
-    page.choose_edge("plant0.output-pid0.measured")
+    page.choose_edge("wave.out-slow.in")
     aside.get_by_text("written = delivered + wait + dropped").wait_for()
-    assert "inactive" in aside.inner_text()
+    words = aside.inner_text()
+    for part in ("Why samples are lost", "overwritten", "lengthen the buffer", "4 of 4", "aiorts con --both-ends"):
+        assert part in words, part
     assert checks.at_a_glance(page) == []
     assert checks.small_targets(page) == []
     shot(page, pictures, "connector")
@@ -89,7 +92,12 @@ def test_what_is_selected_is_shown_in_full(page: Opened, pictures: Path) -> None
 @pytest.mark.parametrize("tab", ["Log", "Events", "Plots"])
 def test_each_panel_below_is_legible(page: Opened, pictures: Path, tab: str) -> None:
     page.show(tab)
-    page.page.wait_for_timeout(500)
+    if tab == "Plots":
+        page.choose("wave")
+        page.page.get_by_role("button", name="Plot wave.out").click()
+        page.page.locator(".values td").get_by_text("3.00", exact=True).wait_for()
+    else:
+        page.page.locator(".log .line").first.wait_for()
     assert checks.at_a_glance(page) == []
     assert checks.small_targets(page) == []
     shot(page, pictures, tab.lower())

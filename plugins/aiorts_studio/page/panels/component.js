@@ -73,7 +73,7 @@ const isService = (box, port) => box.ports.some((one) => one.name === port && on
 /** @param {{box: Box, ports: Record<string, any>}} props ports: as the kernel reports them */
 function Ports({ box, ports }) {
   if (!box.ports.length) return null;
-  return html`<section><h3 class="over">Ports</h3><table><tbody>${box.ports.map((port) => {
+  return html`<section><h3 class="over">Ports</h3><table class="ports"><tbody>${box.ports.map((port) => {
     const report = ports[port.name], shape = report?.shape ? ` ${said(report.shape)}` : "", path = `${box.name}.${port.name}`;
     return html`<tr key=${port.name}><td><span class=${`mark ${port.kind} ${port.side}`} aria-hidden="true"></span><${Cut} text=${port.name} class="name" />
         <small>${report?.doc || portSpoken(port).split(", ")[1]}</small></td>

@@ -1,7 +1,7 @@
 /** What has happened in the kernels, the newest first; each line leads to its component. */
 import { signal } from "../vendor/preact-signals.js";
-import { on, say } from "../store.js";
-import { Cut, Lead, Rows, counted, html, moment } from "./parts.js";
+import { kernels, on, say } from "../store.js";
+import { Cut, Lead, LeadToContext, Rows, counted, html, moment } from "./parts.js";
 
 /** @import {Happening, Happenings} from "../types.js" */
 
@@ -16,9 +16,13 @@ const minute = signal(false);
 let items = [];
 let timer = 0;
 
+/** Of each kernel, until when the history goes: it may have what also comes as an event. @type {Record<string, bigint>} */
+let told = {};
+
 /** @param {Happenings} message */
 function take(message) {
-  items = [...message.items].reverse().concat(items).slice(0, KEPT);
+  const news = message.items.filter(({ kernel, at_ns }) => !(BigInt(at_ns) <= (told[kernel] ?? 0n))).reverse();
+  items = news.concat(items).slice(0, KEPT);
   timer ||= window.setTimeout(() => {
     timer = 0;
     drawn.value = items;
@@ -27,16 +31,18 @@ function take(message) {
 on("event", take);
 on("history", (/** @type {Happenings} */ message) => {
   items = [];
+  told = {};
   take(message);
+  for (const { kernel, at_ns } of message.items) told[kernel] = BigInt(at_ns);
 });
 // What happens while the panel is closed is there when it is opened: events are few.
 on("hello", () => say({ t: "events", on: true }));
 
-/** Those of the last minute before the newest one of their kernel. @param {Happening[]} all */
+/** Those of the last minute; in simulated time, before the newest one of their kernel. @param {Happening[]} all */
 function ofLastMinute(all) {
   /** @type {Record<string, bigint>} */
-  const newest = {};
-  for (const { kernel, at_ns } of all) newest[kernel] ??= BigInt(at_ns);
+  const newest = {}, now = BigInt(Date.now()) * 1_000_000n;
+  for (const { kernel, at_ns } of all) newest[kernel] ??= kernels.value.get(kernel)?.simulated ? BigInt(at_ns) : now;
   return all.filter(({ kernel, at_ns }) => newest[kernel] - BigInt(at_ns) <= MINUTE_NS);
 }
 
@@ -60,7 +66,8 @@ const BAD = /fail|error|lost|drop|overrun|late|silen|ended|overdue|gone/i;
 function Line({ item, index }) {
   return html`<div class=${`line ${BAD.test(item.kind) ? "warning" : ""}`} role="row" aria-rowindex=${index + 1}>
     <span class="when" role="cell">${moment(item.at_ns)}</span><span class="kind" role="cell"><${Cut} text=${item.kind} /></span>
-    <span class="who" role="cell"><${Lead} kernel=${item.kernel} component=${item.component} /></span>
+    <span class="who" role="cell">${item.component ? html`<${Lead} kernel=${item.kernel} component=${item.component} />`
+      : html`<${LeadToContext} kernel=${item.kernel} context=${/^context ([\w.-]+)/.exec(item.text)?.[1] ?? ""} />`}</span>
     <span class="what" role="cell" tabindex="0"><${Cut} text=${item.text} /></span>
   </div>`;
 }

@@ -72,7 +72,7 @@ export function Log() {
       <span class="quiet" role="status">${missed.value > 0 && `${count(missed.value)} lines not shown: more than can be read, or paused`}</span>
     </div>
     ${shown.length ? html`<${Rows} count=${shown.length} height=${HEIGHT} role="table" label="Log" follow=${true} row=${(/** @type {number} */ index) => html`<${Line} key=${index} line=${shown[index]} index=${index} />`} />`
-      : html`<p class="none">No line of this level yet${component.value && ` from ${component.value}`}. A component logs with <code>self.log.info("...")</code>.</p>`}
+      : html`<p class="none">No line of this level yet${component.value && ` from ${component.value}`}. What a component logs is for its own level to say: <code>aiorts vlog NAME --set info</code>.</p>`}
   </div>`;
 }
 

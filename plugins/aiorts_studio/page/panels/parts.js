@@ -3,7 +3,7 @@ import { h } from "../vendor/preact.js";
 import { useLayoutEffect, useRef } from "../vendor/preact-hooks.js";
 import { signal, useSignal } from "../vendor/preact-signals.js";
 import htm from "../vendor/htm.js";
-import { boxes, choose, kernels } from "../store.js";
+import { boxes, choose, frames, kernels } from "../store.js";
 import { letterOf } from "../words.js";
 
 /** @import {Box} from "../types.js" */
@@ -63,6 +63,12 @@ export function Lead({ kernel, component }) {
   const box = component ? boxOf(kernel, component) : undefined;
   if (!box) return html`<${Cut} text=${component} class="quiet" />`;
   return html`<button class="lead" onClick=${() => choose("box", box.id)}><${Cut} text=${component} /></button>`;
+}
+
+/** A button that leads to a context. @param {{kernel: string, context: string}} props */
+export function LeadToContext({ kernel, context }) {
+  const frame = [...frames.value.values()].find((one) => one.kind === "context" && one.kernel === kernel && one.name === context);
+  return frame ? html`<button class="lead" onClick=${() => choose("frame", frame.id)}><${Cut} text=${context} /></button>` : null;
 }
 
 const BILLION = 1_000_000_000n;

@@ -1,5 +1,5 @@
 /** Plots of chosen fields over a shared time axis, with a table of the same values beside them; and recording. */
-import { useEffect, useLayoutEffect, useRef } from "../vendor/preact-hooks.js";
+import { useLayoutEffect, useRef } from "../vendor/preact-hooks.js";
 import { effect, signal } from "../vendor/preact-signals.js";
 import uPlot from "../vendor/uplot.js";
 import { copy, quoted } from "../commands.js";
@@ -131,7 +131,7 @@ function Record() {
   };
   const live = [...kernels.value.values()][0];
   return html`<button class=${now?.on ? "recording" : ""} aria-disabled=${Boolean(why)} aria-pressed=${now?.on ?? false} aria-describedby="record-why" onClick=${press}>${now?.on ? "Stop recording" : "Record"}</button>
-    <span class="quiet" id="record-why" role="status">${now?.on ? `${now.file ?? ""}: ${count(now.samples)} samples` : now?.why || (now?.file ? `${now.file}: ${count(now.samples)} samples. Open it in Foxglove: "Open local file"` : why)}</span>
+    <span class="quiet" id="record-why" role="status">${now?.on ? `${now.file ?? ""}${now.samples ? `: ${count(now.samples)} samples` : ""}` : now?.why || (now?.file ? `${now.file}${now.samples ? `: ${count(now.samples)} samples` : ""}. Open it in Foxglove: "Open local file"` : why)}</span>
     ${live && html`<button class="aside" title="Copies the command that lets Foxglove look at what runs" onClick=${() => void copy(`aiorts foxglove ${quoted(live.name)}`)}>Open in Foxglove</button>`}`;
 }
 
@@ -153,6 +153,7 @@ const nameOf = ({ path, field }) => (field && field !== "*" ? `${path} ${field}`
 
 /** @param {{plot: Plot}} props */
 function Chart({ plot: own }) {
+  void tables.value;   // units come with the first values
   const host = useRef(/** @type {HTMLElement | null} */ (null)), numbers = own.lines.filter(({ series }) => series.field !== "*");
   const layout = own.lines.map((one) => `${one.series.key} ${one.axis} ${one.colour}`).join("|") + theme.value + own.lines.map((one) => one.series.unit).join();
   useLayoutEffect(() => (numbers.length && host.current ? drawn(host.current, numbers) : undefined), [layout]);
@@ -163,9 +164,7 @@ function Chart({ plot: own }) {
 
 /** What each line shows, as a table: for eyes the legend, for a screen reader the plot. @param {{plot: Plot}} props */
 function Legend({ plot: own }) {
-  const tick = useRef(0), shown = signalOfSeconds.value;
-  void shown;
-  useEffect(() => { tick.current++; });
+  void tables.value;
   return html`<div class="values"><table><thead><tr><th scope="col">field</th><th scope="col" class="figure">now</th><th scope="col" class="figure">least</th><th scope="col" class="figure">most</th><th></th></tr></thead>
     <tbody>${own.lines.map((one) => {
       const { series } = one, [least, most] = rangeOf(series), now = series.high.at(-1), box = boxOf(series.kernel, series.path.split(".")[0]);
@@ -194,13 +193,13 @@ function rangeOf(series) {
 }
 
 /** Counts twice a second, as long as values come and are not paused: how often the tables change. */
-const signalOfSeconds = signal(0);
+const tables = signal(0);
 let tableTimer = 0;
 effect(() => {
   void came.value;
   if (!paused.value) tableTimer ||= window.setTimeout(() => {
     tableTimer = 0;
-    signalOfSeconds.value++;
+    tables.value++;
   }, 500);
 });
 
@@ -210,14 +209,15 @@ effect(() => {
 function drawn(node, lines) {
   const styles = getComputedStyle(node), colour = (/** @type {string} */ name) => styles.getPropertyValue(`--${name}`).trim();
   const scaleOf = (/** @type {Line} */ one) => one.axis || `unit ${one.series.unit}`, scales = [...new Set(lines.map(scaleOf))];
-  const axis = { stroke: colour("quiet"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: styles.font.replace(/^.*?(\d+px)/, "11px"), gap: 4 };
+  const axis = { stroke: colour("quiet"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: `11px ${styles.fontFamily}`, gap: 4 };
   /** @type {uPlot.Options} */
   const options = {
     width: Math.max(120, node.clientWidth), height: Math.max(80, node.clientHeight), legend: { show: false },
     cursor: { sync: { key: "time" }, drag: { x: false, y: false }, points: { show: false } },
-    scales: { x: { time: false }, ...Object.fromEntries(scales.map((one) => [one, {}])) },
+    // The shared axis: all plots end at the newest value of any.
+    scales: { x: { time: false, range: () => [newest() - Number(seconds.peek()), newest()] }, ...Object.fromEntries(scales.map((one) => [one, {}])) },
     axes: [
-      { ...axis, size: 24, values: (plot, at) => at.map((one) => shortTime(one - (plot.scales.x.max ?? 0))) },
+      { ...axis, size: 24, splits: (_plot, _axis, least, most) => ticks(least, most), values: (plot, at) => at.map((one) => shortTime(one - (plot.scales.x.max ?? 0))) },
       ...scales.map((scale, index) => {
         const of = lines.filter((one) => scaleOf(one) === scale), unit = of[0].series.unit;
         return { ...axis, scale, side: index % 2 ? 1 : 3, size: 52, grid: index ? { show: false } : axis.grid, ...(scales.length > 1 && of.length === 1 && { stroke: colour(`plot-${of[0].colour}`) }),
@@ -243,11 +243,6 @@ function drawn(node, lines) {
       frame = requestAnimationFrame(() => plot.setData(dataOf(lines), true));
     }, EVERY_MS);
   });
-  // The shared axis: all plots end at the newest value of any.
-  plot.hooks.setData = [() => {
-    const end = newest();
-    if (end) plot.setScale("x", { min: end - Number(seconds.peek()), max: end });
-  }];
   return () => {
     stop();
     window.clearTimeout(timer);
@@ -260,8 +255,17 @@ function drawn(node, lines) {
 /** The newest time of all plots. */
 const newest = () => Math.max(0, ...plots.peek().flatMap((one) => one.lines.map(({ series }) => series.times.at(-1) ?? 0)));
 
+const STEPS_S = [1, 2, 5, 10, 20, 60];
+
+/** Times that are whole seconds before the newest one. @param {number} least @param {number} most */
+function ticks(least, most) {
+  const step = STEPS_S.find((one) => (most - least) / one <= 8) ?? 60, found = [];
+  for (let at = most; at >= least; at -= step) found.unshift(at);
+  return found;
+}
+
 /** @param {number} value seconds before the newest */
-const shortTime = (value) => (Math.abs(value) < 1e-6 ? "now" : `${Number(value.toFixed(2))} s`);
+const shortTime = (value) => (Math.abs(value) < 1e-6 ? "now" : `−${Math.round(-value)} s`);
 
 /** The columns in the window, of all lines over one axis of times. @param {Line[]} lines @returns {uPlot.AlignedData} */
 function dataOf(lines) {
