@@ -14,7 +14,7 @@ from anyio import to_thread
 
 from aiorts.errors import AiortsError, NoAnswerError
 from aiorts.sessions import AsyncClient, Entry, entries
-from aiorts_studio.values import json_out
+from aiorts_studio.plain.values import json_out
 from aiorts_studio.watching.feeds import happening
 from aiorts_studio.watching.figures import Row, different
 from aiorts_studio.watching.page import FAR, Page

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
-from aiorts.model.lifecycle import state_text
+from aiorts.control import state_text
 
 _PLACE: Final = re.compile(r"\(([^()\s]+\.py):(\d+)\)")
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.errors import AiortsError, RecordError
 from aiorts_studio.kernels import Visitor, entry_of
 from aiorts_studio.offered import check_names, operation_of, patience
-from aiorts_studio.problems import HttpError, problem_of
+from aiorts_studio.plain.problems import HttpError, problem_of
+from aiorts_studio.plain.values import json_out
 from aiorts_studio.socket import OVER, REFUSED, Sockets, close, said_in, whole
-from aiorts_studio.values import json_out
 from aiorts_studio.watching.feeds import EventFeed, Feed, LogFeed
 from aiorts_studio.watching.page import Page
 from aiorts_studio.watching.plots import FASTEST, Shown
