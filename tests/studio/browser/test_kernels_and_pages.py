@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from browser_parts import Opened, Served, browser, kernel, opened, served
+from browser_parts import CHROMIUM, FLAGS, Opened, Served, kernel, opened, served
 from control_parts import until
 
 if TYPE_CHECKING:
@@ -47,6 +47,16 @@ def is_live(page: Opened, name: str) -> bool:
     return before != page.page.evaluate("() => JSON.stringify(store.at.value)")
 
 
+def numbers_of(page: Opened, name: str) -> dict[str, int]:
+    """The components of a kernel, and their ids."""
+    address = next(one["address"] for one in page.things("kernels") if one["name"] == name)
+    return {box["name"]: box["id"] for box in page.things("boxes") if box["kernel"] == address}
+
+
+def places_of(page: Opened, *names: str) -> dict[str, tuple[float, float]]:
+    return {box["name"]: (box["x"], box["y"]) for box in page.things("boxes") if box["name"] in names}
+
+
 def test_a_stopped_kernel_is_grey_and_says_so_and_the_rest_stays_live(page: Opened) -> None:
     with kernel("halting", PARTS / "lossy.toml") as process:
         page.wait_for_boxes(7)
@@ -73,7 +83,7 @@ def test_a_killed_kernel_is_said_and_picked_up_again_without_a_reload(page: Open
     mark = page.page.evaluate("window.mark = Math.random()")
     with kernel("coming", PARTS / "lossy.toml") as process:
         page.wait_for_boxes(7)
-        numbers = {box["name"]: box["id"] for box in page.things("boxes")}
+        numbers = numbers_of(page, "coming")
         process.kill()
         began = time.monotonic()
         page.wait_for(f"name => ({STATE})(name) !== 'live'", "coming")
@@ -83,18 +93,18 @@ def test_a_killed_kernel_is_said_and_picked_up_again_without_a_reload(page: Open
         page.wait_for(f"name => ({STATE})(name) === 'live'", "coming")
         assert is_live(page, "steady")
         assert page.page.evaluate("window.mark") == mark
-        assert {box["name"]: box["id"] for box in page.things("boxes")} == numbers
+        assert numbers_of(page, "coming") == numbers
 
 
-def test_a_port_added_while_the_page_is_open_appears_and_nothing_else_moves(page: Opened, site: Served) -> None:
-    places = {box["name"]: (box["x"], box["y"]) for box in page.things("boxes")}
+def test_a_port_added_while_the_page_is_open_appears_and_the_others_stay(page: Opened, site: Served) -> None:
+    before, places = page.names(), places_of(page, "pid0", "plant0")
     began = time.monotonic()
     site.call("steady", "create", type="FlexiDump", name="dump0", params={"inputs": ["TimedDouble"]})
-    page.page.locator(".box", has_text="dump0").locator("[data-port=input0]").wait_for()
+    page.wait_for("() => [...store.boxes.value.values()].some((box) => box.name === 'dump0' && box.ports.length === 1)")
     assert time.monotonic() - began < 2.0
-    assert {box["name"]: (box["x"], box["y"]) for box in page.things("boxes") if box["name"] in places} == places
+    assert places_of(page, "pid0", "plant0") == places
     site.call("steady", "remove", component="dump0")
-    until(lambda: page.names() == places.keys())
+    until(lambda: page.names() == before)
 
 
 def test_two_pages_see_the_same_and_one_that_is_closed_leaves_the_other(
@@ -108,40 +118,27 @@ def test_two_pages_see_the_same_and_one_that_is_closed_leaves_the_other(
     assert is_live(page, "steady")
 
 
-def test_a_browser_that_is_killed_leaves_nothing_in_the_server(site: Served) -> None:
+def killed_while_it_looks(started: Browser, site: Served, number: int) -> None:
+    with opened(started, site) as found:
+        found.wait_for_boxes(2)
+        found.settle()
+        os.kill(number, signal.SIGKILL)
+        found.page.evaluate("1")
+
+
+def test_a_browser_that_is_killed_leaves_nothing_in_the_server(chromium: Browser, site: Served) -> None:
+    from playwright.sync_api import Error  # late: only the extra dev has it
+
     descriptors = Path(f"/proc/{site.process.pid}/fd")
 
-    def visited() -> None:
-        with browser() as started, opened(started, site) as found:
-            found.wait_for_boxes(2)
-            found.show("Log")
-            found.settle()
-            main = next(
-                int(one.name)
-                for one in Path("/proc").iterdir()
-                if one.name.isdecimal() and is_browser(one, str(os.getpid()))
-            )
-            os.kill(main, signal.SIGKILL)
-
-    def gone() -> int:
+    def opens() -> int:
         return len(list(descriptors.iterdir()))
 
-    page_free = gone()
+    before = opens()
     for _ in range(3):
-        with pytest.raises(Exception, match=r"closed|crash|disconnected"):
-            visited()
-    until(lambda: gone() <= page_free)
-
-
-def is_browser(process: Path, parent: str) -> bool:
-    """Whether it is the main process of Chromium, a grandchild of this one."""
-    try:
-        words = (process / "cmdline").read_bytes().split(b"\0")
-        above = (process / "stat").read_text().rpartition(")")[2].split()[1]
-        return (
-            b"--type=" not in b" ".join(words)
-            and b"chrom" in words[0]
-            and Path(f"/proc/{above}/stat").read_text().rpartition(")")[2].split()[1] == parent
-        )
-    except OSError:
-        return False
+        started = chromium.browser_type.launch(executable_path=CHROMIUM, args=FLAGS)
+        processes = started.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
+        number = next(one["id"] for one in processes if one["type"] == "browser")
+        with pytest.raises(Error, match="closed"):
+            killed_while_it_looks(started, site, number)
+        until(lambda: opens() <= before)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -210,7 +209,5 @@ def test_a_page_that_only_looks_says_why_it_cannot_record_or_measure(chromium: B
         page.show("Plots")
         assert "--files DIR" in page.page.locator("#record-why").inner_text()
         page.choose_edge("wave.out-slow.in")
-        began = time.monotonic()
-        page.page.get_by_role("button", name="Measure").click()
-        page.page.locator(".toast.shown").wait_for()
-        assert time.monotonic() - began < 10
+        page.page.get_by_role("button", name="Measure").press("Enter")
+        page.page.locator(".toast.shown", has_text="--edit").wait_for()
