@@ -204,6 +204,20 @@ async def test_pages_have_few_connectors_measured() -> None:
         await shown.until(lambda: len(shown.problems) == 2)
 
 
+async def test_frames_hold_edges_that_go_back() -> None:
+    async with controlled() as kernel, site() as client, page(client) as shown:
+        first, second = await kernel.create(Stage, "first"), await kernel.create(Stage, "second")
+        await kernel.start(PeriodicContext(rate=10.0, name="back"), first, second, activate=True)
+        await kernel.connect("first.result", "second.value")
+        await kernel.connect("second.result", "first.value")
+        await shown.until(lambda: len(shown.things["edges"]) == 3 and shown.named("frames", "back"))
+        bends = [x for one in shown.things["edges"].values() for x, _ in one["points"]]
+        assert min(bends) < min(one["x"] for one in shown.things["boxes"].values())
+        for one in shown.things["frames"].values():
+            assert one["x"] < min(bends)
+            assert max(bends) < one["x"] + one["w"]
+
+
 async def test_kernels_of_several_hosts_stand_in_frames_of_their_hosts() -> None:
     scene = Scene()
     async with controlled() as kernel:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, Final, TypeAlias
 
 from aiorts_studio.watching.graph import HOST, IN_COMPOSITE
-from aiorts_studio.watching.layout import GROUP_HEAD, Band, Key, Layout
+from aiorts_studio.watching.layout import GROUP_HEAD, Band, Key, Layout, Route
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import composite_said, context_said
 
@@ -16,23 +16,34 @@ _PAD: Final = 16.0
 """Between the frame of a kernel and those of its contexts."""
 _INSET: Final = 8.0
 """Between the frame of a context and those of its composites."""
+_BEND: Final = 20.0
+"""Between a bend of an edge and the frame of its context."""
 
 
 def frames_of(
-    views: Mapping[str, View], layout: Layout, number: Callable[..., int], folded: Collection[Key]
+    views: Mapping[str, View],
+    layout: Layout,
+    routes: Collection[Route],
+    number: Callable[..., int],
+    folded: Collection[Key],
 ) -> dict[int, Thing]:
-    """The frames of all kernels, by number.
+    """The frames of all kernels, by number. All are as wide as the boxes, and the edges, that reach farthest.
 
     Args:
         number: the number of a thing, by the words of its key.
         folded: the keys of those that are folded.
     """
-    return _Frames(layout, number, folded).made(views)
+    return _Frames(layout, routes, number, folded).made(views)
 
 
 class _Frames:
-    def __init__(self, layout: Layout, number: Callable[..., int], folded: Collection[Key]) -> None:
+    def __init__(
+        self, layout: Layout, routes: Collection[Route], number: Callable[..., int], folded: Collection[Key]
+    ) -> None:
         self._layout, self._number, self._folded = layout, number, folded
+        bends = [x for route in routes for x, _ in route.points]
+        self._left = min(0.0, min(bends, default=0.0) - _BEND)
+        self._width = max(layout.right, max(bends, default=0.0) + _BEND) - self._left
 
     def made(self, views: Mapping[str, View]) -> dict[int, Thing]:
         made: dict[int, Thing] = {}
@@ -44,7 +55,7 @@ class _Frames:
             key: Key = ("frame", view.key)
             number, extent = self._number(*key), _extent(bands.values())
             height = GROUP_HEAD + extent.height + _PAD
-            place = {"x": -_PAD, "y": extent.top - GROUP_HEAD, "w": layout.right + 2 * _PAD, "h": height}
+            place = {"x": self._left - _PAD, "y": extent.top - GROUP_HEAD, "w": self._width + 2 * _PAD, "h": height}
             said = f"process {view.about['pid']} on {view.about['host']}"
             host = (HOST, view.about["host"])
             parent = self._number("frame", *host) if host in layout.bands else None
@@ -58,7 +69,12 @@ class _Frames:
         key, context = ("frame", *band[1:]), band[2]
         if len(band) == IN_COMPOSITE:
             extent, report = bands[band], view.components.get(band[3])
-            place = {"x": _INSET, "y": extent.top, "w": self._layout.right - 2 * _INSET, "h": extent.height - _INSET}
+            place = {
+                "x": self._left + _INSET,
+                "y": extent.top,
+                "w": self._width - 2 * _INSET,
+                "h": extent.height - _INSET,
+            }
             said = "" if report is None else composite_said(report)
             frame = self._frame(key, "composite", view, band[3], said, place, self._number(*key[:3]))
         else:
@@ -66,7 +82,7 @@ class _Frames:
             report = view.contexts.get(context)
             apart = view.processes_of(() if report is None else report["members"])
             said = context_said(report) + "".join(f" · process {pid}" for pid in apart)
-            place = {"x": 0.0, "y": extent.top, "w": self._layout.right, "h": extent.height}
+            place = {"x": self._left, "y": extent.top, "w": self._width, "h": extent.height}
             kind = "process" if apart else "context"
             frame = self._frame(key, kind, view, context or "in no context", said, place, parent)
         return {frame["id"]: frame}
@@ -78,7 +94,7 @@ class _Frames:
             number, top = self._number("frame", *key), self._layout.bands[key].top
             if inner := [one for one in kernels.values() if one["parent"] == number]:
                 bottom = max(one["y"] + one["h"] for one in inner)
-                place = {"x": -2 * _PAD, "y": top, "w": self._layout.right + 4 * _PAD, "h": bottom - top + _PAD}
+                place = {"x": self._left - 2 * _PAD, "y": top, "w": self._width + 4 * _PAD, "h": bottom - top + _PAD}
                 said = f"{len(inner)} kernel{'s' * (len(inner) > 1)}"
                 about = {"id": number, "kind": HOST, "kernel": inner[0]["kernel"], "name": key[1], "said": said}
                 made[number] = {**about, **place, "parent": None, "folded": False}

@@ -103,7 +103,7 @@ class Scene:
     def _change(self) -> Message | None:
         message: Message = {"t": "change"}
         gone: dict[str, list[Any]] = {}
-        frames = frames_of(self.views, self._layout, self.number, self._folded)
+        frames = frames_of(self.views, self._layout, self._routes.values(), self.number, self._folded)
         for kind, things in {"frames": frames, "boxes": self._boxes(), "edges": self._edges()}.items():
             before = self.things[kind]
             different = [one for number, one in things.items() if before.get(number) != one]

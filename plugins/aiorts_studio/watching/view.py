@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from aiorts.adapting import FILTER, filter_name
 from aiorts.sessions import Entry
 from aiorts_studio.watching.words import class_of
 
+_FILTER: Final = "FlexiFilter"
 _LOOK_ON: Final = frozenset(("FlexiDump", "FlexiLogger"))
 
 
@@ -69,7 +69,7 @@ class View:
     def is_infrastructure(self, component: str) -> bool:
         """Whether a component only looks on, or was put in where two ports do not fit."""
         kind = class_of(self.components[component]["type"])
-        return kind in _LOOK_ON or (kind == FILTER and self._is_adapter(component))
+        return kind in _LOOK_ON or (kind == _FILTER and self._is_adapter(component))
 
     def _is_adapter(self, component: str) -> bool:
         """Whether a filter has the name, and the one connector at each end, of one that `adapt` put in."""
@@ -77,7 +77,8 @@ class View:
         after = [one["target"] for one in self.connectors.values() if one["source"].startswith(f"{component}.")]
         if len(before) != 1 or len(after) != 1:
             return False
-        return component.rstrip("0123456789") == filter_name(before[0], after[0], ()).rstrip("0123456789")
+        writer, reader = before[0].partition(".")[0], after[0].replace(".", "_")
+        return component.startswith(f"{writer}_to_{reader}")
 
     def context_of(self, component: str) -> str:
         """The context that runs a component, the first of several; "" is none."""
