@@ -13,6 +13,8 @@ from aiorts_studio.watching.words import said_of, state_of
 
 Row: TypeAlias = list[Any]
 _KINDS: Final = ("connectors", "service_connectors", "timed", "contexts", "components")
+_LEFT_OUT: Final = frozenset(("skipped", "superseded"))
+"""The reasons of drops that options ask for: every nth sample, the newest alone."""
 _LOOKS: Final = 6
 """Looks over which rates are taken: one second of five a second."""
 
@@ -72,18 +74,18 @@ class Figures:
         if counted is None:
             return None
         written, _, buffered, dropped, _ = counted
-        lost, rate, losing = sum(dropped.values()), None, 0.0
+        rate, losing = None, 0.0
         if (before := self._before(name)) is not None:
             at_ns, (written_then, _, _, dropped_then, _) = before
             seconds = (self.at_ns - at_ns) / 1e9
             rate = _digits((written - written_then) / seconds)
-            losing = _digits((lost - sum(dropped_then.values())) / seconds)
-        return [rate, lost, buffered, losing, dropped or None, self._age_ms(name), self.trips.get(name)]
+            losing = _digits((lost(dropped) - lost(dropped_then)) / seconds)
+        return [rate, lost(dropped), buffered, losing, dropped or None, self._age_ms(name), self.trips.get(name)]
 
     def is_lossy(self, name: str) -> bool:
-        """Whether the connector has dropped samples."""
+        """Whether the connector has lost samples."""
         counted = self.now["connectors"].get(name)
-        return counted is not None and bool(counted[3])
+        return counted is not None and lost(counted[3]) > 0
 
     def _before(self, name: str) -> tuple[int, Any] | None:
         for at_ns, counted in self._earlier:
@@ -110,6 +112,11 @@ class Figures:
             return None
         late = round(found["lateness_p99_ns"] / 1e6, 1) if found["rate"] else None
         return [late, found["overruns"], self.late.get(context, "")]
+
+
+def lost(dropped: Mapping[str, int]) -> int:
+    """The samples that were lost, of all that were dropped, by reason: what an option leaves out is no loss."""
+    return sum(count for reason, count in dropped.items() if reason not in _LEFT_OUT)
 
 
 def _digits(value: float) -> float:
