@@ -82,7 +82,8 @@ def test_a_stopped_kernel_is_grey_and_says_so_and_the_rest_stays_live(page: Open
 def test_a_killed_kernel_is_said_and_picked_up_again_without_a_reload(page: Opened) -> None:
     mark = page.page.evaluate("window.mark = Math.random()")
     with kernel("coming", PARTS / "lossy.toml") as process:
-        page.wait_for_boxes(7)
+        page.wait_for(f"name => ({STATE})(name) === 'live'", "coming")
+        until(lambda: len(numbers_of(page, "coming")) == 5)
         numbers = numbers_of(page, "coming")
         process.kill()
         began = time.monotonic()
@@ -93,7 +94,7 @@ def test_a_killed_kernel_is_said_and_picked_up_again_without_a_reload(page: Open
         page.wait_for(f"name => ({STATE})(name) === 'live'", "coming")
         assert is_live(page, "steady")
         assert page.page.evaluate("window.mark") == mark
-        assert numbers_of(page, "coming") == numbers
+        until(lambda: numbers_of(page, "coming") == numbers)
 
 
 def test_a_port_added_while_the_page_is_open_appears_and_the_others_stay(page: Opened, site: Served) -> None:
@@ -103,7 +104,7 @@ def test_a_port_added_while_the_page_is_open_appears_and_the_others_stay(page: O
     page.wait_for("() => [...store.boxes.value.values()].some((box) => box.name === 'dump0' && box.ports.length === 1)")
     assert time.monotonic() - began < 2.0
     assert places_of(page, "pid0", "plant0") == places
-    site.call("steady", "remove", component="dump0")
+    site.call("steady", "remove", components=["dump0"])
     until(lambda: page.names() == before)
 
 
