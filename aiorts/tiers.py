@@ -57,11 +57,11 @@ EXPERIMENTAL: Final = Tier(
     "Experimental",
     "may change or go at any time",
     ("the network (zenoh)", "OpenRTM", "reload of code", "Foxglove", "the HTTP API"),
-    frozenset(("at", "certs", "router", "import", "export", "reload", "foxglove", "studio")),
+    frozenset(("at", "certs", "router", "import", "export", "reload", "foxglove", "studio", "ui")),
     frozenset(
         (
             *("connect-hosts", "secure-network", "run-fleet", "openrtm-files", "replace-code", "foxglove-live"),
-            "use-the-http-api",
+            *("watch-in-the-browser", "use-the-http-api"),
         )
     ),
 )

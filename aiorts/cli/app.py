@@ -92,7 +92,7 @@ _DELIVERED: Final = {
     "aiorts_log.commands.record_command:record": "Record samples of what runs.",
     "aiorts_openrtm.commands.exporting:export": "Make a profile of OpenRTM of a system file.",
     "aiorts_openrtm.commands.importing:import_": "Make a system file of a file of OpenRTM.",
-    "aiorts_studio.command:studio": "Serve what runs over HTTP.",
+    "aiorts_studio.command:studio": "Show what runs in a browser.",
     "aiorts_zenoh.at_command:at": "Run a command with the kernels of another machine, too.",
     "aiorts_zenoh.router_command:router": "Carry what kernels say to each other.",
     "aiorts_zenoh.security.command:certs": "Make and check the certificates of a network.",

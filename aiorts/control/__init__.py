@@ -14,9 +14,20 @@ if TYPE_CHECKING:
     from aiorts.control.operations import OPERATIONS
     from aiorts.control.server.service import Control
     from aiorts.control.session import Session
+    from aiorts.model.lifecycle import state_text
     from aiorts.model.plain import Schemas
 
-__all__ = ("OPERATIONS", "Control", "Operation", "Right", "Schemas", "Session", "converters_read", "is_code")
+__all__ = (
+    "OPERATIONS",
+    "Control",
+    "Operation",
+    "Right",
+    "Schemas",
+    "Session",
+    "converters_read",
+    "is_code",
+    "state_text",
+)
 
 _late(
     globals(),
@@ -25,6 +36,7 @@ _late(
         "aiorts.control.operations": "OPERATIONS",
         "aiorts.control.server.service": "Control",
         "aiorts.control.session": "Session",
+        "aiorts.model.lifecycle": "state_text",
         "aiorts.model.plain": "Schemas",
     },
 )

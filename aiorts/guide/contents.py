@@ -44,7 +44,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
                 "samples-live",
                 "live-log",
             ),
-            *("foxglove-live", "use-the-http-api", "filters", "notebook"),
+            *("watch-in-the-browser", "foxglove-live", "use-the-http-api", "filters", "notebook"),
             *("write-plugin", "describe-components", "write-context", "write-codec", "write-service", "write-bench"),
         ),
     ),

@@ -60,17 +60,18 @@ ASKED: Final[dict[str, tuple[str, ...]]] = {
     "measure-live": ("latency", "throughput", "frequency"),
     "live-log": ("logging", "loguru", "debug output", "log level"),
     "foxglove-live": ("rviz", "rviz2", "3d", "plotjuggler", "rerun", "viewer", "gui for data", "visualization"),
+    "watch-in-the-browser": ("gui", "dashboard", "browser", "rtsystemeditor", "rtclink", "rqt", "node-red", "web page"),
     "use-the-http-api": ("openapi", "swagger", "javascript", "curl", "rest api", "http api", "rosbridge"),
     "notebook": ("jupyter", "ipython"),
     "measured": ("performance", "how fast", "benchmark", "overhead", "memory", "cpu usage"),
     "limits": (
-        *("gui", "dashboard", "metrics", "prometheus", "grafana", "influxdb", "opentelemetry", "kubernetes", "k8s"),
+        *("metrics", "prometheus", "grafana", "influxdb", "opentelemetry", "kubernetes", "k8s"),
         *("windows", "macos", "mqtt", "grpc", "protobuf", "dds", "database", "gpu", "cuda", "microcontroller"),
         *("esp32", "arduino", "tf", "tf2", "urdf", "behavior tree", "hard real time", "drivers", "rust", "qt"),
     ),
     "stability": ("deprecated", "deprecation", "stable", "breaking changes", "semver", "experimental", "provisional"),
     "releases": ("version", "license", "licence", "changelog", "air gapped"),
-    "ros2": ("ros", "ros2", "ros 2", "rclpy", "rqt", "nav2"),
+    "ros2": ("ros", "ros2", "ros 2", "rclpy", "nav2"),
     "openrtm": ("openrtm", "rtc", "rtm", "corba"),
 }
 """Page -> words and phrases; a phrase counts where all of its words are in the question."""

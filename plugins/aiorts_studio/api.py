@@ -30,11 +30,11 @@ from aiorts_studio.guard import (
     answer,
 )
 from aiorts_studio.kernels import Visitor, entry_of, lines_of, running
-from aiorts_studio.limits import UnderWay
 from aiorts_studio.offered import LARGE, check_names, operation_of, patience
 from aiorts_studio.openapi import document, page
-from aiorts_studio.problems import HttpError, problem_of, status_of
-from aiorts_studio.values import json_in, json_out
+from aiorts_studio.plain.limits import UnderWay
+from aiorts_studio.plain.problems import HttpError, problem_of, status_of
+from aiorts_studio.plain.values import json_in, json_out
 from aiorts_studio.watching.studio import Studio
 
 if TYPE_CHECKING:
@@ -105,8 +105,8 @@ class Api:
         from starlette.responses import HTMLResponse, Response
         from starlette.routing import Route, WebSocketRoute
 
+        from aiorts_studio.page_socket import PageSockets
         from aiorts_studio.socket import Sockets
-        from aiorts_studio.watching.socket import PageSockets
 
         def fixed(answer: Callable[[], Response]) -> Callable[[Request], Response]:
             return lambda request: answer()

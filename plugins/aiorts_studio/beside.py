@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from anyio import to_thread
 
 from aiorts import KernelService, Microkernel, setting
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
-
-if TYPE_CHECKING:
-    from aiorts.kernel.loop.deadlines import StopBudget
 
 _LAST: Final = 3.0
 """Seconds that the process has to end in."""
@@ -54,7 +51,7 @@ class StudioBeside(KernelService):
         # It ends when its standard input does: also where this process is killed. What it prints is not the system's.
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=2)  # noqa: S603 # our own command
 
-    async def leaving(self, budget: StopBudget) -> None:
+    async def leaving(self, budget: object) -> None:
         process, self._process = self._process, None
         if process is not None and process.stdin is not None:
             process.stdin.close()

@@ -11,8 +11,8 @@ from collections.abc import Awaitable, Callable, Collection, Mapping, MutableMap
 from types import MappingProxyType
 from typing import Any, Final
 
-from aiorts_studio.problems import HttpError, problem_of, status_of
-from aiorts_studio.values import json_out
+from aiorts_studio.plain.problems import HttpError, problem_of, status_of
+from aiorts_studio.plain.values import json_out
 
 Message = MutableMapping[str, Any]
 Scope = MutableMapping[str, Any]

@@ -17,7 +17,7 @@ from aiorts.errors import AbsentError, AmbiguousError, ClosedError, DeniedError
 from aiorts.late import dataclass
 from aiorts.sessions import END, AsyncClient, AsyncStream, Entry, entries
 from aiorts_studio.codes import Holder
-from aiorts_studio.limits import Bucket
+from aiorts_studio.plain.limits import Bucket
 
 _OPEN: Final = 5.0
 """Seconds within which a kernel has to begin a session."""

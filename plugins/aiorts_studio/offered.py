@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from aiorts.control import OPERATIONS, Operation, Right
 from aiorts.errors import RecordError
-from aiorts_studio.problems import HttpError
+from aiorts_studio.plain.problems import HttpError
 
 LARGE: Final = frozenset(("apply", "change", "load_configuration", "plan"))
 """The operations whose arguments are the text of a file."""

@@ -12,7 +12,7 @@ from aiorts import __version__
 from aiorts.control import Operation, Right, Schemas
 from aiorts_studio.kernels import Running
 from aiorts_studio.offered import offered
-from aiorts_studio.problems import STATUSES
+from aiorts_studio.plain.problems import STATUSES
 
 Json = dict[str, Any]
 

@@ -17,8 +17,8 @@ from aiorts.control import Operation
 from aiorts.errors import AiortsError, RecordError
 from aiorts_studio.kernels import Visitor, entry_of, lines_of
 from aiorts_studio.offered import check_names, operation_of, patience
-from aiorts_studio.problems import HttpError, problem_of
-from aiorts_studio.values import LARGEST, json_in, json_out
+from aiorts_studio.plain.problems import HttpError, problem_of
+from aiorts_studio.plain.values import LARGEST, json_in, json_out
 
 if TYPE_CHECKING:
     from starlette.websockets import WebSocket

@@ -120,7 +120,8 @@ def test_each_word_of_a_newcomer_leads_first_to_the_page_that_answers() -> None:
 
 @pytest.mark.parametrize(
     ("word", "page", "said"),
-    [("gui", "limits", "graphical interface"), ("dashboard", "limits", "dashboard"), ("metrics", "limits", "metrics"),
+    [("gui", "watch-in-the-browser", "browser"), ("dashboard", "watch-in-the-browser", "browser"),
+     ("metrics", "limits", "metrics"),
      ("kubernetes", "limits", "Kubernetes"), ("rviz", "foxglove-live", "Foxglove"), ("3d", "foxglove-live", "Foxglove"),
      ("deadlock", "quality-of-service", "deadlock"),
      ("feedback loop", "quality-of-service", "no component begins"), ("losses", "slow-reader", ""),

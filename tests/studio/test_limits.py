@@ -6,8 +6,8 @@ from contextlib import suppress
 
 import pytest
 
-from aiorts_studio.limits import AT_ONCE, OF_CLIENT, OF_KERNEL, RATE, Bucket, UnderWay
-from aiorts_studio.problems import HttpError
+from aiorts_studio.plain.limits import AT_ONCE, OF_CLIENT, OF_KERNEL, RATE, Bucket, UnderWay
+from aiorts_studio.plain.problems import HttpError
 
 
 def test_a_client_may_ask_much_at_once_and_its_rate_afterwards() -> None:

@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed
 
 from aiorts import Kernel, OutPort
 from aiorts.types import TimedDouble
-from aiorts_studio.watching.socket import PAGES
+from aiorts_studio.page_socket import PAGES
 from control_parts import WAIT, Counter, controlled, running
 from studio_page import paging
 from studio_parts import site

@@ -15,7 +15,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from aiorts.control import Right
 from aiorts_studio.codes import CODE_SECONDS, TRIES
 from aiorts_studio.guard import HEADERS
-from aiorts_studio.limits import AT_ONCE
+from aiorts_studio.plain.limits import AT_ONCE
 from aiorts_studio.socket import STRANGERS
 from control_parts import WAIT, controlled
 from studio_parts import Reply, site

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aiorts.errors import RecordError
-from aiorts_studio.values import DEEPEST, json_in, json_out, value_out
+from aiorts_studio.plain.values import DEEPEST, json_in, json_out, value_out
 
 LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.binary()
 VALUES = st.recursive(LEAVES, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=20)

@@ -47,8 +47,9 @@ export function followAddress() {
   });
   effect(() => {
     const address = addressOf(selected.value);
-    if (address === location.hash || !(address || selecting)) return;
+    const before = selecting;
     selecting = address !== "";
+    if (address === location.hash || !(address || before)) return;   // what the address wants may still come
     wanted = address;
     history.replaceState(null, "", address || location.pathname);
   });

@@ -2,7 +2,7 @@
 import { h } from "./vendor/preact.js";
 import htm from "./vendor/htm.js";
 import { boxes, choose, connection, edges, figures, frameFigures, frames, kernels, keysOpen, missed, right, theme } from "./store.js";
-import { count, number } from "./words.js";
+import { count, counted, number } from "./words.js";
 
 const html = htm.bind(h);
 
@@ -35,10 +35,10 @@ function facts() {
   const lost = rows.reduce((sum, [, row]) => sum + row.dropped, 0);
   const worst = rows.reduce((most, one) => (one[1].dropped > (most?.[1].dropped ?? 0) ? one : most), /** @type {typeof rows[0] | null} */ (null));
   const late = [...frameFigures.value].reduce((most, one) => ((one[1].late ?? -1) > (most?.[1].late ?? -1) ? one : most), /** @type {[number, any] | null} */ (null));
-  const live = [...kernels.value.values()].filter((one) => one.state !== "ended"), names = live.length === 1 ? live[0].name : `${live.length} kernels`;
+  const live = [...kernels.value.values()].filter((one) => one.state !== "ended"), names = live.length === 1 ? live[0].name : counted(live.length, "kernel");
   /** @type {[string, string, boolean, (() => void) | null][]} */
   const all = [
-    [names, `${count(boxes.value.size)} components, ${count(edges.value.size)} connectors`, false, null],
+    [names, `${counted(boxes.value.size, "component")}, ${counted(edges.value.size, "connector")}`, false, null],
     [known.length ? `${number(passing)}/s` : "–", "samples in view", false, null],
     [count(lost), "samples dropped", lost > 0, worst ? () => choose("edge", worst[0], { focus: true }) : null],
   ];

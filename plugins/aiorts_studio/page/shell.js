@@ -61,12 +61,15 @@ const EDGES = /** @type {Edge[]} */ ([
   { property: "--below", sign: -1, axis: "y", least: 96, most: 640, first: 208, label: "Height of the panel below", kind: "low" },
 ]);
 
+/** A screen this wide is looked at from further away: text is larger, in px. */
+const LARGE = 2400;
+
 /** Put between the rooms what changes their sizes, by pointer and by arrows. @param {HTMLElement} scene @param {HTMLElement} below */
 export function splitters(scene, below) {
   for (const { property, sign, axis, least, most, first, label, kind } of EDGES) {
     const node = (axis === "x" ? scene : below).appendChild(element("div", { class: `splitter ${kind}`, role: "separator", tabindex: "0", "aria-label": label,
       "aria-orientation": axis === "x" ? "vertical" : "horizontal", "aria-valuemin": String(least), "aria-valuemax": String(most) }));
-    let size = Number(localStorage.getItem(`aiorts${property}`) ?? first);
+    let size = Number(localStorage.getItem(`aiorts${property}`) ?? (window.innerWidth > LARGE ? first * 1.35 : first));
     const put = (/** @type {number} */ to) => {
       size = Math.round(Math.max(least, Math.min(most, to)));
       document.body.style.setProperty(property, `${size}px`);   // by the CSSOM: allowed by the policy

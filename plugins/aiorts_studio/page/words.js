@@ -60,10 +60,19 @@ export function labelOf(edge, row, crowded, small) {
   if (edge.state !== "up") return [edge.state, ""];
   if (!row) return ["", ""];
   const rate = row.rate === null ? "" : `${number(row.rate)} Hz`, trip = row.trip === null || small ? "" : `${number(row.trip)} ms`;
-  const reasons = reasonsOf(row), why = reasons.length === 1 && !crowded && !small ? reasons[0][0].replaceAll("_", " ") : "lost";
+  const reasons = reasonsOf(row), why = reasons.length === 1 && !crowded && !small ? lostBy(reasons[0][0]) : "lost";
   const second = row.dropped ? `${count(row.dropped)} ${why}` : row.backlog && !small ? `${count(row.backlog)} waiting` : "";
   return [crowded && small && row.dropped ? "" : [rate, trip].filter(Boolean).join(" · "), second];
 }
+
+/** Reasons that can be said of samples; "149 inactive" cannot. */
+const PARTICIPLE = /(ed|en)$/;
+
+/** @param {string} reason */
+const lostBy = (reason) => (PARTICIPLE.test(reason) ? reason : `lost: ${reason.replaceAll("_", " ")}`);
+
+/** A number of things. @param {number} value @param {string} one @param {string} [many] */
+export const counted = (value, one, many = `${one}s`) => `${count(value)} ${value === 1 ? one : many}`;
 
 /** All that is known of an edge, line by line. @param {Edge} edge @param {EdgeFigures | undefined} row @returns {string[]} */
 export function edgeLines(edge, row) {
@@ -105,7 +114,7 @@ export function boxSpoken(box, state, said, kernel) {
  */
 export function frameSaid(frame, row) {
   const late = !row?.late ? "" : `p99 ${number(row.late)} ms late`;
-  const overruns = row?.overruns ? `${count(row.overruns)} overrun${row.overruns === 1 ? "" : "s"}${row.who ? `, most by ${row.who.split(":")[0]}` : ""}` : "";
+  const overruns = row?.overruns ? `${counted(row.overruns, "overrun")}${row.who ? `, most by ${row.who.split(":")[0]}` : ""}` : "";
   return [frame.said, late, overruns].filter(Boolean).join("  ·  ");
 }
 

@@ -12,7 +12,9 @@ from typing import Any, Final, TypeAlias
 from aiorts_studio.watching.words import said_of, state_of
 
 Row: TypeAlias = list[Any]
-_KINDS: Final = ("connectors", "service_connectors", "timed", "contexts", "components")
+_KINDS: Final = ("connectors", "service_connectors", "contexts", "components")
+_LEFT_OUT: Final = frozenset(("skipped", "superseded"))
+"""The reasons of drops that options ask for: every nth sample, the newest alone."""
 _LOOKS: Final = 6
 """Looks over which rates are taken: one second of five a second."""
 
@@ -25,6 +27,8 @@ class Figures:
         self.at_ns = 0
         self.trips: dict[str, float] = {}
         """The round trips of links in ms, by connector."""
+        self.ages: dict[str, float] = {}
+        """The median ages of samples in ms when they are read, of connectors that are measured."""
         self.late: dict[str, str] = {}
         """What made a context late most often, by context."""
         self._earlier: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_LOOKS)
@@ -75,28 +79,24 @@ class Figures:
         if counted is None:
             return None
         written, _, buffered, dropped, _ = counted
-        lost, rate, losing = sum(dropped.values()), None, 0.0
+        rate, losing = None, 0.0
         if (before := self._before(name)) is not None:
             at_ns, (written_then, _, _, dropped_then, _) = before
             seconds = (self.at_ns - at_ns) / 1e9
             rate = _digits((written - written_then) / seconds)
-            losing = _digits((lost - sum(dropped_then.values())) / seconds)
-        return [rate, lost, buffered, losing, dropped or None, self._age_ms(name), self.trips.get(name)]
+            losing = _digits((lost(dropped) - lost(dropped_then)) / seconds)
+        return [rate, lost(dropped), buffered, losing, dropped or None, self.ages.get(name), self.trips.get(name)]
 
     def is_lossy(self, name: str) -> bool:
-        """Whether the connector has dropped samples."""
+        """Whether the connector has lost samples."""
         counted = self.now["connectors"].get(name)
-        return counted is not None and bool(counted[3])
+        return counted is not None and lost(counted[3]) > 0
 
     def _before(self, name: str) -> tuple[int, Any] | None:
         for at_ns, counted in self._earlier:
             if name in counted and at_ns < self.at_ns:
                 return at_ns, counted[name]
         return None
-
-    def _age_ms(self, name: str) -> float | None:
-        spans = self.now["timed"].get(name, {}).get("age")
-        return None if spans is None else round(spans[1] / 1e6, 3)
 
     def box(self, name: str) -> Row | None:
         """The state of a component, and what is said of it."""
@@ -113,6 +113,11 @@ class Figures:
             return None
         late = round(found["lateness_p99_ns"] / 1e6, 1) if found["rate"] else None
         return [late, found["overruns"], self.late.get(context, "")]
+
+
+def lost(dropped: Mapping[str, int]) -> int:
+    """The samples that were lost, of all that were dropped, by reason: what an option leaves out is no loss."""
+    return sum(count for reason, count in dropped.items() if reason not in _LEFT_OUT)
 
 
 def _digits(value: float) -> float:

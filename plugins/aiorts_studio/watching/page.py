@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, Final
 
-from aiorts_studio.values import json_out
+from aiorts_studio.plain.values import json_out
 from aiorts_studio.watching.figures import Row
 
 MESSAGES: Final = 256

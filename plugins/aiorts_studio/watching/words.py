@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
-from aiorts.model.lifecycle import state_text
+from aiorts.control import state_text
 
 _PLACE: Final = re.compile(r"\(([^()\s]+\.py):(\d+)\)")
 
@@ -58,6 +58,11 @@ def context_said(report: Mapping[str, Any] | None) -> str:
         return ""
     kind = report["kind"]
     return f"{kind}, {report['rate']:g} Hz" if report["rate"] else str(kind)
+
+
+def composite_said(report: Mapping[str, Any]) -> str:
+    """What a composite is: how many components run with it, and its state."""
+    return f"composite of {len(report['composite']['parts'])}, {state_text(report['states'], report['overdue'])}"
 
 
 def class_of(type_text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,8 +16,16 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 
+@pytest.fixture(scope="module", autouse=True)
+def runtime() -> Iterator[str]:
+    """The folder of sockets of a module: its kernels and servers go on from test to test."""
+    with tempfile.TemporaryDirectory(prefix="aiorts-") as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", folder)
+        yield folder
+
+
 @pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
+def chromium(runtime: str) -> Iterator[Browser]:
     """Headless Chromium."""
     if CHROMIUM is None:
         pytest.skip("NOT RUN: there is no chromium on this machine")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.slow
 PARTS = Path(__file__).parent / "parts"
-COMPONENTS = {"imu", "odometry", "metres", "turn_rate", "show", "checker", "wave", "slow", "fails"}
+COMPONENTS = {"imu", "odometry", "metres", "turn_rate", "show", "checker", "wave", "slow", "fails", "door", "loud"}
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_each_panel_below_is_legible(page: Opened, pictures: Path, tab: str) -> 
     if tab == "Plots":
         page.choose("wave")
         page.page.get_by_role("button", name="Plot wave.out").click()
-        page.page.locator(".values td").get_by_text("3.00", exact=True).wait_for()
+        page.page.locator(".values td").get_by_text("3.00", exact=True).first.wait_for()
     else:
         page.page.locator(".log .line").first.wait_for()
     assert checks.at_a_glance(page) == []

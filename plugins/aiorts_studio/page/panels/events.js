@@ -1,6 +1,7 @@
 /** What has happened in the kernels, the newest first; each line leads to its component. */
 import { signal } from "../vendor/preact-signals.js";
 import { kernels, on, say } from "../store.js";
+import { number } from "../words.js";
 import { Cut, Lead, LeadToContext, Rows, counted, html, moment } from "./parts.js";
 
 /** @import {Happening, Happenings} from "../types.js" */
@@ -68,6 +69,6 @@ function Line({ item, index }) {
     <span class="when" role="cell">${moment(item.at_ns)}</span><span class="kind" role="cell"><${Cut} text=${item.kind} /></span>
     <span class="who" role="cell">${item.component ? html`<${Lead} kernel=${item.kernel} component=${item.component} />`
       : html`<${LeadToContext} kernel=${item.kernel} context=${/^context ([\w.-]+)/.exec(item.text)?.[1] ?? ""} />`}</span>
-    <span class="what" role="cell" tabindex="0"><${Cut} text=${item.text} /></span>
+    <span class="what" role="cell" tabindex="0"><${Cut} text=${item.text.replace(/(\w+?)_ns (-?\d+)/g, (_all, name, ns) => `${name} ${number(Number(ns) / 1e6)} ms`)} /></span>
   </div>`;
 }

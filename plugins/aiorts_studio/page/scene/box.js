@@ -34,7 +34,7 @@ export const classOf = (look) => `is-${look.state || "unknown"} ${look.silent ? 
 function badge(box, state) {
   const shape = state === "error" ? make("rect", { x: -9, y: -9, width: 18, height: 18, rx: 4 }) : make("circle", { r: 9.5 });
   return make("g", { class: "state", transform: `translate(${box.w - 21} 26)`, "aria-hidden": "true" },
-    shape, make("text", { y: 4.7 }, letterOf(state)));
+    shape, make("text", {}, letterOf(state)));
 }
 
 /** @param {string} kind @param {number} x @param {number} y @param {string} said @param {number} room @param {string} font @param {string} [more] */

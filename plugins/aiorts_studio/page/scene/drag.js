@@ -1,4 +1,7 @@
-/** Moves boxes: by drag, and by Alt and the arrows. The server is told; the edges come from it, led anew. */
+/**
+ * Moves boxes: by drag, and by Alt and the arrows. A finger moves the selected box alone: on others it pans.
+ * The server is told; the edges come from it, led anew.
+ */
 import * as store from "../store.js";
 
 /** @import {Scene} from "./scene.js" */
@@ -22,7 +25,7 @@ export function dragging(scene, click) {
   scene.svg.addEventListener("pointerdown", (event) => {
     const node = event.target instanceof Element && event.target.closest(".box");
     const box = node && store.boxes.peek().get(Number(node.getAttribute("data-box")));
-    if (!box || event.button || held) return;
+    if (!box || event.button || held || (event.pointerType === "touch" && !scene.world.chosen("box", box.id))) return;
     event.stopPropagation();
     held = { id: box.id, pointer: event.pointerId, x: box.x, y: box.y, startX: event.clientX, startY: event.clientY, moved: false, said: 0 };
   });

@@ -18,7 +18,7 @@ export class Looks {
   box(box) {
     const { state, said } = this.world.figuresOf(box);
     return {
-      state, said, silent: this.world.silent(box.kernel), spoken: boxSpoken(box, state, said, store.kernels.peek().get(box.kernel)),
+      state, said: said || (state === "error" ? box.error?.message ?? "" : ""), silent: this.world.silent(box.kernel), spoken: boxSpoken(box, state, said, store.kernels.peek().get(box.kernel)),
       chosen: this.world.chosen("box", box.id), first: box.id === this.focused, sizes: this.sizes,
     };
   }

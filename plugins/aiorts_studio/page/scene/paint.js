@@ -51,7 +51,7 @@ export function paint(context, { x, y, k }, world, colours, ratio) {
   context.font = FAR_TEXT;
   context.textAlign = "left";
   for (const frame of world.frames) {
-    if (frame.w * k < 60) continue;
+    if (frame.w * k < 60 || frame.h * k < 22) continue;
     context.fillStyle = colours.quiet;
     context.fillText(cut(frame.name, frame.w * k - 16, FAR_TEXT), x + frame.x * k + 8, y + frame.y * k + Math.max(8, 20 * k));
   }

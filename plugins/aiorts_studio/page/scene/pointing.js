@@ -28,7 +28,9 @@ export function pointing(scene, view) {
     if (fold) return toggleFold(Number(fold.getAttribute("data-fold")));
     if (edge) return store.choose("edge", Number(edge.getAttribute("data-edge")), { focus: true });
     if (frame) return store.choose("frame", Number(frame.getAttribute("data-frame")), { focus: true });
-    if (target.closest(".box, .upon, .tip, .splitter")) return undefined;
+    const tapped = target.closest(".box");
+    if (tapped && /** @type {PointerEvent} */ (event).pointerType === "touch") return store.choose("box", Number(tapped.getAttribute("data-box")), { focus: true });
+    if (tapped || target.closest(".upon, .tip, .splitter")) return undefined;
     const box = scene.far ? boxAt(scene, event.clientX, event.clientY) : null;
     if (box !== null) return store.choose("box", box);
     const near = scene.far ? edgeAt(scene, event.clientX, event.clientY) : null;

@@ -38,7 +38,8 @@ export function tips(scene, thingAt) {
     if (shownFor === key && !tip.hidden) return undefined;
     window.clearTimeout(timer);
     shownFor = key;
-    timer = window.setTimeout(() => show(found, event.clientX, event.clientY), tip.hidden ? DELAY : 60);
+    const box = found.node?.matches(".box") ? found.node.getBoundingClientRect() : null;   // below it, not upon it
+    timer = window.setTimeout(() => show(found, event.clientX, box ? box.bottom - 8 : event.clientY), tip.hidden ? DELAY : 60);
     return undefined;
   });
   scene.host.addEventListener("pointerleave", hide);

@@ -10,13 +10,14 @@ const LEAST = 0.02, MOST = 3;
 const MARGIN = { side: 24, top: 20, bottom: 68 };
 /** The largest scale of a picture that was fitted: by the width there is, as a large screen is looked at from further away. */
 const mostFitted = (/** @type {number} */ width) => (width > 2200 ? 1.7 : 1.2);
-const OWN_POINTER = ".box, .upon, .tip, .fold, .splitter";
+const OWN_TOUCH = ".box.chosen, .upon, .tip, .fold, .splitter", OWN_POINTER = ".box, .upon, .tip, .fold, .splitter";
 
 /** @param {HTMLElement} host @param {Scene} scene @returns {Moves} */
 export function moving(host, scene) {
   const still = matchMedia("(prefers-reduced-motion: reduce)");
   const behaviour = /** @type {import("../vendor/d3-zoom.js").ZoomBehavior<HTMLElement, unknown>} */ (zoom()).scaleExtent([LEAST, MOST])
-    .filter((/** @type {any} */ event) => event.type === "wheel" || (!event.target.closest(OWN_POINTER) && !event.button) || (event.touches?.length ?? 0) > 1)
+    .filter((/** @type {any} */ event) => event.type === "wheel" || (event.touches?.length ?? 0) > 1
+      || (!event.target.closest(event.touches ? OWN_TOUCH : OWN_POINTER) && !event.button))
     .on("zoom", (/** @type {any} */ { transform }) => scene.setView({ x: transform.x, y: transform.y, k: transform.k }));
   const area = /** @type {import("d3-selection").Selection<HTMLElement, unknown, any, any>} */ (select(host)).call(behaviour).on("dblclick.zoom", null);
   /** Motion shows where one has gone; who asked for none is there at once. @param {number} ms */

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from aiorts import Component, InPort, OutPort, Param
+from aiorts import Component, InPort, OutPort, Param, StateMachineComponent
+from aiorts.statechart import After, Chart, On, State
 from aiorts.types import Point2D, Pose2D, TimedDouble, TimedPose2D, TimedString
 
 MARKUP = "<img src=x onerror=window.hit=1>"
@@ -49,3 +50,25 @@ class Fails(Component):
         self.count += 1
         if self.count == 10:
             raise RuntimeError(MARKUP)
+
+
+class Door(StateMachineComponent):
+    """Opens, and closes by itself."""
+
+    chart = Chart(
+        State("closed", On("open", to="opening"), initial=True),
+        State(
+            "moving", State("opening", After(60.0, to="open"), initial=True), State("closing", After(60.0, to="closed"))
+        ),
+        State("open", After(60.0, to="closing")),
+    )
+
+
+class Loud(Component):
+    """Logs as many lines a cycle as it is told to."""
+
+    lines: int = Param(0, ge=0, le=1000)
+
+    async def on_execute(self) -> None:
+        for line in range(self.lines):
+            self.log.warning(f"line {line} of {self.lines}, cycle {self.clock.time_ns()}")  # noqa: G004 - each another

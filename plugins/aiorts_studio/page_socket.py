@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.errors import AbsentError, AiortsError, RecordError
 from aiorts_studio.kernels import Visitor, entry_of
 from aiorts_studio.offered import check_names, operation_of, patience
-from aiorts_studio.problems import HttpError, problem_of
+from aiorts_studio.plain.problems import HttpError, problem_of
+from aiorts_studio.plain.values import json_out
 from aiorts_studio.socket import OVER, REFUSED, Sockets, close, said_in, whole
-from aiorts_studio.values import json_out
 from aiorts_studio.watching.feeds import EventFeed, Feed, LogFeed
 from aiorts_studio.watching.page import Page
 from aiorts_studio.watching.plots import FASTEST, Shown
@@ -138,6 +138,8 @@ class _PageSocket:
                 )
             case "events":
                 self._follow("events", EventFeed(self._page) if said.get("on") else None)
+            case "measure":
+                self._studio.measure(self._page, _edges(said.get("edges")), on=said.get("on") is True)
             case "watch":
                 self._watch(whole(said, "id"), said)
             case "unwatch":
@@ -223,6 +225,12 @@ def _rect(value: Any) -> tuple[float, float, float, float]:
         raise RecordError("rect: expected left, top, right and bottom")
     left, top, right, bottom = (_number(one, "rect") for one in value)
     return left, top, right, bottom
+
+
+def _edges(value: Any) -> frozenset[int]:
+    if not isinstance(value, list) or len(value) > _PORTS or not all(type(one) is int for one in value):
+        raise RecordError(f"edges: expected at most {_PORTS} numbers")
+    return frozenset(value)
 
 
 def _number(value: Any, name: str) -> float:

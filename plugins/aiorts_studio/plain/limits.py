@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from aiorts_studio.problems import HttpError
+from aiorts_studio.plain.problems import HttpError
 
 OF_CLIENT: Final = 32
 """Calls and streams of one client that may be under way."""
