@@ -32,6 +32,8 @@ _DRAW: Final = 0.05
 """Seconds in which changes are gathered before the scene is drawn: 1,000 components come one by one."""
 _SETTLES: Final = 0.5
 """Seconds without a change after which a kernel that has just begun is laid out once more."""
+_SETTLING: Final = 10
+"""Looks whether a kernel that has just begun is assembled."""
 _OPEN: Final = 3.0
 _AGAIN: Final = 1.0
 """Seconds until a kernel that refuses is asked once more."""
@@ -245,13 +247,19 @@ class Studio:
         return view
 
     async def _settle(self, view: View) -> None:
-        """Lay a kernel that has just begun out once more when it is assembled: what came one by one stands in a row."""
-        while not view.settled:
-            count = view.changes
+        """Lay a kernel that has just begun out once more when it is assembled: what came one by one stands in a row.
+
+        Only what boxes and edges there are counts, and only for a while: later nothing moves that is not asked to.
+        """
+        for _ in range(_SETTLING):
+            if view.settled:
+                return
+            count = view.size
             await asyncio.sleep(_SETTLES)
-            if view.changes == count and view.components:
-                view.settled = True
-                self.tidy()
+            if view.size == count and view.components:
+                break
+        view.settled = True
+        self.tidy()
 
     def _end(self, there: Collection[str]) -> None:
         """Say of kernels that they have ended, where that was while no page was open."""

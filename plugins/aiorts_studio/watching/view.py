@@ -23,7 +23,6 @@ class View:
         address: the address of the process that runs, or ran last.
         profile: the parts of its profile, as `changes` tells them.
         lasting: its name that stays over restarts; "" is not known.
-        changes: how often its profile has changed.
         settled: whether it was laid out after it was whole.
         answered: when it answered last, by the monotonic clock.
         about: what the page says of it: "name", "state", "why", and others.
@@ -34,7 +33,6 @@ class View:
     about: dict[str, Any]
     profile: dict[str, Any] = field(default_factory=dict)
     lasting: str = ""
-    changes: int = 0
     settled: bool = False
     answered: float = field(default_factory=time.monotonic)
 
@@ -45,6 +43,11 @@ class View:
         since = 0.0 if state == "live" else round(time.monotonic() - self.answered, 1)
         self.about.update(state=state, why=why, since_s=since)
         return True
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """How many components and connectors it has."""
+        return len(self.components), len(self.connectors)
 
     @property
     def components(self) -> Mapping[str, Any]:

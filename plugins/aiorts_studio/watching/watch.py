@@ -128,14 +128,12 @@ class Watch:
                 known.pop(name, None)
             else:
                 known[name] = now
-        self.view.changes += 1
         self._told.happened(self, item)
         self._told.changed()
 
     def _take_snapshot(self, item: Mapping[str, Any]) -> None:
         profile = item["profile"]
         self.view.profile = profile
-        self.view.changes += 1
         self.view.about["simulated"] = profile["clock"]["kind"] == "SimulatedClock"
         self._told.changed()
         self._say("live", "")

@@ -1,0 +1,185 @@
+"""The page's server beside real runs: links, isolated components, recordings, and `aiorts run --studio`."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from queue import Queue
+
+import pytest
+
+from aiorts.cli.app import run_command
+from control_parts import WAIT, running, until
+from studio_page import paging
+from studio_parts import serving
+
+pytestmark = [pytest.mark.slow, pytest.mark.row(120)]
+EXAMPLES = Path(__file__).parents[2] / "examples"
+ROOMBA = str(EXAMPLES / "roomba/system.toml")
+PARTS = """
+from aiorts import Component, InPort, OutPort
+
+class Source(Component):
+    out = OutPort(int)
+    count = 0
+
+    def on_execute(self):
+        self.count += 1
+        self.out.write_nowait(self.count)
+
+class Sink(Component):
+    in_ = InPort(int, name="in")
+
+    def on_execute(self):
+        self.in_.drain()
+"""
+SOURCE = """
+schema = 1
+[links]
+name = "alpha"
+[components.source]
+type = "parts.py:Source"
+[[connections]]
+from = "source.out"
+to = "beta/sink.in"
+[contexts.loop]
+kind = "periodic"
+rate = 50.0
+"""
+SINK = """
+schema = 1
+[links]
+name = "beta"
+[components.sink]
+type = "parts.py:Sink"
+[contexts.loop]
+kind = "periodic"
+rate = 50.0
+"""
+
+
+def test_a_link_is_one_edge_of_two_kernels(tmp_path: Path) -> None:
+    (tmp_path / "parts.py").write_text(PARTS)
+    (tmp_path / "alpha.toml").write_text(SOURCE)
+    (tmp_path / "beta.toml").write_text(SINK)
+
+    async def look() -> None:
+        await client.enter()
+        async with paging(client) as page:
+            await page.until(lambda: page.box("source") and page.box("sink"))
+            ends = [[page.box("source")["id"], "out"], [page.box("sink")["id"], "in"]]
+
+            def joined() -> bool:
+                found = list(page.edges.values())
+                return len(found) == 1 and [found[0]["from"], found[0]["to"]] == ends and found[0]["state"] == "up"
+
+            await page.until(joined)
+            assert len(page.boxes) == 2
+            (edge,) = page.edges.values()
+            assert edge["link"]
+            await page.until(lambda: (page.figures.get(edge["id"]) or [None])[0])
+
+    with (
+        running("beta", str(tmp_path / "beta.toml")),
+        running("alpha", str(tmp_path / "alpha.toml")),
+        serving() as (_, client),
+    ):
+        asyncio.run(look())
+
+
+def test_isolated_components_have_a_frame_of_their_process() -> None:
+    async def look() -> None:
+        await client.enter()
+        async with paging(client) as page:
+            frame = await page.until(
+                lambda: next((one for one in page.frames.values() if one["kind"] == "process"), None)
+            )
+            assert re.search(r"process \d+", frame["said"])
+            assert any(one["frame"] == frame["id"] for one in page.boxes.values())
+
+    with running("robot", str(EXAMPLES / "roomba/isolated.toml")), serving() as (_, client):
+        asyncio.run(look())
+
+
+def test_ports_are_recorded_into_the_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    async def record() -> str:
+        await client.enter()
+        async with paging(client) as page:
+            await page.until(lambda: page.is_live("robot") and page.boxes)
+            address = page.kernel("robot")["address"]
+            box = await page.until(lambda: next((one for one in page.boxes.values() if outs(one)), None))
+            ports = [[address, f"{box['name']}.{outs(box)[0]}"]]
+            await page.say("record", on=True, ports=ports)
+            await page.say("record", on=True, ports=ports)
+            assert "goes on" in str(await page.heard("recording", lambda one: one["why"]))
+            await asyncio.sleep(4.0)  # samples come meanwhile
+            await page.say("record", on=False)
+            done = await page.heard("recording", lambda one: not one["on"])
+            assert not done["why"], done
+            return str(done["file"])
+
+    with running("robot", ROOMBA), serving("--files", str(tmp_path)) as (_, client):
+        name = asyncio.run(record())
+    assert [one.name for one in tmp_path.iterdir()] == [name]
+    assert run_command(["log", "info", str(tmp_path / name)]) == 0
+    assert "samples" in capsys.readouterr().out
+
+
+def outs(box: dict[str, object]) -> list[str]:
+    ports = box["ports"]
+    assert isinstance(ports, list)
+    return [one["name"] for one in ports if one["side"] == "out" and one["kind"] == "data"]
+
+
+def test_without_a_folder_nothing_is_recorded() -> None:
+    async def record() -> None:
+        await client.enter()
+        async with paging(client) as page:
+            box = await page.until(lambda: next((one for one in page.boxes.values() if outs(one)), None))
+            await page.say("record", on=True, ports=[[box["kernel"], f"{box['name']}.{outs(box)[0]}"]])
+            assert "--files" in (await page.heard("recording", lambda one: one["why"]))["why"]
+
+    with running("robot", ROOMBA), serving() as (_, client):
+        asyncio.run(record())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_the_page_of_a_run_ends_with_the_run(runtime: str, number: int) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "aiorts", "run", "--name", "robot", "--studio", ROOMBA],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    lines: Queue[str] = Queue()
+    assert process.stderr is not None
+    reading = threading.Thread(target=lambda: [lines.put(one) for one in process.stderr or ()], daemon=True)
+    reading.start()
+    try:
+        end = time.monotonic() + WAIT
+        while "http://127.0.0.1:" not in lines.get(timeout=max(0.1, end - time.monotonic())):
+            pass
+        listed = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        (server,) = [one for one in listed if b"--beside" in Path(f"/proc/{one}/cmdline").read_bytes()]
+        os.kill(process.pid, number)
+        process.wait(WAIT)
+        until(lambda: not is_running(int(server)))
+    finally:
+        process.kill()
+        process.wait(WAIT)
+        reading.join(WAIT)
+
+
+def is_running(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False

@@ -1,0 +1,84 @@
+"""Figures and graphs from what kernels say."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from aiorts_studio.watching.figures import Figures, different
+from aiorts_studio.watching.plots import Columns, field_of
+
+pytestmark = pytest.mark.row(120)
+KINDS = ("connectors", "service_connectors", "timed", "contexts", "components")
+SECOND = 1_000_000_000
+
+
+def item(at_ns: int, connectors: dict[str, Any], *, whole: bool = False, gone: Any = None) -> dict[str, Any]:
+    return {
+        "whole": whole,
+        "at_ns": at_ns,
+        "gone": gone or {},
+        **{kind: {} for kind in KINDS},
+        "connectors": connectors,
+    }
+
+
+@given(st.lists(st.tuples(st.integers(1, 50), st.integers(0, 30)), min_size=2, max_size=30))
+def test_rates_are_of_the_last_second_and_sums_are_exact(steps: list[tuple[int, int]]) -> None:
+    figures, written, lost, counted = Figures(), 0, 0, []
+    for number, (more, less) in enumerate(steps):
+        written, lost = written + more, lost + less
+        counted.append((written, lost))
+        row = [written, 0, 3, {"full": lost} if lost else {}, 0]
+        figures.take(item(SECOND + number * SECOND // 5, {"a": row, "b": row}, whole=number == 0))
+    rate, dropped, waiting, losing, reasons, *_ = figures.edge(["a"]) or []
+    first = max(0, len(steps) - 7)
+    seconds = (len(steps) - 1 - first) / 5
+    assert rate == pytest.approx((written - counted[first][0]) / seconds, rel=0.01)
+    assert losing == pytest.approx((lost - counted[first][1]) / seconds, rel=0.01)
+    assert (dropped, waiting, reasons) == (lost, 3, {"full": lost} if lost else None)
+    both = figures.edge(["a", "b", "nothing"])
+    assert both is not None
+    assert both[1:3] == [2 * lost, 6]
+    assert figures.is_lossy("a") is bool(lost)
+
+
+def test_what_is_gone_is_forgotten() -> None:
+    figures = Figures()
+    figures.take(item(SECOND, {"a": [1, 1, 0, {}, 0]}, whole=True))
+    figures.take_part({"connectors": {"a": {"ledger": {"round_trip_ns": 5}}}, "contexts": {}})
+    figures.take(item(2 * SECOND, {}, gone={"connectors": ["a"]}))
+    assert figures.edge(["a"]) is None
+    assert not figures.trips
+
+
+def test_only_what_is_different_and_in_view_is_told() -> None:
+    told: dict[int, list[Any]] = {}
+    assert different({1: [1], 2: [2]}, told, [1, 3]) == {1: [1]}
+    assert different({1: [1], 2: [2]}, told, [1, 2]) == {2: [2]}
+    assert different({1: [5], 2: [2]}, told, [1, 2]) == {1: [5]}
+
+
+DATA = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**64), 2**64) | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from("abx0"), inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@given(DATA, st.lists(st.sampled_from(["a", "b", "x", "0", "1", "", "٣", "²", "9" * 5_000, "-1"]), max_size=5))
+def test_a_path_leads_to_a_number_or_to_none(data: Any, words: list[str]) -> None:
+    found = field_of(data, ".".join(words))
+    assert found is None or isinstance(found, float)
+
+
+@given(st.lists(st.floats(-1e9, 1e9), min_size=1))
+def test_a_column_holds_the_smallest_and_the_largest(values: list[float]) -> None:
+    columns = Columns(["x"])
+    for value in values:
+        columns.add(0.0, {"x": value})
+    assert columns.take() == {"x": [(0.0, min(values), max(values))]}
+    assert columns.take() == {}
