@@ -87,6 +87,8 @@ def studio(
         raise ConfigurationError("--bind and --certs: beyond this machine there is TLS only; give both or neither")
     if bind is not None and edit:
         raise ConfigurationError("--edit: what runs is changed from this machine alone, and never with --bind")
+    if files is not None and bind is not None:
+        raise ConfigurationError("--files: recordings are begun from this machine alone, and never with --bind")
     for needed in ("starlette", "uvicorn", "websockets"):
         if find_spec(needed) is None:
             raise MissingExtra("aiorts studio", needed, "studio")
@@ -98,8 +100,6 @@ def studio(
     right = Right.OPERATE if edit else Right.VIEW
     own = () if pages is None else sorted(pages.iterdir())
     shown = {one.name: one for one in own if one.suffix in PAGES and one.is_file()}
-    if files is not None and bind is not None:
-        raise ConfigurationError("--files: recordings are begun from this machine alone, and never with --bind")
     watched = Studio(kernels, files, _NO_FILES if bind is None else _NO_FILES_BEYOND)
     serving = _Serving(names, port, tls, right, shown, watched, opens=opens, bare=api, beside=beside)
     return asyncio.run(serving.run())

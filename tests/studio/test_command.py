@@ -118,6 +118,7 @@ async def test_a_browser_is_led_by_a_file_that_is_gone_when_the_code_was_used(
         (["--api", "--bind", "127.0.0.1"], "--certs"),
         (["--api", "--certs", "."], "--bind"),
         (["--api", "--bind", "127.0.0.1", "--certs", ".", "--edit"], "--edit"),
+        (["--api", "--bind", "127.0.0.1", "--certs", ".", "--files", "."], "--files"),
         (["--api", "--bind", "127.0.0.1", "--certs", "/nowhere"], "aiorts certs init"),
     ],
 )

@@ -17,6 +17,7 @@ from websockets.exceptions import ConnectionClosed
 from aiorts import Kernel, OutPort
 from aiorts.types import TimedDouble
 from aiorts_studio.page_socket import PAGES
+from aiorts_studio.watching.watch import Watch
 from control_parts import WAIT, Counter, controlled, running
 from studio_page import paging
 from studio_parts import site
@@ -294,3 +295,25 @@ async def test_no_session_stays_without_a_page() -> None:
             while left := {one.get_name() for one in asyncio.all_tasks()} & {*watching}:
                 await asyncio.sleep(0.02)
         assert not left
+
+
+class Failing:
+    """A follower with a defect."""
+
+    kernel = ""
+
+    async def run(self, watch: Watch) -> None:
+        raise KeyError("a defect")
+
+
+async def test_an_error_of_a_follower_is_told_and_ends_nothing_else(caplog: pytest.LogCaptureFixture) -> None:
+    async with controlled("robot") as kernel, site() as client, paging(client) as page:
+        await page.whole("counter0")
+        assert client.api is not None
+        client.api.studio.follow(Failing())
+        at = page.at[address_of(kernel)]
+        await page.until(lambda: page.at[address_of(kernel)] > at)
+        assert page.is_live("robot")
+        assert [one.message for one in caplog.records if "has failed" in one.message]
+        await kernel.create(Counter, "counter1")
+        await page.until(lambda: page.box("counter1"))

@@ -52,6 +52,7 @@ to = "beta/sink.in"
 [contexts.loop]
 kind = "periodic"
 rate = 50.0
+members = ["source"]
 """
 SINK = """
 schema = 1
@@ -62,6 +63,7 @@ type = "parts.py:Sink"
 [contexts.loop]
 kind = "periodic"
 rate = 50.0
+members = ["sink"]
 """
 
 
@@ -121,8 +123,8 @@ def test_ports_are_recorded_into_the_folder(tmp_path: Path, capsys: pytest.Captu
             assert "goes on" in str(await page.heard("recording", lambda one: one["why"]))
             await asyncio.sleep(4.0)  # samples come meanwhile
             await page.say("record", on=False)
-            done = await page.heard("recording", lambda one: not one["on"])
-            assert not done["why"], done
+            done = await page.heard("recording", lambda one: one["samples"])
+            assert not done["on"]
             return str(done["file"])
 
     with running("robot", ROOMBA), serving("--files", str(tmp_path)) as (_, client):
@@ -155,7 +157,7 @@ def test_the_page_of_a_run_ends_with_the_run(runtime: str, number: int) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "aiorts", "run", "--name", "robot", "--studio", ROOMBA],
         stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -176,6 +178,7 @@ def test_the_page_of_a_run_ends_with_the_run(runtime: str, number: int) -> None:
         process.kill()
         process.wait(WAIT)
         reading.join(WAIT)
+        process.stderr.close()
 
 
 def is_running(pid: int) -> bool:
