@@ -129,6 +129,8 @@ class _PageSocket:
                 )
             case "events":
                 self._follow("events", EventFeed(self._page) if said.get("on") else None)
+            case "measure":
+                self._studio.measure(self._page, _edges(said.get("edges")), on=said.get("on") is True)
             case "watch":
                 self._watch(whole(said, "id"), said)
             case "unwatch":
@@ -208,6 +210,12 @@ def _rect(value: Any) -> tuple[float, float, float, float]:
         raise RecordError("rect: expected left, top, right and bottom")
     left, top, right, bottom = (_number(one, "rect") for one in value)
     return left, top, right, bottom
+
+
+def _edges(value: Any) -> frozenset[int]:
+    if not isinstance(value, list) or len(value) > _PORTS or not all(type(one) is int for one in value):
+        raise RecordError(f"edges: expected at most {_PORTS} numbers")
+    return frozenset(value)
 
 
 def _number(value: Any, name: str) -> float:

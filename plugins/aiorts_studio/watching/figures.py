@@ -12,7 +12,7 @@ from typing import Any, Final, TypeAlias
 from aiorts_studio.watching.words import said_of, state_of
 
 Row: TypeAlias = list[Any]
-_KINDS: Final = ("connectors", "service_connectors", "timed", "contexts", "components")
+_KINDS: Final = ("connectors", "service_connectors", "contexts", "components")
 _LEFT_OUT: Final = frozenset(("skipped", "superseded"))
 """The reasons of drops that options ask for: every nth sample, the newest alone."""
 _LOOKS: Final = 6
@@ -27,6 +27,8 @@ class Figures:
         self.at_ns = 0
         self.trips: dict[str, float] = {}
         """The round trips of links in ms, by connector."""
+        self.ages: dict[str, float] = {}
+        """The median ages of samples in ms when they are read, of connectors that are measured."""
         self.late: dict[str, str] = {}
         """What made a context late most often, by context."""
         self._earlier: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_LOOKS)
@@ -80,7 +82,7 @@ class Figures:
             seconds = (self.at_ns - at_ns) / 1e9
             rate = _digits((written - written_then) / seconds)
             losing = _digits((lost(dropped) - lost(dropped_then)) / seconds)
-        return [rate, lost(dropped), buffered, losing, dropped or None, self._age_ms(name), self.trips.get(name)]
+        return [rate, lost(dropped), buffered, losing, dropped or None, self.ages.get(name), self.trips.get(name)]
 
     def is_lossy(self, name: str) -> bool:
         """Whether the connector has lost samples."""
@@ -92,10 +94,6 @@ class Figures:
             if name in counted and at_ns < self.at_ns:
                 return at_ns, counted[name]
         return None
-
-    def _age_ms(self, name: str) -> float | None:
-        spans = self.now["timed"].get(name, {}).get("age")
-        return None if spans is None else round(spans[1] / 1e6, 3)
 
     def box(self, name: str) -> Row | None:
         """The state of a component, and what is said of it."""

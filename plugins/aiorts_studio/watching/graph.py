@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from aiorts_studio.watching.layout import Edge, Key, Spot
@@ -10,6 +11,9 @@ from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import class_of
 
 FOLDED = "folded"
+HOST = "host"
+IN_COMPOSITE = 4
+"""Words of the key of a band, or a frame, of a composite."""
 
 
 class Graph:
@@ -17,11 +21,13 @@ class Graph:
 
     Args:
         views: the kernels by key.
-        folded: frames of which one box stands for all that is in them: ("frame", kernel) or ("frame", kernel, context).
+        folded: frames of which one box stands for all that is in them: ("frame", kernel), ("frame", kernel, context)
+            or ("frame", kernel, context, composite).
 
     Attributes:
         spots: the boxes by key: ("box", kernel, component), ("far", kernel, path) of an end whose
-            kernel is not watched, ("folded", kernel, context) of a frame that is folded.
+            kernel is not watched, ("folded", kernel, context) of a frame that is folded. The band of a box is
+            ("band", kernel, context), or ("band", kernel, context, composite) of a composite's member.
         edges: the edges by key.
         bundles: of each edge, the connectors that it stands for: the view of the writer's end, and the name; a link
             that both ends list has the reader's, too.
@@ -32,10 +38,13 @@ class Graph:
         self.spots: dict[Key, Spot] = {}
         self.edges: dict[Key, Edge] = {}
         self.bundles: dict[Key, list[tuple[View, str]]] = {}
+        self._members = {view.key: view.members() for view in views.values()}
         for view in views.values():
+            shown_as_frames = {*self._members[view.key].values(), *view.inner_composites()}
             for name, report in view.components.items():
-                spot = self._spot(view, name, report)
-                self.spots[spot.key] = spot
+                if name not in shown_as_frames:
+                    spot = self._spot(view, name, report)
+                    self.spots[spot.key] = spot
         for view in views.values():
             for name, report in view.connectors.items():
                 self._add(view, name, report["source"], report["target"])
@@ -44,60 +53,79 @@ class Graph:
                     self._add(view, name, *ends)
 
     def bands(self) -> dict[Key, str]:
-        """The key of the kernel of each band, kernel by kernel, and contexts in the order of their kernel."""
-        used = {spot.band for spot in self.spots.values()}
-        return {
-            band: view.key
-            for view in self._views.values()
-            for context in (*view.contexts, "")
-            if (band := ("band", view.key, context)) in used
-        }
+        """The group of each band: kernel by kernel, contexts in the order of their kernel, then their composites.
+
+        Kernels of several hosts stand host by host; each host begins with an empty band of its own, which its title
+        takes.
+        """
+        used = dict.fromkeys(spot.band for spot in self.spots.values())
+        by_host: dict[str, list[View]] = {}
+        for view in self._views.values():
+            by_host.setdefault(view.about["host"], []).append(view)
+        found: dict[Key, str] = {}
+        for host, views in by_host.items():
+            if len(by_host) > 1:
+                found[HOST, host] = f"{HOST} {host}"
+            for view in views:
+                for context in (*view.contexts, ""):
+                    own: Key = ("band", view.key, context)
+                    bands = [band for band in used if band[:3] == own]
+                    if bands:
+                        found |= dict.fromkeys((own, *sorted(bands)), view.key)
+        return found
 
     # -- boxes -----------------------------------------------------------------------------------------------------
 
+    def _band(self, view: View, name: str) -> Key:
+        """The band that a component stands in while nothing is folded."""
+        context = view.context_of(name)
+        composite = self._members[view.key].get(name)
+        return ("band", view.key, context) if composite is None else ("band", view.key, context, composite)
+
     def _spot(self, view: View, name: str, report: Mapping[str, Any]) -> Spot:
-        context = next(iter(report["states"]), "")
-        band = ("band", view.key, context)
-        frame = self._fold_of(view.key, context)
-        if frame is not None:
-            key = (FOLDED, *frame[1:])
-            known = self.spots.get(key)
-            count = 1 if known is None else int(known.kind.partition(" ")[0]) + 1
-            title = view.about["name"] if len(frame) == 2 else context or "in no context"
-            kind = f"{count} component{'s' * (count > 1)}"
-            return Spot(key, band if known is None else known.band, ("in",), ("out",), title, kind)
-        ports = report["ports"].values()
-        inputs = tuple(one["name"] for one in ports if side_of(one) == "in")
-        outputs = tuple(one["name"] for one in ports if side_of(one) == "out")
-        return Spot(("box", view.key, name), band, inputs, outputs, name, class_of(report["type"]))
-
-    def _fold_of(self, kernel: str, context: str) -> Key | None:
-        for frame in (("frame", kernel), ("frame", kernel, context)):
-            if frame in self._folded:
-                return frame
-        return None
-
-    def _stub(self, key: Key, view: View, port: str, *, out: bool) -> None:
-        """Put in the box of a far end whose kernel is not watched, or one port more of it."""
+        band = self._band(view, name)
+        frame = self._fold_of(band)
+        if frame is None:
+            return Spot(("box", view.key, name), band, *_ports(report), name, class_of(report["type"]))
+        key = (FOLDED, *frame[1:])
         known = self.spots.get(key)
-        inputs, outputs = ((), ()) if known is None else (known.inputs, known.outputs)
+        count = 1 if known is None else int(known.kind.partition(" ")[0]) + 1
+        kind = f"{count} component{'s' * (count > 1)}"
+        if known is not None:
+            return replace(known, kind=kind)
+        is_composite = len(frame) == IN_COMPOSITE
+        title = frame[-1] or "in no context" if len(frame) > len(("frame", view.key)) else view.about["name"]
+        ports = _ports(view.components[frame[-1]]) if is_composite else (("in",), ("out",))
+        return Spot(key, band[:3] if is_composite else band, *ports, title, kind)
+
+    def _fold_of(self, band: Key) -> Key | None:
+        """The outermost frame that is folded of those around a band."""
+        frames = (("frame", *band[1:end]) for end in range(2, len(band) + 1))
+        return next((frame for frame in frames if frame in self._folded), None)
+
+    def _grow(self, key: Key, view: View, port: str, *, out: bool) -> None:
+        """Put in the box of a far end whose kernel is not watched, or one port more of a box."""
+        known = self.spots.get(key)
+        if known is None:
+            context = next((spot.band[2] for spot in self.spots.values() if spot.band[1] == view.key), "")
+            known = Spot(key, ("band", view.key, context), (), (), key[2], "elsewhere")
+        inputs, outputs = known.inputs, known.outputs
         if port not in (outputs if out else inputs):
             inputs, outputs = (inputs, (*outputs, port)) if out else ((*inputs, port), outputs)
-        context = next((spot.band[2] for spot in self.spots.values() if spot.band[1] == view.key), "")
-        self.spots[key] = Spot(key, ("band", view.key, context), inputs, outputs, key[2], "elsewhere")
+        self.spots[key] = replace(known, inputs=inputs, outputs=outputs)
 
     # -- edges -----------------------------------------------------------------------------------------------------
 
     def _add(self, view: View, name: str, source: str, target: str) -> None:
         (first, out), (last, into) = self._end(view, source), self._end(view, target)
+        if first == last and first[0] == FOLDED:
+            return
         for key, port, leaves in ((first, out, True), (last, into, False)):
-            if key[0] == "far":
-                self._stub(key, view, port, out=leaves)
+            if key[0] == "far" or (key[0] == FOLDED and key in self.spots):
+                self._grow(key, view, port, out=leaves)
             elif key not in self.spots:
                 return  # its component is just coming, or going
         if FOLDED in (first[0], last[0]):
-            if first == last:
-                return
             key = ("edge", *first, out, *last, into)
         elif first[1] == last[1]:
             key = ("edge", view.key, name)
@@ -119,11 +147,17 @@ class Graph:
             )
         if kernel is None:
             return ("far", view.key, f"{far}/{name}"), port
+        name, port = kernel.member_port(name, port)
         report = kernel.components.get(name)
-        frame = None if report is None else self._fold_of(kernel.key, next(iter(report["states"]), ""))
-        if frame is None:
+        frame = None if report is None else self._fold_of(self._band(kernel, name))
+        if frame is None or report is None:
             return ("box", kernel.key, name), port
-        return (FOLDED, *frame[1:]), "out" if report is not None and _leaves(report, port) else "in"
+        if len(frame) == IN_COMPOSITE:
+            path = f"{name}.{port}"
+            shown = kernel.exported(frame[-1]).get(path, path)
+        else:
+            shown = "out" if _leaves(report, port) else "in"
+        return (FOLDED, *frame[1:]), shown
 
     def _service_ends(self, view: View, paths: Iterable[str]) -> tuple[str, str] | None:
         """The paths of two service ports, the one that provides first."""
@@ -136,6 +170,13 @@ class Graph:
             return None
         (_, source), (_, target) = sorted(found, key=lambda one: one[0])
         return source, target
+
+
+def _ports(report: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The names of the ports at the left, and of those at the right."""
+    ports = report["ports"].values()
+    left, right = (tuple(one["name"] for one in ports if side_of(one) == side) for side in ("in", "out"))
+    return left, right
 
 
 def _leaves(report: Mapping[str, Any], port: str) -> bool:

@@ -11,19 +11,15 @@ from collections.abc import Mapping
 from itertools import count
 from typing import Any, Final, TypeAlias
 
-from aiorts_studio.watching.graph import FOLDED, Graph, side_of
-from aiorts_studio.watching.layout import Key, Layout, Route, Spot, meets
+from aiorts_studio.watching.frames import Thing, frames_of
+from aiorts_studio.watching.graph import FOLDED, IN_COMPOSITE, Graph, side_of
+from aiorts_studio.watching.layout import Band, Key, Layout, Route, Spot, meets
 from aiorts_studio.watching.view import View
-from aiorts_studio.watching.words import class_of, context_said, error_of, link_state, policy_of, said_of, state_of
+from aiorts_studio.watching.words import class_of, error_of, link_state, policy_of, said_of, state_of
 
 Message: TypeAlias = dict[str, Any]
-Thing: TypeAlias = dict[str, Any]
 
 KINDS: Final = ("frames", "boxes", "edges")
-_INFRASTRUCTURE: Final = frozenset(("FlexiDump", "FlexiLogger"))
-"""Classes of components that only look on."""
-_PAD: Final = 16.0
-"""Between the frame of a kernel and those of its contexts."""
 
 
 class Scene:
@@ -107,7 +103,8 @@ class Scene:
     def _change(self) -> Message | None:
         message: Message = {"t": "change"}
         gone: dict[str, list[Any]] = {}
-        for kind, things in {"frames": self._frames(), "boxes": self._boxes(), "edges": self._edges()}.items():
+        frames = frames_of(self.views, self._layout, self._routes.values(), self.number, self._folded)
+        for kind, things in {"frames": frames, "boxes": self._boxes(), "edges": self._edges()}.items():
             before = self.things[kind]
             different = [one for number, one in things.items() if before.get(number) != one]
             if different:
@@ -137,6 +134,8 @@ class Scene:
         groups = graph.bands()
         new = [spot for key, spot in graph.spots.items() if not _is_placed(layout.spots.get(key), spot)]
         placed = [key for key in self._moved if key in layout.spots and self._moved[key] != layout.moved.get(key)]
+        if any(_comes_between(spot.band, layout.bands) for spot in new):
+            return False
         for spot in new:
             layout.remove(spot.key)
             before = [edge.source for edge in graph.edges.values() if edge.target == spot.key]
@@ -157,46 +156,20 @@ class Scene:
 
     # -- things as pages have them ---------------------------------------------------------------------------------
 
-    def _frames(self) -> dict[int, Thing]:
-        made: dict[int, Thing] = {}
-        layout = self._layout
-        for view in self.views.values():
-            bands = [(key, band) for key, band in layout.bands.items() if layout.groups.get(key) == view.key]
-            if not bands:
-                continue
-            key: Key = ("frame", view.key)
-            number, top = self.number(*key), bands[0][1].top
-            bottom = bands[-1][1].top + bands[-1][1].height
-            place = {"x": -_PAD, "y": top - 44.0, "w": layout.right + 2 * _PAD, "h": bottom - top + 44.0 + _PAD}
-            said = f"process {view.about['pid']} on {view.about['host']}"
-            made[number] = self._frame(key, "kernel", view, view.about["name"], said, place, None)
-            for band, extent in bands:
-                context = band[2]
-                key = ("frame", view.key, context)
-                report = view.contexts.get(context)
-                apart = view.processes_of(() if report is None else report["members"])
-                said = context_said(report) + "".join(f" · process {pid}" for pid in apart)
-                place = {"x": 0.0, "y": extent.top, "w": layout.right, "h": extent.height}
-                kind, name = "process" if apart else "context", context or "in no context"
-                made[self.number(*key)] = self._frame(key, kind, view, name, said, place, number)
-        return made
-
-    def _frame(self, key: Key, kind: str, view: View, name: str, said: str, place: Thing, parent: int | None) -> Thing:
-        about = {"id": self.number(*key), "kind": kind, "kernel": view.address, "name": name, "said": said}
-        return {**about, **place, "parent": parent, "folded": key in self._folded}
-
     def _boxes(self) -> dict[int, Thing]:
         made: dict[int, Thing] = {}
         for key, spot in self._layout.spots.items():
             view, number = self.views.get(key[1]), self.number(*key)
             if view is None:
                 continue
-            frame = ("frame", *key[1:]) if key[0] == FOLDED else ("frame", view.key, spot.band[2])
+            frame = ("frame", *(key if key[0] == FOLDED else spot.band)[1:])
             place = {
                 "id": number, "kernel": view.address, "name": spot.title, "frame": self.number(*frame),
                 "x": round(spot.x, 1), "y": round(spot.y, 1), "w": round(spot.w, 1), "h": spot.h,
             }  # fmt: skip
             box = _box(view, key[2], spot) if key[0] == "box" else _other_box(spot, key[0])
+            if len(key) == IN_COMPOSITE and (report := view.components.get(key[3])) is not None:
+                box |= _condition(report)
             made[number] = {**place, **box}
         return made
 
@@ -260,9 +233,19 @@ def _box(view: View, name: str, spot: Spot) -> Thing:
         }
         for one in report["ports"].values()
     ]  # fmt: skip
-    kind, failed = class_of(report["type"]), report["last_error"] is not None
+    about = {"type": class_of(report["type"]), "kind": "component", "infrastructure": view.is_infrastructure(name)}
+    return {**about, **_condition(report), "ports": ports}
+
+
+def _condition(report: Mapping[str, Any]) -> Thing:
+    """How a component is."""
+    states, failed = report["states"], report["last_error"]
     return {
-        "type": kind, "kind": "component", "state": state_of(report["states"], failed=failed),
-        "said": said_of(report["states"], report["overdue"]), "error": error_of(report["last_error"]),
-        "infrastructure": kind in _INFRASTRUCTURE, "ports": ports,
+        "state": state_of(states, failed=failed is not None), "said": said_of(states, report["overdue"]),
+        "error": error_of(failed),
     }  # fmt: skip
+
+
+def _comes_between(band: Key, bands: Mapping[Key, Band]) -> bool:
+    """Whether a new band belongs beside those of its context, or has to begin with one more: not at the end."""
+    return band not in bands and (len(band) == IN_COMPOSITE or any(one[:3] == band[:3] for one in bands))

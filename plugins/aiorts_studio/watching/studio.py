@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +14,9 @@ from anyio import to_thread
 
 from aiorts.errors import AiortsError, NoAnswerError
 from aiorts.sessions import AsyncClient, Entry, entries
+from aiorts_studio.plain.problems import problem_of
 from aiorts_studio.plain.values import json_out
+from aiorts_studio.watching.ages import Ages
 from aiorts_studio.watching.feeds import happening
 from aiorts_studio.watching.figures import Row, different
 from aiorts_studio.watching.page import FAR, Page
@@ -64,7 +66,8 @@ class Studio:
         """By the epoch of a kernel, its watching; done where it has ended, and its file is still there."""
         self._watches: dict[str, Watch] = {}
         """By the key of the view."""
-        self._followers: dict[Follower, None] = {}
+        self._ages = Ages(self._refused)
+        self._followers: dict[Follower, None] = {self._ages: None}
         self._taps: dict[tuple[str, str], Tap] = {}
         self._history: deque[dict[str, Any]] = deque(maxlen=_KEPT)
         self._dirty, self._drawn = asyncio.Event(), asyncio.Event()
@@ -92,6 +95,7 @@ class Studio:
     async def leave(self, page: Page) -> None:
         """Forget a page; with the last one the watching ends."""
         self.pages.discard(page)
+        self._ages.leave(page)
         if not self.pages and not self._coming:
             await self.close()
 
@@ -129,6 +133,15 @@ class Studio:
             del self._followers[one]
             for watch in self._watches.values():
                 watch.stop(one)
+
+    def measure(self, page: Page, edges: Collection[int], *, on: bool) -> None:
+        """Have the ages of samples on edges measured for a page, or no longer; BusyError: they are too many."""
+        connectors = self.scene.connectors.items()
+        wires = [(key, name) for key, names in connectors for name, number in names.items() if number in edges]
+        self._ages.ask(page, wires, on=on)
+
+    def _refused(self, error: AiortsError) -> None:
+        self._tell({"t": "problem", "problem": problem_of(error)})
 
     def show(self, kernel: str, path: str, shown: Shown) -> None:
         """Have a page told the values of a port."""

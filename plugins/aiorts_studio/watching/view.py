@@ -5,9 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from aiorts.sessions import Entry
+from aiorts_studio.watching.words import class_of
+
+_FILTER: Final = "FlexiFilter"
+_LOOK_ON: Final = frozenset(("FlexiDump", "FlexiLogger"))
 
 
 @dataclass(slots=True)
@@ -61,6 +65,56 @@ class View:
         """The processes of those of the components that have their own."""
         known = self.service("isolation")
         return list(dict.fromkeys(known[name]["pid"] for name in components if name in known))
+
+    def is_infrastructure(self, component: str) -> bool:
+        """Whether a component only looks on, or was put in where two ports do not fit."""
+        kind = class_of(self.components[component]["type"])
+        return kind in _LOOK_ON or (kind == _FILTER and self._is_adapter(component))
+
+    def _is_adapter(self, component: str) -> bool:
+        """Whether a filter has the name, and the one connector at each end, of one that `adapt` put in."""
+        before = [one["source"] for one in self.connectors.values() if one["target"].startswith(f"{component}.")]
+        after = [one["target"] for one in self.connectors.values() if one["source"].startswith(f"{component}.")]
+        if len(before) != 1 or len(after) != 1:
+            return False
+        writer, reader = before[0].partition(".")[0], after[0].replace(".", "_")
+        return component.startswith(f"{writer}_to_{reader}")
+
+    def context_of(self, component: str) -> str:
+        """The context that runs a component, the first of several; "" is none."""
+        return next(iter(self.components[component]["states"]), "")
+
+    def members(self) -> dict[str, str]:
+        """Of each component that a composite stands for in its context, the outermost such composite."""
+        found: dict[str, str] = {}
+        inner = self.inner_composites()
+        for name, composite in self._composites().items():
+            states = self.components[name]["states"]
+            for part in composite["parts"] if name not in inner else ():
+                if part in self.components and self.context_of(part) in (states or ("",)):
+                    found[part] = name
+        return found
+
+    def inner_composites(self) -> set[str]:
+        """The composites that are members of others."""
+        known = self._composites()
+        return {member for one in known.values() for member in one["members"] if member in known}
+
+    def exported(self, composite: str) -> dict[str, str]:
+        """The ports that a composite shows: their names by the paths of the members' ports."""
+        names = self.components[composite]["composite"]["exported"]
+        return {".".join(self.member_port(composite, name)): name for name in names}
+
+    def member_port(self, component: str, port: str) -> tuple[str, str]:
+        """The component and the port that a path leads to: a composite's port is its member's own."""
+        composite = (self.components.get(component) or {}).get("composite")
+        if composite is None or port not in composite["exported"]:
+            return component, port
+        name, _, port = composite["exported"][port].rpartition(".")
+        return self.member_port(name, port)
+
+    def _composites(self) -> dict[str, Mapping[str, Any]]:
+        return {name: one["composite"] for name, one in self.components.items() if one["composite"] is not None}
 
     def service(self, name: str) -> Mapping[str, Any]:
         """What a service attached to the kernel says of itself."""

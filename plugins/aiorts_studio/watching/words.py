@@ -60,6 +60,11 @@ def context_said(report: Mapping[str, Any] | None) -> str:
     return f"{kind}, {report['rate']:g} Hz" if report["rate"] else str(kind)
 
 
+def composite_said(report: Mapping[str, Any]) -> str:
+    """What a composite is: how many components run with it, and its state."""
+    return f"composite of {len(report['composite']['parts'])}, {state_text(report['states'], report['overdue'])}"
+
+
 def class_of(type_text: str) -> str:
     """The name of a class without its module."""
     return type_text.rpartition(":")[2].rpartition(".")[2]

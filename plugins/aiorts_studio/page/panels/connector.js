@@ -1,6 +1,6 @@
 /** A connector in full: what passes, what is lost and why, and what helps. */
 import { commandsOf } from "../commands.js";
-import { ask, boxes, choose, edges, figures, kernels, right, say, tell } from "../store.js";
+import { boxes, choose, edges, figures, say, tell } from "../store.js";
 import { capacityOf, count, endsOf, number, reasonsOf, toneOf } from "../words.js";
 import { useAnswer } from "./asked.js";
 import { Commands } from "./as_commands.js";
@@ -62,11 +62,11 @@ export function Figure({ name, value, unit = "", whole = false, bad = false }) {
 
 /** The age of samples when they are read: known where it is measured. @param {{edge: Edge, row: EdgeFigures | undefined, measured: boolean}} props */
 function Age({ edge, row, measured }) {
-  const may = right.value === "operate", known = row?.age !== null && row?.age !== undefined;
+  const known = row?.age !== null && row?.age !== undefined;
   const measure = () => {
-    if (!may) tell("Only a page that may change what runs can have ages measured: aiorts studio --edit");
-    else ask(edge.kernel, "measure", { connectors: [edge.name] }).then(() => tell("The age is measured as long as this page is open"), (/** @type {Error} */ error) => tell(error.message));
+    say({ t: "measure", edges: [edge.id], on: true });
+    tell("The age is measured as long as this page is open");
   };
   return html`<tr><td>age when read</td><td class="figure">${known ? html`${number(row.age ?? 0)} <span class="unit">ms</span>` : "–"}
-    ${!known && !measured && !edge.link && html` <button aria-disabled=${!may} title=${may ? "" : "Needs aiorts studio --edit"} onClick=${measure}>Measure</button>`}</td></tr>`;
+    ${!known && !measured && !edge.link && html` <button onClick=${measure}>Measure</button>`}</td></tr>`;
 }

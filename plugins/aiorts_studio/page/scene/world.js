@@ -42,8 +42,8 @@ export class World {
     return store.infrastructure.peek() ? things : [...things].filter((one) => !hidden(one));
   }
 
-  /** Whether a box is hidden, as it only carries, records or shows. @param {Box | undefined} box */
-  hidden = (box) => Boolean(box?.infrastructure) && !store.infrastructure.peek() && !this.chosen("box", box?.id ?? 0);
+  /** Whether a box is hidden, as it only records or shows. One that carries stays: without it two boxes would look as if nothing joined them. @param {Box | undefined} box */
+  hidden = (box) => Boolean(box?.infrastructure) && box?.type !== "FlexiFilter" && !store.infrastructure.peek() && !this.chosen("box", box?.id ?? 0);
   hiddenEdge = (/** @type {Edge} */ edge) => [edge.from, edge.to].some(([id]) => this.hidden(store.boxes.peek().get(id)));
 
   /** @param {Box} box */

@@ -1,0 +1,111 @@
+"""The frames around boxes: hosts, kernels, contexts, isolated processes and composites."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Any, Final, TypeAlias
+
+from aiorts_studio.watching.graph import HOST, IN_COMPOSITE
+from aiorts_studio.watching.layout import GROUP_HEAD, Band, Key, Layout, Route
+from aiorts_studio.watching.view import View
+from aiorts_studio.watching.words import composite_said, context_said
+
+Thing: TypeAlias = dict[str, Any]
+
+_PAD: Final = 16.0
+"""Between the frame of a kernel and those of its contexts."""
+_INSET: Final = 8.0
+"""Between the frame of a context and those of its composites."""
+_BEND: Final = 20.0
+"""Between a bend of an edge and the frame of its context."""
+
+
+def frames_of(
+    views: Mapping[str, View],
+    layout: Layout,
+    routes: Collection[Route],
+    number: Callable[..., int],
+    folded: Collection[Key],
+) -> dict[int, Thing]:
+    """The frames of all kernels, by number. All are as wide as the boxes, and the edges, that reach farthest.
+
+    Args:
+        number: the number of a thing, by the words of its key.
+        folded: the keys of those that are folded.
+    """
+    return _Frames(layout, routes, number, folded).made(views)
+
+
+class _Frames:
+    def __init__(
+        self, layout: Layout, routes: Collection[Route], number: Callable[..., int], folded: Collection[Key]
+    ) -> None:
+        self._layout, self._number, self._folded = layout, number, folded
+        bends = [x for route in routes for x, _ in route.points]
+        self._left = min(0.0, min(bends, default=0.0) - _BEND)
+        self._width = max(layout.right, max(bends, default=0.0) + _BEND) - self._left
+
+    def made(self, views: Mapping[str, View]) -> dict[int, Thing]:
+        made: dict[int, Thing] = {}
+        layout = self._layout
+        for view in views.values():
+            bands = {key: band for key, band in layout.bands.items() if layout.groups.get(key) == view.key}
+            if not bands:
+                continue
+            key: Key = ("frame", view.key)
+            number, extent = self._number(*key), _extent(bands.values())
+            height = GROUP_HEAD + extent.height + _PAD
+            place = {"x": self._left - _PAD, "y": extent.top - GROUP_HEAD, "w": self._width + 2 * _PAD, "h": height}
+            said = f"process {view.about['pid']} on {view.about['host']}"
+            host = (HOST, view.about["host"])
+            parent = self._number("frame", *host) if host in layout.bands else None
+            made[number] = self._frame(key, "kernel", view, view.about["name"], said, place, parent)
+            for band in bands:
+                made |= self._inner_frame(view, band, bands, number)
+        return made | self._host_frames(made)
+
+    def _inner_frame(self, view: View, band: Key, bands: Mapping[Key, Band], parent: int) -> dict[int, Thing]:
+        """The frame of a context, or of a composite in one."""
+        key, context = ("frame", *band[1:]), band[2]
+        if len(band) == IN_COMPOSITE:
+            extent, report = bands[band], view.components.get(band[3])
+            place = {
+                "x": self._left + _INSET,
+                "y": extent.top,
+                "w": self._width - 2 * _INSET,
+                "h": extent.height - _INSET,
+            }
+            said = "" if report is None else composite_said(report)
+            frame = self._frame(key, "composite", view, band[3], said, place, self._number(*key[:3]))
+        else:
+            extent = _extent(one for there, one in bands.items() if there[:3] == band)
+            report = view.contexts.get(context)
+            apart = view.processes_of(() if report is None else report["members"])
+            said = context_said(report) + "".join(f" · process {pid}" for pid in apart)
+            place = {"x": self._left, "y": extent.top, "w": self._width, "h": extent.height}
+            kind = "process" if apart else "context"
+            frame = self._frame(key, kind, view, context or "in no context", said, place, parent)
+        return {frame["id"]: frame}
+
+    def _host_frames(self, kernels: Mapping[int, Thing]) -> dict[int, Thing]:
+        """A frame around the kernels of each host, where they are of several."""
+        made: dict[int, Thing] = {}
+        for key in [key for key in self._layout.bands if key[0] == HOST]:
+            number, top = self._number("frame", *key), self._layout.bands[key].top
+            if inner := [one for one in kernels.values() if one["parent"] == number]:
+                bottom = max(one["y"] + one["h"] for one in inner)
+                place = {"x": self._left - 2 * _PAD, "y": top, "w": self._width + 4 * _PAD, "h": bottom - top + _PAD}
+                said = f"{len(inner)} kernel{'s' * (len(inner) > 1)}"
+                about = {"id": number, "kind": HOST, "kernel": inner[0]["kernel"], "name": key[1], "said": said}
+                made[number] = {**about, **place, "parent": None, "folded": False}
+        return made
+
+    def _frame(self, key: Key, kind: str, view: View, name: str, said: str, place: Thing, parent: int | None) -> Thing:
+        about = {"id": self._number(*key), "kind": kind, "kernel": view.address, "name": name, "said": said}
+        return {**about, **place, "parent": parent, "folded": key in self._folded}
+
+
+def _extent(bands: Iterable[Band]) -> Band:
+    """From the top of the first of some bands to the foot of the last."""
+    found = list(bands)
+    return Band(found[0].top, found[-1].top + found[-1].height - found[0].top)
