@@ -127,6 +127,55 @@ def test_axe_finds_nothing_serious(page: Opened) -> None:
     assert checks.axe_findings(page) == []
 
 
+@pytest.mark.parametrize("size", [(1280, 800), (1920, 1080), (3840, 2160)], ids=str)
+def test_small_and_large_screens_are_legible(
+    chromium: Browser, site: Served, pictures: Path, size: tuple[int, int]
+) -> None:
+    with opened(chromium, site, size=size) as page:
+        page.wait_for_boxes(len(COMPONENTS))
+        page.settle()
+        for tab in ("Log", "Plots"):
+            page.show(tab)
+            page.page.wait_for_timeout(300)
+            assert checks.at_a_glance(page) == []
+            assert checks.small_targets(page) == []
+            assert page.page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "it scrolls sideways"
+        (pictures / f"{size[0]}.png").write_bytes(page.page.screenshot())
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_contexts_and_kernels_are_shown_in_full(chromium: Browser, site: Served, pictures: Path, theme: str) -> None:
+    with opened(chromium, site, theme=theme) as page:
+        page.wait_for_boxes(len(COMPONENTS))
+        tree = page.page.get_by_role("tree")
+        tree.get_by_text("fast", exact=True).click()
+        aside = page.page.locator("aside")
+        aside.get_by_text("late, 99 of 100").wait_for()
+        assert checks.at_a_glance(page) + checks.small_targets(page) == []
+        shot(page, pictures, "context")
+        tree.get_by_text("lossy", exact=True).click()
+        aside.get_by_text("aiorts stop lossy").wait_for()
+        assert checks.at_a_glance(page) + checks.small_targets(page) == []
+        shot(page, pictures, "kernel")
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_a_code_is_asked_for_and_lets_the_page_in(chromium: Browser, site: Served, pictures: Path, theme: str) -> None:
+    with served() as own, opened(chromium, own, theme=theme, signed_in=False) as page:
+        field = page.page.get_by_label("Code")
+        field.wait_for()
+        assert checks.small_texts(page) + checks.pale_texts(page) + checks.small_targets(page) == []
+        if checks.AXE.is_file():
+            assert checks.axe_findings(page) == []
+        shot(page, pictures, "sign-in")
+        field.fill("not the code that was printed")
+        field.press("Enter")
+        page.page.locator(".problem", has_text=" ").wait_for()
+        field.fill(own.code)
+        field.press("Enter")
+        page.wait_for_boxes(len(COMPONENTS))
+
+
 def test_the_picture_of_the_readme(chromium: Browser, pictures: Path) -> None:
     """The robot's recording with a panel that is too slow for it: copy it to aiorts/guide/pages/howto/studio.png."""
     with (
