@@ -192,14 +192,21 @@ class Opened:
 
 @contextmanager
 def opened(
-    started: Browser, site: Served, *, theme: str = "light", size: tuple[int, int] = SIZE, address: str = ""
+    started: Browser,
+    site: Served,
+    *,
+    theme: str = "light",
+    size: tuple[int, int] = SIZE,
+    address: str = "",
+    signed_in: bool = True,
 ) -> Iterator[Opened]:
     """A page in a browser context of its own, signed in by a token."""
     context = started.new_context(
         viewport={"width": size[0], "height": size[1]}, color_scheme=theme, reduced_motion="reduce"
     )
     context.grant_permissions(["clipboard-read", "clipboard-write"], origin=site.origin)
-    context.add_init_script(f"sessionStorage.setItem('aiorts-token', {json.dumps(site.token)})")
+    if signed_in:
+        context.add_init_script(f"sessionStorage.setItem('aiorts-token', {json.dumps(site.token)})")
     context.set_default_timeout(WAIT_MS)
     page = context.new_page()
     found = Opened(page)

@@ -12,7 +12,7 @@
  * @typedef {{message: string, file?: string, line?: number}} Failure
  *
  * @typedef {{id: number, kernel: string, name: string, type: string, kind: "component" | "folded" | "remote",
- *   state: string, said: string, error: Failure | null, infrastructure: boolean, frame: number | null, x: number,
+ *   state: string, said: string, error: Failure | null, infrastructure: boolean, frame: number | null, around: number | null, x: number,
  *   y: number, w: number, h: number, ports: Port[]}} Box
  *
  * @typedef {[number, number]} Point

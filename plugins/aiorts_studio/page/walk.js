@@ -145,8 +145,8 @@ const inOrder = (some) => some.sort((a, b) => a.x - b.x || a.y - b.y).map((one) 
 
 /** The boxes of the same frame. @param {number} id @returns {number[]} */
 function neighbours(id) {
-  const frame = boxes.value.get(id)?.frame;
-  return inOrder([...boxes.value.values()].filter((one) => one.frame === frame));
+  const around = boxes.value.get(id)?.around;
+  return inOrder([...boxes.value.values()].filter((one) => one.around === around));
 }
 
 /** The edges of the box from which an edge comes. @param {number} id @returns {number[]} */

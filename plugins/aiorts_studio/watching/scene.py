@@ -190,6 +190,7 @@ class Scene:
             frame = ("frame", *(key if key[0] == FOLDED else spot.band)[1:])
             place = {
                 "id": number, "kernel": view.address, "name": spot.title, "frame": self.number(*frame),
+                "around": self.number("frame", *spot.band[1:]),
                 "x": round(spot.x, 1), "y": round(spot.y, 1), "w": round(spot.w, 1), "h": spot.h,
             }  # fmt: skip
             box = _box(view, key[2], spot) if key[0] == "box" else _other_box(spot, key[0])

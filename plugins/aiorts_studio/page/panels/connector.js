@@ -8,6 +8,8 @@ import { Cut, counted, html } from "./parts.js";
 
 /** @import {Edge, EdgeFigures} from "../types.js" */
 
+const EVERY_MS = 600;
+
 /** Why samples are dropped -> what it means, and what helps. */
 const REASONS = /** @type {Record<string, [string, string]>} */ ({
   overwritten: ["The buffer was full when a sample came, and the oldest one made room.", "The reader takes fewer than come: let it read all that waits or run more often, lengthen the buffer (length), or let the writer wait (full = \"block\"). Where only the newest counts, this is as it should be."],
@@ -24,10 +26,11 @@ const REASONS = /** @type {Record<string, [string, string]>} */ ({
 /** @param {{edge: Edge}} props */
 export function ConnectorPart({ edge }) {
   const row = figures.value.get(edge.id), [from, to] = endsOf(edge, boxes.value), both = edge.bundle > 1;
-  const { value } = useAnswer(edge.kernel, both ? "names" : "part", both ? {} : { connectors: [edge.name] }, both ? 0 : 1500);
+  const { value } = useAnswer(edge.kernel, both ? "names" : "part", both ? {} : { connectors: [edge.name] }, both ? 0 : EVERY_MS);
   const report = value?.connectors?.[edge.name], tone = toneOf(edge, row), room = capacityOf(edge);
   const others = [...edges.value.values()].filter((one) => one.id !== edge.id && ((one.from[0] === edge.from[0] && one.to[0] === edge.to[0]) || (one.from[0] === edge.to[0] && one.to[0] === edge.from[0])));
-  const reasons = row ? reasonsOf(row) : Object.entries(/** @type {Record<string, number>} */ (report?.ledger.dropped ?? {}));
+  // Of the same moment as the ledger below, where there is one.
+  const reasons = report ? Object.entries(/** @type {Record<string, number>} */ (report.ledger.dropped)) : row ? reasonsOf(row) : [];
   return html`<h2><${Cut} text=${`${from} → ${to}`} /></h2>
     <p class="quiet">${edge.link ? "link between two kernels" : both ? counted(edge.bundle, "connector") : "connector"}${edge.policy && `, ${edge.policy}`}</p>
     <p class="pills"><span class=${`pill tone-${tone || "idle"}`}>${{ "": "connected", busy: "samples pass", idle: "nothing passes", full: "nearly full", lossy: "drops samples", down: "down", waiting: "waits for the other end" }[tone]}</span></p>

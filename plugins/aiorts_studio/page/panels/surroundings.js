@@ -26,7 +26,7 @@ export function FramePart({ frame }) {
     ${missed.length > 0 && html`<section class="failure"><h3 class="over">Who was late</h3><ul class="plain">${missed.slice(0, 8).map(([who, times]) => html`<li key=${who}>
       <${Late} kernel=${frame.kernel} who=${who} times=${times} /></li>`)}</ul>
       ${blame?.file && html`<p class="quiet">last at <code>${blame.file.split("/").pop()}:${blame.line}</code>, held for ${number(blame.held_ns / 1e6)} ms</p>`}</section>`}
-    <${Members} members=${[...boxes.value.values()].filter((box) => box.frame === frame.id)} />
+    <${Members} members=${[...boxes.value.values()].filter((box) => box.around === frame.id)} />
     <${Commands} commands=${commandsOf({ kind: "frame", id: frame.id })} />`;
 }
 

@@ -134,7 +134,7 @@ function inFrames(word) {
     else outer.set(kernel, [...(outer.get(kernel) ?? []), node]);
   };
   const found = [...boxes.value.values()].filter((box) => box.kind !== "remote" && matches(box, word)).sort((a, b) => a.x - b.x || a.y - b.y);
-  for (const box of found) put(box.kernel, box.frame, boxNode(box));
+  for (const box of found) put(box.kernel, box.around, boxNode(box));
   // The frames that are innermost first: what is inside a frame has to be there before the frame is put.
   for (const frame of [...frames.value.values()].sort((a, b) => depth(b) - depth(a) || a.y - b.y)) {
     if (frame.kind === "kernel" || frame.kind === "host" || !within.has(frame.id)) continue;
