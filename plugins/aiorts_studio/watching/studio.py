@@ -178,20 +178,23 @@ class Studio:
                 await self._dirty.wait()
                 await asyncio.sleep(_DRAW)
                 self._dirty.clear()
+                drawing = begun(self._draw(), "studio scene")
                 try:
-                    change = await self.scene.draw()
-                except Exception as error:  # noqa: BLE001 - the next change is drawn all the same
-                    report = {"message": "studio: the scene was not drawn", "exception": error}
-                    asyncio.get_running_loop().call_exception_handler(report)
-                    self.scene.tidy()
-                    continue
-                self._drawn.set()
-                if change is not None:
-                    self._tell(change)
-                    for page in self.pages:
-                        page.look(self.scene.things)
+                    await asyncio.wait((drawing,))
+                finally:
+                    drawing.cancel()
+                if drawing.exception() is not None:
+                    self.scene.tidy()  # with the next change
         finally:
             looking.cancel()
+
+    async def _draw(self) -> None:
+        change = await self.scene.draw()
+        self._drawn.set()
+        if change is not None:
+            self._tell(change)
+            for page in self.pages:
+                page.look(self.scene.things)
 
     async def _look(self) -> None:
         while True:
