@@ -190,7 +190,7 @@ class Registry:
         notify(self._kernel.services, "component_added", component)
 
     def mark_assembled(self) -> None:
-        """Have `assembled` be true, and publish it, once: all that the run was to begin with is there."""
+        """Set `assembled`, and publish it, once: all that the run was to begin with is there."""
         if not self.assembled:
             self.assembled = True
             self._kernel.bus.publish(Assembled())

@@ -97,7 +97,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
             self._is_measured_for_writer = is_wanted
 
     def take_over(self, before: ReaderLink) -> None:
-        """Have what has come to an end of the same in-port, whose writer's end is gone, be unread at this one."""
+        """Take over the unread samples of another end at the same in-port, whose writer's end is gone."""
         before.take_all()
         self.taken_over += pass_on(before.connector, self.connector)
 

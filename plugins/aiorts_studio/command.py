@@ -107,7 +107,7 @@ def studio(
 
 @dataclass(frozen=True, slots=True)
 class _Serving:
-    """What one server serves, and how it begins and ends."""
+    """A server: its settings, its begin and its end."""
 
     names: Sequence[str]
     port: int

@@ -57,7 +57,7 @@ class Wire:
     both_ends: str = ""
     """Of a link, where it was asked for: the ledger from the writer to the reader, or why there is none now."""
     waiting: int | None = None
-    """Of that ledger, the samples that wait at either end: to be sent, or to be read."""
+    """The samples of that ledger that wait at either end: to be sent, or to be read."""
     read: Mapping[str, tuple[int, ...]] | None = None
     """The figures of the reader's end of a link, where they were asked for and are measured: "age", how old samples
     were as they were read, by their stamps, "within", how far that may be off, and "waited", how long they were in the

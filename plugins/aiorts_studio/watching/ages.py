@@ -39,7 +39,7 @@ class Ages:
         self._asked: dict[Page, frozenset[Wire]] = {}
 
     def ask(self, page: Page, wires: Iterable[Wire], *, on: bool) -> None:
-        """Have connectors measured for a page, or no longer.
+        """Begin or end to measure connectors for a page.
 
         Raises:
             BusyError: with them all pages would have more than `MOST` measured.

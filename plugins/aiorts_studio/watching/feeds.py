@@ -1,4 +1,4 @@
-"""What a page follows of kernels beside the scene: lines of the log, events, and values of ports.
+"""Feeds of a page: lines of the log and events of kernels.
 
 A feed runs in each session with a kernel that it is about, and again after a restart. It never sends more than a page
 can show: what is beyond that is counted.
@@ -24,7 +24,7 @@ MOST: Final = 200
 
 
 class Feed:
-    """What one page follows of kernels.
+    """A feed of one page.
 
     Args:
         page: is told.

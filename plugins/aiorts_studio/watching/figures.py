@@ -30,7 +30,7 @@ class Figures:
         self.ages: dict[str, float] = {}
         """The median ages of samples in ms when they are read, of connectors that are measured."""
         self.late: dict[str, str] = {}
-        """What made a context late most often, by context."""
+        """The most frequent cause of lateness, by context."""
         self._earlier: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_LOOKS)
 
     def take(self, item: Mapping[str, Any]) -> None:

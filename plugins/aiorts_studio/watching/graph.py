@@ -1,4 +1,4 @@
-"""What is to be drawn of all kernels: boxes and edges, as the profiles say, still without places."""
+"""Boxes and edges of all kernels, as their profiles say, still without places."""
 
 from __future__ import annotations
 

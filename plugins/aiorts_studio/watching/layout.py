@@ -142,7 +142,7 @@ class Layout:
         return max((one.x + one.w for one in self.spots.values()), default=200.0) + LEFT
 
     def place(self, spots: Sequence[Spot], edges: Sequence[Edge], groups: Mapping[Key, str]) -> None:
-        """Place all anew.
+        """Place everything again.
 
         Args:
             groups: of each band, the group that it stands in; bands of one group follow one another.
@@ -259,7 +259,7 @@ class Layout:
         return True
 
     def _begin_column(self, width: float) -> None:
-        """Have one column more, at the right of all."""
+        """Add a column at the right."""
         self._lefts.append(self._lefts[-1] + self._widths[-1] + LABEL + TRACK * 8 if self._lefts else LEFT)
         self._widths.append(width)
 

@@ -1,4 +1,4 @@
-"""What one page has in view, what it was told, and what waits for it."""
+"""One page: its view, the rows that it was told, and the messages that wait for it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Page:
         return self.scale < FAR
 
     def put(self, message: Mapping[str, Any] | str) -> None:
-        """Have a message sent, or count it as missed."""
+        """Queue a message, or count it as missed."""
         text = message if isinstance(message, str) else json_out(message).decode()
         full = len(self._waiting) >= MESSAGES or self._bytes + len(text) > BYTES
         if self._waiting and (self.missed or full):

@@ -59,7 +59,7 @@ class Scene:
     # -- what pages do with it -------------------------------------------------------------------------------------
 
     def tidy(self) -> None:
-        """Place all anew when it is drawn next."""
+        """Place everything again when it is drawn next."""
         self._tidy = True
 
     def move(self, number: int, x: float, y: float) -> None:
@@ -69,7 +69,7 @@ class Scene:
                 self._moved[key] = x, y
 
     def fold(self, number: int, *, on: bool) -> None:
-        """Have one box stand for all that is in a frame, or no longer, when it is drawn next."""
+        """Fold a frame into one box, or unfold it, when the scene is drawn next."""
         for key, known in self.numbers.items():
             if known == number and key[0] == "frame":
                 (self._folded.add if on else self._folded.discard)(key)
@@ -150,7 +150,7 @@ class Scene:
         return message if len(message) > 1 else None
 
     def _adapt(self, graph: Graph) -> bool:
-        """Put in what is different and leave all else where it stands; False: it is to be laid out anew."""
+        """Put in what is different and leave all else where it stands; False: it is to be laid out again."""
         layout, again = self._layout, set[Key]()
         for key in [key for key in layout.spots if key not in graph.spots]:
             layout.remove(key)

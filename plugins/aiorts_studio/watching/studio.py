@@ -27,11 +27,11 @@ from aiorts_studio.watching.view import View, about
 from aiorts_studio.watching.watch import Follower, Watch, begun
 
 _LOOK: Final = 0.5
-"""Seconds between looks for kernels that begin: a folder tells nobody what comes into it, and a page is open."""
+"""Seconds between looks for kernels that begin: a folder does not tell what comes into it, and a page is open."""
 _DRAW: Final = 0.05
 """Seconds in which changes are gathered before the scene is drawn: 1,000 components come one by one."""
 _SETTLES: Final = 0.5
-"""Seconds without a change after which a kernel that has just begun is laid out once more."""
+"""Seconds without a change after which a kernel that has just begun is laid out again."""
 _SETTLING: Final = 10
 """Looks whether a kernel that has just begun is assembled."""
 _OPEN: Final = 3.0
@@ -77,7 +77,7 @@ class Studio:
     # -- pages -----------------------------------------------------------------------------------------------------
 
     async def join(self, page: Page) -> None:
-        """Have a page told all that is there, and what changes from then on."""
+        """Tell a page all that is there, and each change from then on."""
         self._coming += 1
         if self._working is None:
             self._drawn.clear()
@@ -125,7 +125,7 @@ class Studio:
     # -- what pages ask for ----------------------------------------------------------------------------------------
 
     def follow(self, one: Follower) -> None:
-        """Have a follower follow the kernels that it is about, now and when they begin."""
+        """Start a follower at the kernels that it is about, now and when they begin."""
         self._followers[one] = None
         for watch in self._watches.values():
             watch.start(one)
@@ -138,7 +138,7 @@ class Studio:
                 watch.stop(one)
 
     def measure(self, page: Page, edges: Collection[int], *, on: bool) -> None:
-        """Have the ages of samples on edges measured for a page, or no longer; BusyError: they are too many."""
+        """Begin or end to measure the ages of samples on edges for a page; BusyError: there are too many."""
         connectors = self.scene.connectors.items()
         wires = [(key, name) for key, names in connectors for name, number in names.items() if number in edges]
         self._ages.ask(page, wires, on=on)
@@ -147,7 +147,7 @@ class Studio:
         self._tell({"t": "problem", "problem": problem_of(error)})
 
     def show(self, kernel: str, path: str, shown: Shown) -> None:
-        """Have a page told the values of a port; AbsentError: there is none."""
+        """Show a page the values of a port; AbsentError: there is none."""
         tap = self._taps.get((kernel, path))
         if tap is not None:
             tap.shown.append(shown)
@@ -250,7 +250,7 @@ class Studio:
         return view
 
     async def _settle(self, view: View) -> None:
-        """Lay a kernel that has just begun out once more when it is assembled: what came one by one stands in a row.
+        """Lay a kernel that has just begun out again when it is assembled: what came one by one stands in a row.
 
         Only what boxes and edges there are counts, and only for a while: later nothing moves that is not asked to.
         """
@@ -292,12 +292,12 @@ class Studio:
         self.changed()
 
     def tidy(self) -> None:
-        """Lay all out anew."""
+        """Lay out everything again."""
         self.scene.tidy()
         self.changed()
 
     def changed(self) -> None:
-        """Draw the scene anew, soon."""
+        """Draw the scene again, soon."""
         self._dirty.set()
 
     def happened(self, watch: Watch, item: Mapping[str, Any]) -> None:

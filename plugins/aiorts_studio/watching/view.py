@@ -88,7 +88,7 @@ class View:
         return next(iter(self.components[component]["states"]), "")
 
     def members(self) -> dict[str, str]:
-        """Of each component that a composite stands for in its context, the outermost such composite."""
+        """The outermost composite that stands for a component in its context, by component."""
         found: dict[str, str] = {}
         inner = self.inner_composites()
         for name, composite in self._composites().items():
@@ -120,13 +120,13 @@ class View:
         return {name: one["composite"] for name, one in self.components.items() if one["composite"] is not None}
 
     def service(self, name: str) -> Mapping[str, Any]:
-        """What a service attached to the kernel says of itself."""
+        """The report of a service that is attached to the kernel."""
         found = (self.profile.get("services") or {}).get(name)
         return found if isinstance(found, dict) else {}
 
 
 def about(entry: Entry) -> dict[str, Any]:
-    """What the page says of a kernel before it has answered."""
+    """The facts of a kernel that has not answered yet, as pages have them."""
     host, _, name = entry.address.partition("/")
     return {
         "name": name, "host": host, "pid": entry.pid, "state": "silent", "why": "has not answered yet", "since_s": 0.0,

@@ -40,7 +40,7 @@ def _report(task: asyncio.Task[None]) -> None:
 
 
 class Told(Protocol):
-    """Who is told of what a kernel says."""
+    """The receiver of the news of a kernel."""
 
     def changed(self) -> object:
         """Take that the view is other than before."""
@@ -107,7 +107,7 @@ class Watch:
             await asyncio.gather(*tasks, return_exceptions=True)
 
     def start(self, one: Follower) -> None:
-        """Have a follower follow this kernel from now on, if it is about it."""
+        """Start a follower at this kernel, if it is about it."""
         if self.session.is_open and one.kernel in ("", self.view.address):
             self._following[one] = begun(one.run(self), "studio follower")
 

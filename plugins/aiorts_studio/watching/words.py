@@ -1,4 +1,4 @@
-"""What a page says of components, connectors, contexts and links, in words."""
+"""Words for components, connectors, contexts and links, as pages show them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def state_of(states: Mapping[str, str], *, failed: bool) -> str:
 
 
 def said_of(states: Mapping[str, str], overdue: Mapping[str, Any]) -> str:
-    """What is to be said of the state beside its word: a hook over its deadline, states that differ; "" is nothing."""
+    """Words beside the state of a component: a hook over its deadline, states that differ; "" is nothing."""
     return state_text(states, overdue) if overdue or len(set(states.values())) > 1 else ""
 
 
@@ -53,7 +53,7 @@ def link_state(links: Iterable[str]) -> str:
 
 
 def context_said(report: Mapping[str, Any] | None) -> str:
-    """What an execution context is: its kind, and its rate in Hz."""
+    """The kind of an execution context, and its rate in Hz."""
     if report is None:
         return ""
     kind = report["kind"]
@@ -61,7 +61,7 @@ def context_said(report: Mapping[str, Any] | None) -> str:
 
 
 def composite_said(report: Mapping[str, Any]) -> str:
-    """What a composite is: how many components run with it, and its state."""
+    """The number of components that run with a composite, and its state."""
     return f"composite of {len(report['composite']['parts'])}, {state_text(report['states'], report['overdue'])}"
 
 

@@ -105,7 +105,7 @@ class _Watch:
         """When the call was sent whose answer has not come."""
         self._edges = edges(running.names)
         self._waiting: Mapping[str, int | None] = {}
-        """Of each link that is shown, the samples that wait at either end, as the other kernel said last."""
+        """The samples that wait at either end of each link that is shown, as the other kernel said last."""
         self._call = self._names = self._links = 0
 
     def ask(self, view: View) -> None:
