@@ -9,7 +9,7 @@ from aiorts.kernel.quality.dated import Dated
 
 
 def pass_on(connector: Connector, successor: Connector) -> int:
-    """Unread samples of a connector become unread in another one of the same in-port, which has nothing yet, at its place
+    """Unread samples of a connector become unread in another one of the same in-port that is empty, at its place
     in the order; the first loses it as dropped{moved}. Where only the newest counts there, older ones are superseded.
 
     Returns: how many went over.

@@ -1,1 +1,1 @@
-"""The contents of the page: the kernels that are watched, one scene of all of them, and the figures of what is in view."""
+"""The contents of the page: the kernels that are watched, one scene of all of them, and their figures."""
