@@ -72,6 +72,7 @@ FEATURES = {
     71: "Calls and hooks of a component never run at once",
     118: "The documentation of a component is generated from it",
     119: "The skeleton of a component is generated, and runs at once",
+    120: "A running system is seen in a browser, with what each connector loses",
     122: "Shell completion",
     116: "Replay: range, seek, step, speed, fixed rate, passes; while it runs, too",
     72: "Configuration sets, one of them active, changed while running",

@@ -42,6 +42,7 @@ _HEADERS: Final = {
 _LINK: Final = re.compile(r'href="(?!https?:|#)(?:[^"]*/)?([a-z0-9-]+)\.md(#[^"]*)?"')
 _COMMENT: Final = re.compile(r"<!--.*?-->\n?", re.DOTALL)
 _HTML: Final = "text/html; charset=utf-8"
+_PICTURES: Final = {".svg": "image/svg+xml", ".png": "image/png"}
 
 
 def serve(port: int, say: Callable[[str], None]) -> int:
@@ -120,9 +121,9 @@ def answer(target: str, render: Callable[[str], str]) -> tuple[int, str, bytes]:
     found = page(name)
     if found is not None:
         return 200, _HTML, _document(found.title, render(found.text), current=found.name)
-    picture = next((path for path in FOLDER.rglob("*.svg") if path.name == name.rsplit("/", 1)[-1]), None)
-    if picture is not None:
-        return 200, "image/svg+xml", picture.read_bytes()
+    picture = next((path for path in FOLDER.rglob("*.*") if path.name == name.rsplit("/", 1)[-1]), None)
+    if picture is not None and picture.suffix in _PICTURES:
+        return 200, _PICTURES[picture.suffix], picture.read_bytes()
     return 404, _HTML, _document("Not found", "<h1>Not found</h1><p>No page has this name.</p>")
 
 

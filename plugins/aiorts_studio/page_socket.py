@@ -202,7 +202,7 @@ class _PageSocket:
             self._studio.hide(*self._shown.pop(number))
 
     async def _ask(self, number: int, said: Mapping[str, Any]) -> None:
-        answer: dict[str, Any] = {"t": "told", "id": number}
+        answer: dict[str, Any] = {"t": "answer", "id": number}
         try:
             kernel, name, arguments = said.get("kernel"), said.get("operation"), said.get("arguments", {})
             if not (isinstance(kernel, str) and isinstance(name, str) and isinstance(arguments, dict)):

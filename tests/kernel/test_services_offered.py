@@ -90,8 +90,8 @@ async def test_a_kernel_attaches_what_it_was_given_by_name(catalogue: Catalogue)
         (
             {"mqtt": {}},
             PluginError,
-            "named 'mqtt'; there are control, fence, links, openrtm, record, replay, rules, supervision, watch_loop, "
-            "zenoh",
+            "named 'mqtt'; there are control, fence, links, openrtm, record, replay, rules, studio, supervision, "
+            "watch_loop, zenoh",
         ),
         ({"fence": {"lo": 1}}, ConfigurationError, "service 'fence': lo: unknown key 'lo'; did you mean 'low'?"),
         ({"fence": {"low": "x"}}, ConfigurationError, "service 'fence': low: expected a number, got 'x'"),

@@ -108,7 +108,7 @@ async def test_a_kernel_that_ends_while_no_page_is_open_is_not_shown_as_live() -
 @pytest.mark.slow
 async def test_a_process_that_is_stopped_is_silent_and_the_others_are_live() -> None:
     with running("stopped", ROOMBA) as process:
-        async with controlled("robot"), site() as client, paging(client) as page:
+        async with controlled("robot") as kernel, site() as client, paging(client) as page:
             await page.until(lambda: page.is_live("stopped") and page.is_live("robot"))
             await page.whole("counter0")
             os.kill(process.pid, signal.SIGSTOP)
@@ -117,8 +117,8 @@ async def test_a_process_that_is_stopped_is_silent_and_the_others_are_live() -> 
                 await page.until(lambda: page.kernel("stopped")["state"] == "silent")
                 assert time.monotonic() - began < 6.0
                 seen = len(page.at)
-                at = page.at[page.kernel("robot")["address"]]
-                await page.until(lambda: page.at[page.kernel("robot")["address"]] > at, 2.0)
+                await kernel.create(Counter, "counter1")
+                await page.until(lambda: page.box("counter1"), 5.0)
                 assert page.is_live("robot")
                 assert len(page.at) == seen
             finally:
@@ -155,11 +155,11 @@ async def test_values_of_a_port_come_to_two_pages_by_one_tap() -> None:
         assert (await other.heard("text", lambda one: one["id"] == 7))["value"] > 0
         assert len(out._connectors) == usual + 1
         await one.say("watch", id=2, fields=["nowhere.at.all", "9" * 5_000], **watched)
-        assert (await one.heard("told", lambda one: one["id"] == 2))["problem"]["code"] == "E-ABSENT"
+        assert (await one.heard("answer", lambda one: one["id"] == 2))["problem"]["code"] == "E-ABSENT"
         await one.heard("values", lambda one: one["id"] == 1)  # the same tap goes on
         for path in ("counter0.nothing", "nobody.out", "", "."):
             await one.say("watch", id=3, kernel=watched["kernel"], path=path, fields=[])
-            assert "E-ABSENT" in str((await one.heard("told", lambda one: one["id"] == 3))["problem"])
+            assert "E-ABSENT" in str((await one.heard("answer", lambda one: one["id"] == 3))["problem"])
         await one.say("watch", id=4, kernel=watched["kernel"], path="reader0.in", fields=[""])
         await one.heard("values", lambda one: one["id"] == 4)
         await one.say("unwatch", id=1)
@@ -185,7 +185,7 @@ async def test_the_log_is_told_by_level_and_a_burst_is_counted() -> None:
         for i in range(5_000):
             log.warning(f"burst {i}")  # noqa: G004 - lines of one template are told as one
         await page.say("ask", id=5, kernel=address_of(kernel), operation="names", arguments={})
-        assert "value" in await page.heard("told", lambda one: one["id"] == 5, 10.0)
+        assert "value" in await page.heard("answer", lambda one: one["id"] == 5, 10.0)
         told, missed = 0, 0
         with suppress(TimeoutError):
             while True:
@@ -204,7 +204,7 @@ async def test_events_are_told_and_history_is_there_for_a_page_that_comes() -> N
         await page.whole("counter0")
         await page.say("events", on=True)
         await page.say("ask", id=1, kernel=address_of(kernel), operation="names", arguments={})
-        await page.heard("told")
+        await page.heard("answer")
         await kernel.deactivate(kernel.components["counter0"])
         found = await page.heard("event", lambda one: any(item["component"] == "counter0" for item in one["items"]))
         assert all(item["kernel"] == address_of(kernel) for item in found["items"])
@@ -279,7 +279,7 @@ async def test_hostile_messages_end_nothing(caplog: pytest.LogCaptureFixture) ->
         for number, text in enumerate(HOSTILE):
             await page.socket.send(text)
             await page.say("ask", id=1_000 + number, kernel=address_of(kernel), operation="names", arguments={})
-            told = await page.heard("told", lambda one, number=number: one["id"] == 1_000 + number)
+            told = await page.heard("answer", lambda one, number=number: one["id"] == 1_000 + number)
             assert "value" in told or told["problem"]["code"] == "E-BUSY", (text[:80], told)
         assert page.is_live("robot")
         assert not caplog.records, caplog.records

@@ -4,7 +4,7 @@
  */
 import { batch, computed, signal } from "./vendor/preact-signals.js";
 
-/** @import {Box, Change, Edge, EdgeFigures, Figures, Frame, FrameFigures, Kernel, Message, Picture, Selection, Told} from "./types.js" */
+/** @import {Box, Change, Edge, EdgeFigures, Figures, Frame, FrameFigures, Kernel, Message, Picture, Selection, Answer} from "./types.js" */
 /** @template T @typedef {import("./vendor/preact-signals.js").Signal<T>} Signal */
 
 /** The kernels by address. */
@@ -158,7 +158,7 @@ export function take(message) {
     } else if (kind === "picture") takePicture(message);
     else if (kind === "change") takeChange(message);
     else if (kind === "figures") takeFigures(message);
-    else if (kind === "told") settle(message.id, message.problem, message.value);
+    else if (kind === "answer") settle(message.id, message.problem, message.value);
   });
   pass(kind, message);
 }

@@ -38,7 +38,7 @@
  * @typedef {{t: "change", gone?: Gone} & Partial<Things>} Change
  * @typedef {{t: "figures", at?: Record<string, number>, e?: Record<string, any[]>, b?: Record<string, any[]>,
  *   f?: Record<string, any[]>}} Figures
- * @typedef {{t: "told", id: number, value?: any, problem?: {code: string, text: string}}} Told
+ * @typedef {{t: "answer", id: number, value?: any, problem?: {code: string, text: string}}} Answer
  * @typedef {{t: "log", lines: LogLine[], missed?: number}} Log
  * @typedef {{kernel: string, at_ns: number | string, level: string, component: string, text: string, file?: string,
  *   line?: number}} LogLine
@@ -47,7 +47,7 @@
  * @typedef {{t: "values", id: number, t0: number, columns: number[][], fields: Record<string, number[][]>, unit?: string}} Values
  * @typedef {{t: "text", id: number, value: any}} Text
  * @typedef {{t: "recording", on: boolean, file: string | null, samples: number, why: string}} Recording
- * @typedef {Hello | Picture | Change | Figures | Told | Log | Happenings | Values | Text | Recording} Message
+ * @typedef {Hello | Picture | Change | Figures | Answer | Log | Happenings | Values | Text | Recording} Message
  */
 
 export {};

@@ -7,7 +7,7 @@ can show: what is beyond that is counted.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import AiortsError
@@ -100,7 +100,7 @@ class EventFeed(Feed):
                 self.page.put({"t": "event", "items": items, "missed": missed})
 
 
-async def gathered(stream: AsyncStream) -> Any:
+async def gathered(stream: AsyncStream) -> AsyncIterator[tuple[list[Any], int]]:
     """The items of a stream as lists of a tenth of a second, and how many are missing before each list."""
     counted = 0
     while (first := await stream.next()) is not END:

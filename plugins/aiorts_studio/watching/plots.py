@@ -107,7 +107,7 @@ class Shown:
 
     def fail(self, error: AiortsError) -> None:
         """Tell the page why nothing comes."""
-        self.page.put({"t": "told", "id": self.number, "problem": {"code": error.code, "text": str(error)}})
+        self.page.put({"t": "answer", "id": self.number, "problem": {"code": error.code, "text": str(error)}})
 
     def close(self) -> None:
         """Send nothing more."""

@@ -2,7 +2,7 @@
 import { signal } from "../vendor/preact-signals.js";
 import { on, say } from "../store.js";
 
-/** @import {Text, Told, Values} from "../types.js" */
+/** @import {Answer, Text, Values} from "../types.js" */
 
 /** Columns that a field keeps: the longest window at the finest. */
 const KEPT = 30_000;
@@ -97,7 +97,7 @@ on("text", (/** @type {Text} */ { id, value }) => {
   came.value++;
 });
 // The server answers a watch that cannot be by its number.
-on("told", (/** @type {Told & {watch?: number}} */ { watch: id, problem }) => {
+on("answer", (/** @type {Answer & {watch?: number}} */ { watch: id, problem }) => {
   if (id === undefined || !problem) return;
   for (const field of watches.get(id)?.fields ?? []) {
     const series = of(id, field);
