@@ -8,7 +8,6 @@ its own copy. A record is hashable when nothing in it is an array or a map. It w
 from __future__ import annotations
 
 import dataclasses
-import functools
 import inspect
 from collections.abc import Callable
 from types import FunctionType, MemberDescriptorType
@@ -16,7 +15,7 @@ from typing import Any, NoReturn, TypeVar, cast, dataclass_transform, overload
 
 from aiorts.errors import DeclarationError, RecordError
 from aiorts.types.arrays import ArrayKind
-from aiorts.types.constructors import MISSING, Parameter, make_init
+from aiorts.types.constructors import MISSING, Parameter, give_init
 from aiorts.types.kinds import NS_PER_SEC, Kind, OptionalKind
 from aiorts.types.nested import RecordKind
 from aiorts.types.registry import register
@@ -120,7 +119,7 @@ def record(cls: type[T]) -> type[T]:
     setattr_type = type.__setattr__
     setattr_type(new, STRUCTURE, structure)
     dataclasses.dataclass(init=False, repr=False, eq=False)(new)
-    setattr_type(new, "__init__", _init(new, structure))
+    _give_init(new, structure)
     return register(new)
 
 
@@ -196,7 +195,7 @@ def _fields_of_base(base: type) -> tuple[Field, ...]:
     return structure.fields if structure is not None else ()
 
 
-def _init(cls: type, structure: Structure) -> Callable[..., None]:
+def _give_init(cls: type, structure: Structure) -> None:
     parameters: list[Parameter] = []
     for field, store in zip(structure.fields, setters_of(cls), strict=True):
         check: Check = field.kind.check
@@ -208,22 +207,11 @@ def _init(cls: type, structure: Structure) -> Callable[..., None]:
                 f"{cls.__qualname__}.{field.name}: a field without default follows one with a default"
             )
         parameters.append(Parameter(field.name, field.kind, check, f"{cls.__qualname__}.{field.name}", store, default))
-    init = make_init(cls.__qualname__, parameters)
-    init.__module__ = cls.__module__
-    return init if not hasattr(cls, "__post_init__") else _with_post_init(init)
+    give_init(cls, parameters)
 
 
 def _made(check: Check) -> Check:
     return lambda value, where: check(value.make() if type(value) is Lazy else value, where)
-
-
-def _with_post_init(init: Callable[..., None]) -> Callable[..., None]:
-    @functools.wraps(init)
-    def checked_init(self: Any, *args: Any, **kwargs: Any) -> None:
-        init(self, *args, **kwargs)
-        self.__post_init__()
-
-    return checked_init
 
 
 def setters_of(cls: type) -> tuple[Callable[[Any, Any], None], ...]:

@@ -8,15 +8,16 @@ bytes for.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 import msgpack  # type: ignore[import-untyped]
 
 from aiorts.errors import LimitError, RecordError, RecordTypeError, UnknownTypeError, WireError
 from aiorts.types.kinds import shown
-from aiorts.types.registry import wire_name, wire_type
+from aiorts.types.registry import all_types, wire_name, wire_type
 from aiorts.types.samples import PLAIN_TYPES, check_port_type, original
-from aiorts.types.structure import kind_of
+from aiorts.types.structure import describe, kind_of
+from aiorts.wire.direct import SHORT, Direct, direct_of
 from aiorts.wire.forms import Form, form_of
 from aiorts.wire.limits import DATA, Limits
 from aiorts.wire.parts import Buffer, Packed, Positions, Take, flat, layout_of
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 """The version of the frames, which each begins with."""
-
-# A frame this short is parsed at once: all that its headers could claim together is below 4 MiB.
-_SHORT = 1024
 
 # A packer keeps the room that its largest frame took.
 _KEPT = 1_048_576
@@ -92,7 +90,8 @@ class MsgpackCodec:
         self.limits = limits
         # A frame of no more bytes than this cannot break any limit.
         self._unchecked = min(limits.string, limits.length, limits.values, limits.frame, limits.head)
-        self._uncounted = min(_SHORT, limits.values)
+        self._uncounted = min(SHORT, limits.values)
+        self._direct = min(SHORT, self._unchecked)
         self._options: dict[str, Any] = {
             "raw": False,
             "strict_map_key": True,
@@ -112,6 +111,9 @@ class MsgpackCodec:
         large.
         """
         cls = type(record)
+        direct = _direct.get(cls)
+        if direct is not None and direct.encode is not None and direct.size <= self._direct:
+            return direct.encode(record)
         name, form = _known.get(cls) or _know(cls)
         content = FORMAT, name, form.put(record)
         try:
@@ -132,6 +134,9 @@ class MsgpackCodec:
             DeclarationError: the class cannot travel. What it gives raises LimitError for a frame that is too large.
         """
         name, form = _known.get(cls) or _know(cls)
+        direct = _direct.get(cls)
+        if direct is not None and direct.encode is not None and direct.size <= self._direct:
+            return direct.encode
         put, pack, unchecked = form.put, _new_packer().pack, self._unchecked
 
         def encode(record: Any) -> bytes:
@@ -219,7 +224,7 @@ class MsgpackCodec:
                 try:
                     if parts:
                         raise WireError(f"{name}: expected no parts beside the frame, got {len(parts)}")
-                    return build(unpack(head))
+                    return build(*unpack(head))
                 except (RecordError, struct.error) as error:
                     raise WireError(f"{name}: {error}") from None
 
@@ -266,6 +271,15 @@ class MsgpackCodec:
         try:
             if type(data) is not bytes:
                 (data,) = flat((data,))
+            if type(data) is bytes and 4 < len(data) <= self._direct:
+                direct = _by_name.get(data[3 : 3 + (data[2] & 0x1F)] if data[2] < 0xD9 else data[4 : 4 + data[3]])
+                if (
+                    direct is not None
+                    and (expected is None or expected is direct.cls)
+                    and _TYPES.get(direct.full_name) is direct.cls  # it was not defined again
+                    and (record := direct.decode(data)) is not None
+                ):
+                    return record
             content = self._parse(data, self.limits.frame)
             if type(content) is not list or len(content) != 3 or content[0] != FORMAT or type(content[1]) is not str:
                 raise _wrong_head(content)
@@ -307,7 +321,10 @@ class MsgpackCodec:
         return known_name, form
 
 
+_TYPES: Final = all_types()
 _known: dict[type, tuple[str, Form]] = {}
+_direct: dict[type, Direct] = {}
+_by_name: dict[bytes, Direct] = {}
 _packers: list[Any] = []
 """Those that nobody uses at this moment: to make one takes as long as to pack a small record. Who packs takes one out,
 so that threads never share one."""
@@ -329,7 +346,10 @@ def _know(cls: type) -> tuple[str, Form]:
     check_port_type(cls)
     target = original(cls)
     form = _plain_form(target) if target in PLAIN_TYPES else form_of(target)
-    _known[cls] = wire_name(target), form
+    name = wire_name(target)
+    _known[cls] = name, form
+    if cls is target and cls not in PLAIN_TYPES and (direct := direct_of(describe(cls), FORMAT, name)) is not None:
+        _direct[cls] = _by_name[name.encode()] = direct
     return _known[cls]
 
 

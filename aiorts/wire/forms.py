@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from aiorts.errors import RecordError, WireError
 from aiorts.types.arrays import ArrayKind, NDArrayKind, element_dtype
+from aiorts.types.generated import generate
 from aiorts.types.kinds import DateTimeKind, EnumKind, Kind, OptionalKind, datetime_ns, shown
 from aiorts.types.nested import RecordKind
 from aiorts.types.plain import build
@@ -53,18 +54,12 @@ def _record_form(structure: Structure) -> Form:
 
 
 def _putter(structure: Structure, names: tuple[str, ...], pairs: tuple[Pair, ...], wheres: tuple[str, ...]) -> Put:
+    if structure.checked:
+        known: dict[str, Any] = {}
+        return generate("put(record)", [f"return {_entries(structure, 'record', known)}"], known)  # type: ignore[no-any-return]
     read: Any = attrgetter(*names) if len(names) > 1 else lambda record: tuple(getattr(record, name) for name in names)
     puts = tuple((name, put) for name, (put, _) in zip(names, pairs, strict=True) if put is not None)
     kinds = tuple(zip((field.kind for field in structure.fields), wheres, strict=True))
-
-    def put_direct(record: Any) -> Any:
-        return dict(zip(names, read(record), strict=True))
-
-    def put_checked(record: Any) -> Any:
-        fields = dict(zip(names, read(record), strict=True))
-        for name, put in puts:
-            fields[name] = put(fields[name])
-        return fields
 
     def put_unchecked(record: Any) -> Any:
         fields = {
@@ -74,9 +69,23 @@ def _putter(structure: Structure, names: tuple[str, ...], pairs: tuple[Pair, ...
             fields[name] = put(fields[name])
         return fields
 
-    if not structure.checked:
-        return put_unchecked
-    return put_checked if puts else put_direct
+    return put_unchecked
+
+
+def _entries(structure: Structure, record: str, known: dict[str, Any]) -> str:
+    """The text of the map that a checked record is packed as; `known` gets what it names."""
+    entries = []
+    for field in structure.fields:
+        # Python would normalise a name that is written out, if it is not ASCII.
+        value = f"{record}.{field.name}" if field.name.isascii() else f"getattr({record}, {field.name!r})"
+        if isinstance(field.kind, RecordKind) and field.kind.structure.checked:
+            value = _entries(field.kind.structure, value, known)
+        elif (put := pair_of(field.kind)[0]) is not None:
+            name = f"put{len(known)}"
+            known[name] = put
+            value = f"{name}({value})"
+        entries.append(f"{field.name!r}: {value}")
+    return f"{{{', '.join(entries)}}}"
 
 
 def _taker(structure: Structure, names: tuple[str, ...], pairs: tuple[Pair, ...], wheres: tuple[str, ...]) -> Take:

@@ -22,6 +22,7 @@ from aiorts.types.rows import FixedTupleKind, RowsKind, TupleKind
 from aiorts.types.samples import PLAIN_TYPES, settling
 from aiorts.types.structure import describe, kind_of
 from aiorts.wire.arrays import array_of_part, array_part, pack_array, unpack_array
+from aiorts.wire.direct import number_builder
 from aiorts.wire.forms import list_of, pair_of
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class Packed(NamedTuple):
     layout: struct.Struct
     read: Callable[[Any], tuple[Any, ...]]
     """The numbers of a record, in order, nested ones too."""
-    build: Callable[[tuple[Any, ...]], Any]
+    build: Callable[..., Any]
     """The record of such numbers. RecordError: one does not fit."""
 
 
@@ -63,10 +64,7 @@ def packed(structure: Structure) -> Packed | None:
     layout = struct.Struct("<" + "".join(NUMBER_CODES[kind.spelling] for _, kind in leaves if kind is not None))
     getter = attrgetter(*(path for path, _ in leaves))
     read = getter if len(leaves) > 1 else lambda record: (getter(record),)
-    if any(isinstance(field.kind, RecordKind) for field in structure.fields):
-        return Packed(layout, read, _builder(structure, 0)[0])
-    cls = structure.cls
-    return Packed(layout, read, lambda values: cls(*values))
+    return Packed(layout, read, number_builder(structure))
 
 
 def _leaves(structure: Structure, prefix: str) -> Iterator[tuple[str, Kind | None]]:
@@ -78,25 +76,6 @@ def _leaves(structure: Structure, prefix: str) -> Iterator[tuple[str, Kind | Non
             yield from _leaves(field.kind.structure, f"{prefix}{field.name}.")
         else:
             yield prefix + field.name, field.kind if field.kind.spelling in NUMBER_CODES else None
-
-
-def _builder(structure: Structure, start: int) -> tuple[Callable[[tuple[Any, ...]], Any], int]:
-    """Makes the record whose first number is in column `start`, by its constructor; and the column after its last."""
-    cls, column = structure.cls, start
-    sources: list[tuple[int, Callable[[tuple[Any, ...]], Any] | None]] = []
-    for field in structure.fields:
-        if isinstance(field.kind, RecordKind):
-            inner, after = _builder(field.kind.structure, column)
-            sources.append((column, inner))
-            column = after
-        else:
-            sources.append((column, None))
-            column += 1
-
-    def build_record(values: tuple[Any, ...]) -> Any:
-        return cls(*[values[place] if inner is None else inner(values) for place, inner in sources])
-
-    return build_record, column
 
 
 class Positions(NamedTuple):

@@ -1,0 +1,221 @@
+"""Frames of checked records, read by functions that are generated for their fields, and written where all are numbers.
+
+They write and read the frames of `forms`, and do less for it: nothing is decided anew for each frame. What they do not
+read, such as fields in another order or a value of another type, they leave to the general way, which takes it or says
+what is wrong with it. A record of nothing but numbers is one structure: every byte between its numbers is the same in
+each frame.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import msgpack  # type: ignore[import-untyped]
+
+from aiorts.errors import RecordError
+from aiorts.types.generated import generate
+from aiorts.types.kinds import STAMP_LIMIT, Kind, OptionalKind
+from aiorts.types.nested import RecordKind
+from aiorts.types.record import setters_of
+from aiorts.types.registry import full_name
+from aiorts.types.rows import FixedTupleKind, MapKind, TupleKind
+from aiorts.wire.forms import pair_of
+
+if TYPE_CHECKING:
+    from aiorts.types.structure import Structure
+
+SHORT: Final = 1024
+"""Bytes of a frame that is parsed at once: all that its headers could claim together is below 4 MiB."""
+_FIELDS: Final = 15
+"""Fields of a record, since the header of a longer map has three bytes; and the values of a record with all in it."""
+_NUMBERS: Final = {
+    "i8": ("b", 0xD0), "i16": ("h", 0xD1), "i32": ("i", 0xD2), "i64": ("q", 0xD3), "f64": ("d", 0xCB),
+    "u8": ("B", 0xCC), "u16": ("H", 0xCD), "u32": ("I", 0xCE), "u64": ("Q", 0xCF), "stamp": ("Q", 0xCF),
+}  # fmt: skip
+"""How a number is packed, and the byte in front of it. Numbers of 32 bits travel as those of 64: they are left out."""
+
+
+class Direct(NamedTuple):
+    """How frames of one record type are read at once, and written where it has nothing but numbers."""
+
+    cls: type
+    full_name: str
+    """The name under which the class is registered, as long as no other takes its place."""
+    decode: Callable[[bytes], Any]
+    """The record of a frame of at most `SHORT` bytes; None: the general way reads it, or says what is wrong with it."""
+    encode: Callable[[Any], bytes] | None = None
+    """The frame of a record of numbers."""
+    size: int = 0
+    """The bytes of each frame of a record of numbers."""
+
+
+def direct_of(structure: Structure, version: int, name: str) -> Direct | None:
+    """How records of this structure and wire name are written and read; None where only the general way is."""
+    leaves = list(_leaves(structure, "")) if _is_short(structure) else []
+    if not leaves:
+        return None
+    if all(kind.spelling in _NUMBERS for _, kind in leaves):
+        return _of_numbers(structure, msgpack.packb(version) + msgpack.packb(name))
+    if all(_has_no_maps(kind) for _, kind in leaves):
+        return _of_pairs(structure, version, name)
+    return None
+
+
+def _is_short(structure: Structure) -> bool:
+    fields = structure.fields
+    return (
+        structure.checked
+        and 0 < len(fields) <= _FIELDS
+        and all(field.name.isascii() for field in fields)  # others are written as Python normalises them
+        and all(_is_short(field.kind.structure) for field in fields if isinstance(field.kind, RecordKind))
+    )
+
+
+def _leaves(structure: Structure, prefix: str) -> Iterator[tuple[str, Kind]]:
+    for field in structure.fields:
+        if isinstance(field.kind, RecordKind):
+            yield from _leaves(field.kind.structure, f"{prefix}{field.name}.")
+        else:
+            yield prefix + field.name, field.kind
+
+
+def _has_no_maps(kind: Kind) -> bool:
+    if isinstance(kind, OptionalKind):
+        return _has_no_maps(kind.inner)
+    if isinstance(kind, TupleKind):
+        return _has_no_maps(kind.item)
+    if isinstance(kind, FixedTupleKind):
+        return all(map(_has_no_maps, kind.items))
+    return not isinstance(kind, (RecordKind, MapKind))
+
+
+# -- records of numbers ------------------------------------------------------------------------------------------------
+
+
+def _of_numbers(structure: Structure, head: bytes) -> Direct | None:
+    texts: list[bytes] = []
+    codes: list[str] = []
+    between = bytearray(b"\x93" + head)
+
+    def walk(structure: Structure) -> None:
+        between.append(0x80 | len(structure.fields))
+        for field in structure.fields:
+            between.extend(msgpack.packb(field.name))
+            if isinstance(field.kind, RecordKind):
+                walk(field.kind.structure)
+                continue
+            code, first = _NUMBERS[field.kind.spelling]
+            texts.append(bytes((*between, first)))
+            codes.append(f"{len(texts[-1])}s{code}")
+            between.clear()
+
+    walk(structure)
+    if len(texts) > _FIELDS:
+        return None
+    layout = struct.Struct(f">{''.join(codes)}")
+    paths = [path for path, _ in _leaves(structure, "")]
+    known: dict[str, Any] = {f"t{i}": text for i, text in enumerate(texts)}
+    known |= {"pack": layout.pack, "unpack": layout.unpack, "build": number_builder(structure), "refused": RecordError}
+    values = ", ".join(f"v{i}" for i in range(len(paths)))
+    encode = [f"return pack({', '.join(f't{i}, record.{path}' for i, path in enumerate(paths))})"]
+    decode = [
+        f"if len(data) != {layout.size}: return None",
+        f"{', '.join(f'f{i}, v{i}' for i in range(len(paths)))} = unpack(data)",
+        f"if {' or '.join(f'f{i} != t{i}' for i in range(len(paths)))}: return None",
+        "try:",
+        f" return build({values})",
+        "except refused: return None",
+    ]
+    return Direct(
+        structure.cls,
+        full_name(structure.cls),
+        generate("decode(data)", decode, known),
+        generate("encode(record)", encode, known),
+        layout.size,
+    )
+
+
+def number_builder(structure: Structure) -> Callable[..., Any]:
+    """What makes a record of its numbers, in order, those of records in it too; they are of the class they should be.
+
+    What it gives raises RecordError where a time stamp is too large, or a record refuses its fields. A record without
+    conditions of its own is filled, not constructed: a TimedPose3D takes 0.9 us instead of 1.9 us.
+    """
+    known: dict[str, Any] = {"new": object.__new__, "LIMIT": STAMP_LIMIT}
+    lines: list[str] = []
+    count = 0
+
+    def walk(structure: Structure) -> str:
+        nonlocal count
+        cls = structure.cls
+        values = []
+        for field in structure.fields:
+            if isinstance(field.kind, RecordKind):
+                values.append(walk(field.kind.structure))
+                continue
+            value, count = f"v{count}", count + 1
+            values.append(value)
+            if field.kind.spelling in _CHECKED:
+                known[f"check_{value}"], known[f"where_{value}"] = field.kind.check, f"{cls.__qualname__}.{field.name}"
+                lines.append(
+                    f"{_CHECKED[field.kind.spelling].format(value)}{value} = check_{value}({value}, where_{value})"
+                )
+        made = f"r{len(lines)}"
+        known[f"c_{made}"] = cls
+        if hasattr(cls, "__post_init__"):
+            lines.append(f"{made} = c_{made}({', '.join(values)})")
+            return made
+        lines.append(f"{made} = new(c_{made})")
+        for i, (setter, value) in enumerate(zip(setters_of(cls), values, strict=True)):
+            known[f"s{i}_{made}"] = setter
+            lines.append(f"s{i}_{made}({made}, {value})")
+        return made
+
+    lines.append(f"return {walk(structure)}")
+    return generate(f"build({', '.join(f'v{i}' for i in range(count))})", lines, known)  # type: ignore[no-any-return]
+
+
+_CHECKED: Final = {"stamp": "if {0} >= LIMIT: "}
+"""Numbers whose kind takes less than their code: when they are looked at."""
+
+
+_REFUSED: Final = (RecordError, ValueError, TypeError, msgpack.UnpackException)
+
+
+# -- other records -----------------------------------------------------------------------------------------------------
+
+
+def _of_pairs(structure: Structure, version: int, name: str) -> Direct:
+    known: dict[str, Any] = {"unpackb": msgpack.unpackb, "version": version, "name": name, "refused": _REFUSED}
+    lengths = ", ".join(f"max_{kind}_len={SHORT}" for kind in ("str", "bin", "array", "map"))
+    read: list[str] = [
+        f"content = unpackb(data, object_pairs_hook=tuple, max_ext_len=0, {lengths})",
+        "if type(content) is not list or len(content) != 3: return None",
+        "found_version, found_name, m = content",
+        "if found_version != version or found_name != name: return None",
+    ]
+
+    def take(structure: Structure, pairs: str) -> str:
+        places = [f"{pairs}_{i}" for i in range(len(structure.fields))]
+        names = " or ".join(f"n{at} != {field.name!r}" for at, field in zip(places, structure.fields, strict=True))
+        read.append(f"if type({pairs}) is not tuple or len({pairs}) != {len(places)}: return None")
+        read.append(f"{', '.join(f'(n{at}, {at})' for at in places)}, = {pairs}")
+        read.append(f"if {names}: return None")
+        values = []
+        for at, field in zip(places, structure.fields, strict=True):
+            value = at
+            if isinstance(field.kind, RecordKind):
+                value = take(field.kind.structure, at)
+            elif (convert := pair_of(field.kind)[1]) is not None:
+                known[f"take{at}"], known[f"where{at}"] = convert, f"{structure.cls.__qualname__}.{field.name}"
+                value = f"take{at}({at}, where{at})"
+            values.append(value)
+        known[f"c{pairs}"] = structure.cls
+        read.append(f"r{pairs} = c{pairs}({', '.join(values)})")
+        return f"r{pairs}"
+
+    read.append(f"return {take(structure, 'm')}")
+    tried = ["try:", *(f" {line}" for line in read), "except refused: return None"]
+    return Direct(structure.cls, full_name(structure.cls), generate("decode(data)", tried, known))
