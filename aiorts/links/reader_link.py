@@ -18,7 +18,7 @@ from aiorts.kernel.quality.dated import Dated
 from aiorts.kernel.quality.succession import pass_on
 from aiorts.links.sides import LinkSide, Wakening, report
 from aiorts.model.buffer import FullPolicy
-from aiorts.model.links import FATES, ReaderEnd
+from aiorts.model.links import FATES, SOLE, ReaderEnd
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
 
 if TYPE_CHECKING:
@@ -77,6 +77,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
         """The number of the last sample that waits no longer then; 0: none waits."""
         # Its reader is in a third kernel: each sample waits for the answer from there, and so does its writer.
         self._confirms = connector.in_.is_far and connector.profile.subscription is Subscription.FLUSH
+        self._takes_alone = not (self._confirms or self._ages)
         if isinstance(connector.out, FarOutPort):
             connector.out.held = lambda: self.end.held
             connector.out.clock = None
@@ -127,6 +128,11 @@ class ReaderLink(LinkSide[ReaderEnd]):
 
     def on_frames(self, frames: Sequence[tuple[Buffer, tuple[Buffer, ...]]]) -> None:
         now, end = self._now(), self.end
+        if len(frames) == 1 and self._takes_alone and not self._waits and not self._ended:
+            head, parts = frames[0]
+            if not parts and (ticket := end.receive_alone(now, head)):
+                self._deliver_alone(now, ticket, head)
+                return
         for head, parts in frames:
             end.receive(now, head, parts)
         self._deliver(now)
@@ -176,6 +182,41 @@ class ReaderLink(LinkSide[ReaderEnd]):
                 self.end.end(self._now(), channel.send)
             channel.close()
 
+    def _deliver_alone(self, now: int, ticket: int, head: Buffer) -> None:
+        """`_deliver` and `_poll` of the only sample that has come, written out."""
+        end = self.end
+        try:
+            record = self._decode(head[SOLE:], ())
+        except Exception as error:  # noqa: BLE001 - as in `_deliver`
+            self._cannot_decode(now, ticket, error)
+            return self._poll(now)
+        try:
+            if self._displaces and self._is_full():
+                raise WouldBlock
+            has_room = self.connector.out.write_nowait(record)
+        except WouldBlock:
+            self._wait(ticket, record)
+            return self._poll(now)
+        if not has_room:
+            end.failed(now, ticket, "rejected")
+            return self._poll(now)
+        end.done(now, ticket)
+        if (due := end.due_ns(now)) <= now or self._channel is None:
+            self._poll(now)
+        else:
+            self._wakening.at(due)
+        return None
+
+    def _is_full(self) -> bool:
+        transport = transport_of(self.connector)
+        return len(transport.queue) >= transport.length
+
+    def _cannot_decode(self, now: int, ticket: int, error: Exception) -> None:
+        self.end.failed(now, ticket, "undecodable")
+        self.undecodable += 1
+        if self.undecodable == 1:
+            report(f"{self.connector.name}: dropped what cannot be decoded: {format_error(error)}")
+
     def _deliver(self, now: int) -> None:
         """Write what came, as long as the reader has room; what has none is not acknowledged."""
         end, decode = self.end, self._decode
@@ -189,11 +230,8 @@ class ReaderLink(LinkSide[ReaderEnd]):
                 record = decode(head, parts)
             except Exception as error:  # noqa: BLE001 - the class's own check of its values may raise anything
                 end.done(now, last, taken)
-                end.failed(now, ticket, "undecodable")
+                self._cannot_decode(now, ticket, error)
                 taken = 0
-                self.undecodable += 1
-                if self.undecodable == 1:
-                    report(f"{self.connector.name}: dropped what cannot be decoded: {format_error(error)}")
                 continue
             if ages:
                 self._date(end.date)

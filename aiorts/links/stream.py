@@ -88,6 +88,8 @@ class Stream:
 
     Args:
         arrived: called with the messages that came together.
+        arrived_alone: called with the kind, the number and the body of a message without parts that came alone, as most
+            do; where it returns False, `arrived` is called.
         drained: called when `send` takes messages again.
         ended: called once, with the reason, when the connection is over.
     """
@@ -99,8 +101,10 @@ class Stream:
         arrived: Callable[[list[Message]], None],
         drained: Callable[[], None],
         ended: Callable[[str], None],
+        arrived_alone: Callable[[int, int, memoryview], bool] = lambda *_: False,
     ) -> None:
         self._loop, self._socket = loop, sock
+        self._arrived_alone = arrived_alone
         self._arrived, self._drained, self._ended = arrived, drained, ended
         self._rest = b""
         self._large: memoryview | None = None
@@ -289,6 +293,11 @@ class Stream:
             return self._end(f"it does not speak this protocol: {error}")
         if not count:
             return self._end("it has ended")
+        if self._large is None and not self._rest and count >= _HEAD.size:
+            length, kind, parts, _, number = _HEAD.unpack_from(data)
+            is_alone = length == count - _HEAD.size and not parts
+            if is_alone and self._arrived_alone(kind, number, memoryview(data)[_HEAD.size :]):
+                return self._more(count, asked)
         messages: list[Message] = []
         try:
             if self._large is None:
@@ -302,6 +311,10 @@ class Stream:
             return self._end(f"it does not speak this protocol: {error}")
         if messages:
             self._arrived(messages)
+        return self._more(count, asked)
+
+    def _more(self, count: int, asked: int) -> int:
+        """How many bytes were received, where there may be more."""
         if self.closed:
             return 0
         return self._receive() if self._reset else count * (count == asked)

@@ -57,6 +57,8 @@ _NO_ROOM: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 """This process or the system has no descriptors or memory left."""
 _FOR_NOW: Final = (errno.EAGAIN, errno.EINTR, *_NO_ROOM)
 """Why a kernel that is there cannot be connected to now: also since its queue is full, as while it stands still."""
+_MET: Final = 1_024
+"""Channels of one connection that are remembered."""
 _ASKED: Final = 1_000
 """Questions of one peer that are being answered at the same time, at the most."""
 _OF_ONE_PROGRAM: Final = 64 << 20
@@ -319,7 +321,9 @@ class _Connection:
         """From the other end's greeting on, where this system has such memory."""
         self._greeting = b""
         """What the other end said first, byte for byte."""
-        self.stream = Stream(transport.loop, sock, self._arrived, self._drained, self._over)
+        self._met: dict[tuple[int, int], _UnixChannel] = {}
+        """Channels that frames came for, by kind and number: to look for one by its peer takes 1 us."""
+        self.stream = Stream(transport.loop, sock, self._arrived, self._drained, self._over, self._arrived_alone)
         self.stream.control(_HELLO, 0, transport.greeting)
 
     def close(self) -> None:
@@ -357,6 +361,18 @@ class _Connection:
             self._unsent.popleft()
             self._answering -= 1
         self._transport.drained(self)
+
+    def _arrived_alone(self, kind: int, number: int, body: memoryview) -> bool:
+        channel = self._met.get((kind, number))
+        if channel is None or not channel.is_open:
+            channel = None if self.peer is None else self._transport.channels.get((self.peer, kind, number))
+            if channel is None:
+                return False
+            if len(self._met) >= _MET:
+                self._met.clear()  # of channels that were closed
+            self._met[kind, number] = channel
+        channel.events.on_frames(((body, ()),))
+        return True
 
     def _arrived(self, messages: list[Message]) -> None:
         frames: dict[tuple[int, int], list[tuple[Buffer, tuple[Buffer, ...]]]] = {}

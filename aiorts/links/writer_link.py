@@ -132,7 +132,7 @@ class WriterLink(LinkSide[WriterEnd]):
         if not self._turn_due:
             now = self._now()
             if now - self._sent_ns > _SOON_NS:
-                if self._drain(now):
+                if not self._send_alone(now) and self._drain(now):
                     self._poll(now)
                 self._sent_ns = self._now()
                 return True
@@ -143,6 +143,28 @@ class WriterLink(LinkSide[WriterEnd]):
             if len(transport.queue) >= transport.length:
                 self._drain(self._now())  # else the next sample would find it full, with room in the window
         return True
+
+    def _send_alone(self, now: int) -> bool:
+        """`_drain` and `_poll` of the only sample that waits, written out; False: there is more to do."""
+        channel, end = self._channel, self.end
+        if channel is None or self._ages or self._taking or self._ended or end.room < 1:
+            return False
+        transport = transport_of(self.connector)
+        transport.settle()
+        if len(transport.queue) != 1 or isinstance(transport, Confirmed):
+            return False
+        self._taking = True
+        try:
+            head, parts = self._encode(self.connector.in_.read_nowait())
+        except AiortsError as error:
+            self._not_sent(error)
+            return False
+        except WouldBlock:
+            return False  # it has expired in this moment
+        finally:
+            self._taking = False
+        self._wakening.at(end.offer_and_send(now, head, parts, not self._drains_full, channel.send))
+        return not transport.queue  # a writer that waited had room, and its sample comes in its turn
 
     def _turn(self) -> None:
         self._turn_due = False

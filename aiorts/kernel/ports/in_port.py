@@ -123,7 +123,14 @@ class InPort(Port[T]):
                     continue  # gone in this moment, as may be where threads meet without a lock
             if timeout is not None:
                 return await self._read_within(timeout)
-            await receiver.wait()
+            if (waiter := receiver.begin_wait()) is None:
+                await receiver.wait()
+                continue
+            try:
+                await waiter
+            finally:
+                if self._receiver.waiter is waiter:
+                    self._receiver.stand_down(waiter)
 
     @property
     def latest(self) -> T | None:

@@ -334,6 +334,29 @@ class Receiver:
         finally:
             self.port._receiver.stand_down(waiter)
 
+    def begin_wait(self) -> asyncio.Future[None] | None:
+        """The future that the next sample ends, where a task of the loop waits at a port without a lock, as most do.
+
+        None: `wait` waits, or says why it does not. The ten calls of `wait` take as long as the wake-up itself.
+        """
+        port = self.port
+        host = port._host
+        if (
+            not self.plain
+            or self.waiter is not None
+            or host is None
+            or (kernel := host.kernel) is None
+            or kernel.debug
+            or host.stopping
+            or host.realtime
+            or not host.alive
+            or host.ports.get(port.name) is not port
+        ):
+            return None
+        waiter = self.waiter = kernel.loop.create_future()
+        self.notify_enabled = True
+        return waiter
+
     def stand_by(self, waiter: asyncio.Future[None]) -> bool:
         """Have `waiter` done when a sample comes or the port is removed; whether a sample is there already.
 

@@ -8,7 +8,7 @@ may lose, double, reorder and delay frames. Time comes as `now`, in nanoseconds 
 from __future__ import annotations
 
 from aiorts.model.links.allowed import CALL, READ, RIGHTS, WRITE, Allowed
-from aiorts.model.links.frames import FATES, Buffer, Send, Turn, turn_of
+from aiorts.model.links.frames import FATES, SOLE, Buffer, Send, Turn, turn_of
 from aiorts.model.links.ledger import Joined, join
 from aiorts.model.links.reader import ReaderEnd, ReaderLedger, Received
 from aiorts.model.links.state import LinkState
@@ -19,6 +19,7 @@ __all__ = (
     "FATES",
     "READ",
     "RIGHTS",
+    "SOLE",
     "WRITE",
     "Allowed",
     "Buffer",

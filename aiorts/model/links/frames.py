@@ -42,6 +42,8 @@ REFUSED: Final = "refused"
 _WIDEST: Final = 0xFFFF
 _HEAD: Final = struct.Struct("<BBHI")
 _NUMBERED: Final = struct.Struct("<BBHIQQ")
+SOLE: Final = _NUMBERED.size
+"""Where the sample begins in a frame that has one alone."""
 _FATE: Final = struct.Struct("<QB")
 
 
@@ -83,6 +85,11 @@ def hello(link: int, epoch: int, received: int) -> bytes:
     return _NUMBERED.pack(HELLO, 0, 0, link, epoch, received)
 
 
+def sole(link: int, number: int, oldest: int, sample: bytes, *, confirm: bool) -> bytes:
+    """`data` of one sample: it is the rest of the frame, since a length for each is needed of several alone."""
+    return _NUMBERED.pack(DATA, confirm, 1, link, number, oldest) + sample
+
+
 def data(
     link: int, first: int, oldest: int, samples: Sequence[bytes], *, confirm: bool, ages: Sequence[int] = ()
 ) -> bytes:
@@ -92,10 +99,17 @@ def data(
         head = _NUMBERED.pack(DATA, confirm | AGED, len(samples), link, first, oldest)
         return b"".join((head, struct.pack(f"<{len(ages)}Q", *ages), frame[_NUMBERED.size :]))
     if len(samples) == 1:
-        # The only sample is the rest of the frame: a length for each is needed of several alone.
-        return _NUMBERED.pack(DATA, confirm, 1, link, first, oldest) + samples[0]
+        return sole(link, first, oldest, samples[0], confirm=confirm)
     lengths = struct.pack(f"<{len(samples)}I", *map(len, samples))
     return b"".join((_NUMBERED.pack(DATA, confirm, len(samples), link, first, oldest), lengths, *samples))
+
+
+def is_sole(frame: Buffer, link: int, number: int) -> bool:
+    """Whether a frame is data of the sample of this number alone, without flags; the rest of it is the sample."""
+    if len(frame) < _NUMBERED.size:
+        return False
+    kind, flags, count, of, first, _ = _NUMBERED.unpack_from(frame)
+    return kind == DATA and count == 1 and first == number and of == link and not flags
 
 
 def acknowledgement(link: int, done: int, received: int, fates: Mapping[int, str]) -> bytes:

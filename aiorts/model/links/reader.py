@@ -142,6 +142,28 @@ class ReaderEnd:
         except BadFrame:
             self.ledger.bad_frames += 1
 
+    def receive_alone(self, now: int, head: Buffer) -> int:
+        """`receive` and `take` of a frame that has the next sample alone, behind which nothing waits: its ticket.
+
+        The sample is what stands in the frame from `frames.SOLE` on. 0: it is no such frame, and was not received.
+        """
+        number = self._received + 1
+        if self._held or self._fates or self._wanted or self._dates or not frames.is_sole(head, self.number, number):
+            return 0
+        self._unacknowledged += len(head) - frames.SOLE
+        self._received = number
+        self.ledger.received += 1
+        self.ledger.held += 1
+        if self._ack_ns is None:
+            self._ack_ns = now + ACK_NS
+        return self._era + number
+
+    def due_ns(self, now: int) -> int:
+        """When `poll` has something to send: `now`, or the time of an acknowledgement that is kept back."""
+        if self._hello or self._tells_lost or self._ack_ns is None or 0 < self.tell_ns <= now:
+            return now
+        return self._ack_ns
+
     def _take_in(
         self,
         now: int,

@@ -188,6 +188,41 @@ class WriterEnd:
         self.ledger.in_flight += 1
         return number
 
+    def offer_and_send(
+        self, now: int, head: bytes, parts: Sequence[memoryview], confirm: bool, send: Send
+    ) -> int | None:
+        """`offer` and `poll`, for a sample behind which nothing waits."""
+        kept = self._kept
+        number = self._next
+        if (
+            parts
+            or self._narrows
+            or not self._greeted  # which it is not while the channel is down
+            or self._ended
+            or self._sent + 1 != number
+            or self._highest >= number
+            or (kept and now >= self._again_ns)
+            or self.date is not None
+            or self._dates
+        ):
+            self.offer(now, head, parts, confirm=confirm)
+            return self.poll(now, send)
+        # The common case written out: all that was offered before was sent, and nothing else is due.
+        self._next = number + 1
+        kept[number] = head, parts, confirm
+        self._bytes += len(head)
+        ledger = self.ledger
+        ledger.offered += 1
+        ledger.in_flight += 1
+        if number == self._oldest:
+            self._heard_ns = now  # nothing was on its way
+            self._again_ns = now + self._pause_ns
+        if send(frames.sole(self.number, number, self._oldest, head, confirm=confirm), ()):
+            self._sent = self._highest = number
+            if not self._timed[0]:
+                self._timed = number, now
+        return self._again_ns if self._sent >= self._oldest else None
+
     def answer_none(self, send: Send) -> None:
         """There is no sample to answer the query with; one for the next sample stays."""
         if self._is_query_new:
