@@ -57,7 +57,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "explanation": (
         "Explanation",
-        ("architecture", "model", "policies", "delivery", "links", "limits", "measured", "stability", "releases"),
+        ("architecture", "model", "policies", "delivery", "links", "limits", "measured", "compiled", "stability", "releases"),
     ),
     "coming-from": (
         "Coming from",

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from random import Random
 from typing import Any
 
-from aiorts.model.links import ReaderEnd, WriterEnd, join
+from aiorts.model.links import SOLE, ReaderEnd, WriterEnd, join
 
 MS = 1_000_000
 
@@ -24,10 +24,13 @@ class Pair:
         delay_ms: int = 1,
         jitter_ms: int = 0,
         window: int = 16,
+        alone: float = 0.0,
     ) -> None:
         self.random = Random(seed)
         self.loss, self.double, self.delay_ms, self.jitter_ms = loss, double, delay_ms, jitter_ms
         self.window = window
+        self.alone = alone
+        """How often a sample goes the way of one that is alone."""
         self.now = 1_000 * MS
         self.epochs = 1
         self.writer = WriterEnd(7, 1_000, window=window)
@@ -79,7 +82,11 @@ class Pair:
     def offer(self, value: int, *, confirm: bool = False) -> bool:
         if self.writer.room <= 0:
             return False
-        self.writer.offer(self.now, value.to_bytes(4, "little"), confirm=confirm)
+        sample = value.to_bytes(4, "little")
+        if self.random.random() >= self.alone:
+            self.writer.offer(self.now, sample, confirm=confirm)
+        else:
+            self.writer.offer_and_send(self.now, sample, (), confirm, self.send(self.writer))
         self.offered.append(value)
         return True
 
@@ -102,10 +109,24 @@ class Pair:
             while self.ways and self.ways[0][0] <= self.now:
                 _, _, sender, head, parts = heapq.heappop(self.ways)
                 if sender is self.writer:
-                    self.reader.receive(self.now, head, parts)
+                    self.receive(head, parts)
                 else:
                     self.writer.receive(self.now, head)
             self.settle()
+
+    def receive(self, head: bytes, parts: Sequence[memoryview]) -> None:
+        """Give a frame to the reader's end, as either way into it would."""
+        ticket = 0
+        if self.buffer > 0 and not parts and self.random.random() < self.alone:
+            ticket = self.reader.receive_alone(self.now, head)
+        if not ticket:
+            self.reader.receive(self.now, head, parts)
+        elif self.random.random() < self.rejects:
+            self.reader.failed(self.now, ticket, "rejected")
+        else:
+            self.buffer -= 1
+            self.seen.append(int.from_bytes(head[SOLE:], "little"))
+            self.reader.done(self.now, ticket)
 
     def deliver(self) -> None:
         last = taken = 0

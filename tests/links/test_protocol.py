@@ -33,6 +33,7 @@ def schedule(seed: int) -> Pair:
         double=random.choice((0, 0.2)),
         jitter_ms=random.choice((0, 5, 40)),
         window=random.choice((1, 2, 16, 256)),
+        alone=random.choice((0, 0.5, 1)),
     )
     pair.rejects = random.choice((0, 0, 0.1))
     pair.connect()
@@ -78,7 +79,7 @@ def play(
     acts: list[str], seed: int, *, writer: type[WriterEnd] = WriterEnd, reader: type[ReaderEnd] = ReaderEnd
 ) -> None:
     """Let a pair of these ends go through a schedule, and check it."""
-    pair = Pair(seed, window=4, jitter_ms=3)
+    pair = Pair(seed, window=4, jitter_ms=3, alone=0.5)
     pair.writer, pair.reader = writer(7, 1_000, window=4), reader(7, 2_000, window=4)
     pair.connect()
     value = 0
@@ -157,7 +158,7 @@ def test_a_schedule_that_fails_shrinks_to_ten_events(broken: dict[str, Any]) -> 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_new_reader_makes_what_was_unacknowledged_of_unknown_fate_and_goes_on(seed: int) -> None:
-    pair = Pair(seed, loss=0.1, jitter_ms=10)
+    pair = Pair(seed, loss=0.1, jitter_ms=10, alone=0.5)
     pair.connect()
     random = Random(seed)
     for value in range(200):

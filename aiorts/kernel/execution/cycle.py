@@ -35,6 +35,9 @@ _FAULTS: Final = 3
 """Faults of the kernel's own, about no member, after each of which a context goes on; at the next it ends in order."""
 _TURNS: Final = 16
 """What others do takes several turns of the loop one after another: none of them may cost a whole long cycle."""
+_SHARE_NS: Final = 50_000
+"""Nanoseconds of a context's cycles in one turn of the loop: a turn takes as long as a short cycle, and those who wait
+for theirs hardly notice so much."""
 _NEVER: Final = 1 << 63
 """Nanoseconds, later than any time."""
 
@@ -207,6 +210,7 @@ class Life:
         simulated = isinstance(kernel.clock, SimulatedClock)  # there time waits for everybody
         late_ns = _NEVER  # when the cycle before was found late, with no wait since
         held: Held | None = None  # made where the loop turns slowly
+        share_ns = 0  # until when the next cycle begins without a turn of the loop
         while not context._stopping:
             if context._actions:
                 yield from self.act(context.runner.next_action())
@@ -215,16 +219,19 @@ class Life:
             wait = context._next_cause()
             if wait is not None:
                 worked = False
-                late_ns = _NEVER
+                late_ns, share_ns = _NEVER, 0
                 yield wait
             elif worked:
                 worked = False
+                if share_ns and held is None and context._now_ns() < share_ns:
+                    continue
                 if held is not None:
                     held.end()
                 yield TURN
                 now_ns = context._now_ns()
                 if now_ns - late_ns < LONG_NS or simulated:
                     late_ns, held = now_ns, None
+                    share_ns = 0 if simulated else now_ns + _SHARE_NS
                     if kernel._stop_due:
                         yield from self.rest()
                         late_ns = context._now_ns()
