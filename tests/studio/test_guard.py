@@ -181,7 +181,7 @@ def test_a_client_with_a_hundred_large_requests_that_never_end_neither_fills_the
         assert (await another.ask("GET", "/api/kernels")).status == 200
         assert time.monotonic() - began < (1.0 if CAMPAIGN else WAIT)
         grown = resident(pid) - before
-        assert grown < 32 << 20, grown
+        assert grown < 48 << 20, grown  # what a hundred connections have on its way is in it; all of it is 75 MiB
         for _, writer in requests:
             writer.transport.abort()
 
