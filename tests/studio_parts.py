@@ -10,6 +10,7 @@ import time
 from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
@@ -156,3 +157,8 @@ def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], Site]]:
     finally:
         process.kill()
         process.communicate(timeout=WAIT)
+
+
+def resident(pid: int) -> int:
+    """Bytes of the memory of a process."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096
