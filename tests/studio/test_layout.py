@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts_studio.watching.layout import Edge, Key, Layout, Spot, meets
+from aiorts.layout import Edge, Key, Layout, Spot, columns, meets
 
 pytestmark = pytest.mark.row(120)
 PORTS = 3
@@ -104,3 +104,59 @@ def test_room_that_is_given_back_is_used_again() -> None:
     for _ in range(50):
         layout.forget(edges[0].key)
         assert layout.route(edges[0]) == first
+
+
+def test_a_graph_that_would_be_too_wide_goes_on_below() -> None:
+    layout, band = Layout(), ("band",)
+    spots = [Spot((str(i),), band, ("in",), ("out",)) for i in range(100)]
+    edges = [Edge((f"e{i}",), (str(i),), "out", (str(i + 1),), "in") for i in range(99)]
+    layout.place(spots, edges, {band: "all"})
+    check(layout, edges)
+    assert layout.right < 4_000
+    assert max(one.column for one in spots) == 11
+    assert [one.column for one in spots[:13]] == [*range(12), 0]
+    assert spots[11].y < spots[12].y
+
+
+def test_a_high_stack_of_a_wide_graph_takes_several_columns() -> None:
+    layout, band = Layout(), ("band",)
+    spots = [Spot((str(i),), band, ("in",), ("out",)) for i in range(60)]
+    chain = [Edge((f"e{i}",), (str(i),), "out", (str(i + 1),), "in") for i in range(19)]
+    edges = [*chain, *(Edge((f"s{i}",), ("0",), "out", (str(i),), "in") for i in range(20, 60))]
+    layout.place(spots, edges, {band: "all"})
+    check(layout, edges)
+    stacked: dict[tuple[int, float], int] = {}
+    for one in spots:
+        stacked[one.column, one.x] = stacked.get((one.column, one.x), 0) + 1
+    assert max(stacked.values()) < 12
+
+
+def test_what_nothing_leads_to_stands_right_before_what_it_leads_to() -> None:
+    assert columns(
+        [("a",), ("b",), ("c",), ("late",)],
+        [
+            Edge(("1",), ("a",), "out", ("b",), "in"),
+            Edge(("2",), ("b",), "out", ("c",), "in"),
+            Edge(("3",), ("late",), "out", ("c",), "in"),
+        ],
+    ) == {("a",): 0, ("b",): 1, ("c",): 2, ("late",): 1}
+
+
+def test_edges_side_by_side_have_tracks_of_their_own() -> None:
+    layout, band = Layout(), ("band",)
+    source = Spot(("s",), band, (), tuple(f"o{i}" for i in range(30)))
+    sinks = [Spot((f"t{i}",), band, ("in",), ()) for i in range(30)]
+    edges = [Edge((f"e{i}",), ("s",), f"o{i}", (f"t{29 - i}",), "in") for i in range(30)]
+    layout.place([source, *sinks], edges, {band: "all"})
+    check(layout, edges)
+    downs = [
+        (x, *sorted((y, v)))
+        for route in map(layout.route, edges)
+        for (x, y), (u, v) in pairwise(route.points)
+        if x == u
+    ]
+    assert not [
+        (one, other)
+        for one, other in combinations(downs, 2)
+        if one[0] == other[0] and one[1] < other[2] and other[1] < one[2]
+    ]

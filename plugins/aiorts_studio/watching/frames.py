@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, Final, TypeAlias
 
+from aiorts.layout import GROUP_HEAD, Band, Key, Layout, Route
 from aiorts_studio.watching.graph import HOST, IN_COMPOSITE
-from aiorts_studio.watching.layout import GROUP_HEAD, Band, Key, Layout, Route
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import composite_said, context_said
 

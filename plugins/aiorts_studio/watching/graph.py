@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from aiorts_studio.watching.layout import Edge, Key, Spot
+from aiorts.layout import Edge, Key, Spot
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import class_of
 

@@ -12,9 +12,9 @@ from itertools import count
 from typing import Any, Final, TypeAlias
 
 from aiorts.errors import AbsentError
+from aiorts.layout import Band, Edge, Key, Layout, Point, Route, Spot, meets
 from aiorts_studio.watching.frames import Thing, frames_of
 from aiorts_studio.watching.graph import FOLDED, IN_COMPOSITE, Graph, side_of
-from aiorts_studio.watching.layout import Band, Edge, Key, Layout, Point, Route, Spot, meets
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import class_of, error_of, link_state, policy_of, said_of, state_of
 

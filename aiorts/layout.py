@@ -3,19 +3,30 @@
 A column holds boxes that are as far from a source, a band those of one context. Edges run along the axes in the room
 between boxes: down in the channel right of a column, and across columns at a height that is free in all of them. So no
 edge runs through a box. `place` lays all out; `add`, `remove` and `route` change one thing, and nothing else moves.
+
+A graph with more columns than its number of boxes wants is folded: the boxes of each band go on in rows below, like
+lines of a text. So 1,000 boxes of two in-ports and two out-ports in 40 bands, with 2,000 edges, become 9,800 x 21,100
+pixels.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import pairwise
+from math import ceil, sqrt
 from typing import Final, TypeAlias
+
+from aiorts.late import dataclass
+
+__all__ = ("BAND_FOOT", "GROUP_HEAD", "HEAD", "ROW", "Band", "Edge", "Key", "Layout", "Point", "Route", "Spot", "meets")
 
 Point: TypeAlias = tuple[float, float]
 Key: TypeAlias = tuple[str, ...]
 """The name of a box, a band or an edge."""
+_Shelf: TypeAlias = "list[list[Spot]]"
+"""A row of a band: stacks of boxes, from the left."""
 
 HEAD: Final = 52.0
 """Height of a box above its ports."""
@@ -46,6 +57,14 @@ _WIDER: Final = _CLEAR - 6.0
 _MARGIN: Final = 10.0
 """Between an edge that runs across, and the boxes above and below it."""
 _FARTHEST: Final = 4_000
+_NARROW: Final = 12
+"""A graph of so many columns is never folded."""
+_WIDEST: Final = 0.9
+"""The most columns, as a part of the square root of the number of boxes."""
+_SHARE: Final = 0.6
+"""The part of the edges across columns that find no room between boxes."""
+_SPARE: Final = 2
+"""Tracks of a channel for edges that come later."""
 
 
 @dataclass(slots=True)
@@ -56,7 +75,8 @@ class Spot:
         key: its name.
         band: the key of its band.
         inputs, outputs: the names of its ports at the left and at the right, from the top.
-        title, kind: texts at its head; they make it wide enough.
+        title, kind: texts at its head.
+        w: its width; 0: what its texts need.
     """
 
     key: Key
@@ -74,7 +94,7 @@ class Spot:
     def __post_init__(self) -> None:
         sides = [max((len(name) * 7.2 for name in side), default=0.0) for side in (self.inputs, self.outputs)]
         wanted = max(len(self.title) * 8.4 + 64, len(self.kind) * 7.0 + 64, sum(sides) + 48)
-        self.w = min(320.0, max(152.0, wanted))
+        self.w = self.w or min(320.0, max(152.0, wanted))
         self.h = HEAD + ROW * max(1, len(self.inputs), len(self.outputs)) + 8
 
     def port_y(self, name: str, *, out: bool) -> float:
@@ -119,12 +139,14 @@ class Layout:
         bands: the bands by their keys, in order.
         groups: of each band, the key of the group that it stands in.
         moved: the places that boxes were wished to by `move`.
+        label: the room for the figures of an edge before its in-port.
     """
 
     spots: dict[Key, Spot] = field(default_factory=dict)
     bands: dict[Key, Band] = field(default_factory=dict)
     groups: dict[Key, str] = field(default_factory=dict)
     moved: dict[Key, Point] = field(default_factory=dict)
+    label: float = LABEL
     _lefts: list[float] = field(default_factory=list)
     _widths: list[float] = field(default_factory=list)
     _taken: dict[int, list[Point]] = field(default_factory=dict)
@@ -151,27 +173,21 @@ class Layout:
         self.groups = dict(groups)
         for made in (self.bands, self._lefts, self._widths, self._taken, self._tracks, self._runs, self._heights):
             made.clear()
-        for key, column in columns(self.spots, edges).items():
-            self.spots[key].column = column
-        count = max((one.column for one in spots), default=0) + 1
         cells: dict[tuple[Key, int], list[Spot]] = {}
+        ranks = columns(self.spots, edges)
         for one in spots:
-            cells.setdefault((one.band, one.column), []).append(one)
-        self._put_columns(spots, edges, count)
-        self._order(cells, edges)
-        order = sorted(dict.fromkeys(groups), key=lambda band: list(dict.fromkeys(groups.values())).index(groups[band]))
-        for band in order:
-            stacks = [cells.get((band, column), []) for column in range(count)]
-            tall = max(0.0, *(sum(one.h + GAP for one in stack) - GAP for stack in stacks))
+            cells.setdefault((one.band, ranks[one.key]), []).append(one)
+        _order(cells, ranks, edges)
+        order = list(dict.fromkeys(groups.values()))
+        shelves, folded = _shelves(cells, len(spots))
+        rooms = _rooms(shelves, edges) if folded else {}
+        for band in sorted(groups, key=lambda band: order.index(groups[band])):
             top = self._begin(band)
-            self.bands[band] = Band(top, BAND_HEAD + tall + BAND_FOOT)
-            for stack in stacks:
-                y = top + BAND_HEAD + (tall - sum(one.h + GAP for one in stack) + GAP) / 2
-                for one in stack:
-                    one.x, one.y = self._lefts[one.column] + (self._widths[one.column] - one.w) / 2, y
-                    y += one.h + GAP
-        for one in spots:
-            insort(self._taken.setdefault(one.column, []), (one.y, one.y + one.h))
+            bottom = top + BAND_HEAD
+            for number, shelf in enumerate(shelves.get(band, ())):
+                bottom = self._put_shelf(shelf, bottom) + rooms.get((band, number), 0.0) + GAP
+            self.bands[band] = Band(top, max(bottom - GAP, top + BAND_HEAD) + BAND_FOOT - top)
+        self._put_columns(edges)
 
     def _begin(self, band: Key) -> float:
         """The top of a band that comes below all others."""
@@ -181,35 +197,32 @@ class Layout:
         top = under.top + under.height
         return top + (BAND_GAP if self.groups.get(last) == self.groups.get(band) else GROUP_GAP + GROUP_HEAD)
 
-    def _put_columns(self, spots: Sequence[Spot], edges: Sequence[Edge], count: int) -> None:
-        leaving = [0] * count
-        for edge in edges:
-            first, last = self.spots[edge.source].column, self.spots[edge.target].column
-            leaving[first] += 1
-            leaving[max(last - 1, 0)] += last > first + 1
-        x = LEFT
-        for column in range(count):
-            self._lefts.append(x)
-            self._widths.append(max((one.w for one in spots if one.column == column), default=0.0))
-            # Not all edges run beside one another: half as many tracks are enough nearly always, else some share one.
-            x += self._widths[column] + LABEL + TRACK * (leaving[column] * 0.5 + 2)
+    def _put_shelf(self, shelf: Sequence[Sequence[Spot]], top: float) -> float:
+        """Put boxes into their columns below a height, each column in the middle; their lower end."""
+        tall = max(sum(one.h + GAP for one in stack) - GAP for stack in shelf)
+        for stack in shelf:
+            y = top + (tall - sum(one.h + GAP for one in stack) + GAP) / 2
+            for one in stack:
+                one.y = y
+                y += one.h + GAP
+                insort(self._taken.setdefault(one.column, []), (one.y, one.y + one.h))
+        return top + tall
 
-    def _order(self, cells: dict[tuple[Key, int], list[Spot]], edges: Sequence[Edge]) -> None:
-        """Put each box near its neighbours: by the mean place of those before it, then of those after it, and again."""
-        near: dict[Key, list[Key]] = {key: [] for key in self.spots}
+    def _put_columns(self, edges: Sequence[Edge]) -> None:
+        """Put columns beside one another, with room for as many tracks between them as edges take there."""
+        count = max((one.column for one in self.spots.values()), default=0) + 1
+        self._widths += [0.0] * count
+        for one in self.spots.values():
+            self._widths[one.column] = max(self._widths[one.column], one.w)
+        self._lefts += [LEFT] * count
         for edge in edges:
-            near[edge.source].append(edge.target)
-            near[edge.target].append(edge.source)
-        place = {one.key: float(i) for stack in cells.values() for i, one in enumerate(stack)}
-        for sweep in range(6):
-            forwards = sweep % 2 == 0
-            for (_, column), stack in sorted(cells.items(), key=lambda cell: cell[0][1], reverse=not forwards):
-                keys = dict(place)
-                for one in stack:
-                    if found := [place[n] for n in near[one.key] if (self.spots[n].column < column) is forwards]:
-                        keys[one.key] = sum(found) / len(found)
-                stack.sort(key=lambda one: (keys[one.key], str(one.key)))
-                place.update((one.key, float(i)) for i, one in enumerate(stack))
+            self.route(edge)  # which track it takes depends on heights alone
+        for column in range(1, count):
+            tracks = max((track + 1 for track, _, _ in self._tracks.get(column - 1, {}).values()), default=0)
+            room = _CLEAR + self.label + TRACK * (tracks + _SPARE)
+            self._lefts[column] = self._lefts[column - 1] + self._widths[column - 1] + room
+        for one in self.spots.values():
+            one.x = self._lefts[one.column] + (self._widths[one.column] - one.w) / 2
 
     # -- one more, and nothing else moves --------------------------------------------------------------------------
 
@@ -260,7 +273,7 @@ class Layout:
 
     def _begin_column(self, width: float) -> None:
         """Add a column at the right."""
-        self._lefts.append(self._lefts[-1] + self._widths[-1] + LABEL + TRACK * 8 if self._lefts else LEFT)
+        self._lefts.append(self._lefts[-1] + self._widths[-1] + self.label + TRACK * 8 if self._lefts else LEFT)
         self._widths.append(width)
 
     def move(self, key: Key, x: float, y: float) -> None:
@@ -329,9 +342,9 @@ class Layout:
         track = next(one for one in range(len(used) + 1) if one not in used)
         known[key] = track, low, high
         if channel < 0:
-            return self._lefts[0] - LABEL - TRACK * (track + 1)
+            return self._lefts[0] - self.label - TRACK * (track + 1)
         right = self._lefts[channel] + self._widths[channel]
-        room = self._lefts[channel + 1] - right - LABEL - _CLEAR if channel + 1 < len(self._lefts) else 1e6
+        room = self._lefts[channel + 1] - right - self.label - _CLEAR if channel + 1 < len(self._lefts) else 1e6
         return right + _CLEAR + (track * TRACK) % max(room, TRACK)  # more than there is room for: over one another
 
     def _run(self, over: tuple[int, int], key: Key, y1: float, y2: float) -> float:
@@ -367,6 +380,67 @@ class Layout:
             self._runs[height].pop(key, None)
 
 
+def _shelves(cells: Mapping[tuple[Key, int], list[Spot]], count: int) -> tuple[dict[Key, list[_Shelf]], bool]:
+    """The shelves of each band, from the top; each box gets its column. And whether the graph is folded.
+
+    Where there would be more columns than look well, it is: a band begins at the left, has no empty column, puts the
+    boxes of a high stack into several columns, and goes on below.
+    """
+    widest, ranks = max(_NARROW, round(sqrt(count) * _WIDEST)), sorted({rank for _, rank in cells})
+    folded = len(ranks) > widest
+    sizes: dict[Key, int] = {}
+    for (band, _), stack in cells.items():
+        sizes[band] = sizes.get(band, 0) + len(stack)
+    found: dict[Key, dict[int, _Shelf]] = {}
+    used = dict[Key, int]()
+    for (band, rank), stack in sorted(cells.items(), key=lambda cell: cell[0][1]):
+        highest = -(-sizes[band] // widest) + 1 if folded else len(stack)
+        for first in range(0, len(stack), highest):
+            place = used.get(band, 0) if folded else rank
+            used[band] = place + 1
+            part = stack[first : first + highest]
+            for one in part:
+                one.column = place % widest
+            found.setdefault(band, {}).setdefault(place // widest, []).append(part)
+    return {band: list(shelves.values()) for band, shelves in found.items()}, folded
+
+
+def _rooms(shelves: Mapping[Key, Sequence[_Shelf]], edges: Sequence[Edge]) -> dict[tuple[Key, int], float]:
+    """The room below each shelf for the edges that come across columns to its boxes."""
+    homes = {
+        one.key: ((band, number), one.column)
+        for band, found in shelves.items()
+        for number, shelf in enumerate(found)
+        for stack in shelf
+        for one in stack
+    }
+    counts: dict[tuple[Key, int], dict[int, int]] = {}
+    for edge in edges:
+        first, (home, column) = homes[edge.source][1], homes[edge.target]
+        known = counts.setdefault(home, {})
+        for over in range(min(first + 1, column), max(first, column - 1) + 1) if first != column - 1 else ():
+            known[over] = known.get(over, 0) + 1
+    return {home: _STEP * ceil(_SHARE * max(known.values(), default=0)) for home, known in counts.items()}
+
+
+def _order(cells: Mapping[tuple[Key, int], list[Spot]], ranks: Mapping[Key, int], edges: Sequence[Edge]) -> None:
+    """Put each box near its neighbours: by the mean place of those before it, then of those after it, and again."""
+    near: dict[Key, list[Key]] = {key: [] for key in ranks}
+    for edge in edges:
+        near[edge.source].append(edge.target)
+        near[edge.target].append(edge.source)
+    place = {one.key: float(i) for stack in cells.values() for i, one in enumerate(stack)}
+    for sweep in range(6):
+        forwards = sweep % 2 == 0
+        for (_, rank), stack in sorted(cells.items(), key=lambda cell: cell[0][1], reverse=not forwards):
+            wanted = dict[Key, float]()
+            for one in stack:
+                found = [place[n] for n in near[one.key] if (ranks[n] < rank) is forwards]
+                wanted[one.key] = sum(found) / len(found) if found else place[one.key]
+            stack.sort(key=lambda one: (wanted[one.key], str(one.key)))
+            place.update((one.key, float(i)) for i, one in enumerate(stack))
+
+
 def meets(route: Route, spot: Spot) -> bool:
     """Whether an edge runs through a box."""
     left, right, top, bottom = spot.x + 0.5, spot.x + spot.w - 0.5, spot.y + 0.5, spot.y + spot.h - 0.5
@@ -377,7 +451,10 @@ def meets(route: Route, spot: Spot) -> bool:
 
 
 def columns(keys: Iterable[Key], edges: Sequence[Edge]) -> dict[Key, int]:
-    """The column of each box: the longest way from a box that nothing leads to, ways back left out."""
+    """The column of each box: the longest way from a box that nothing leads to, ways back left out.
+
+    A box that nothing leads to stands right before the first that it leads to.
+    """
     after: dict[Key, list[Key]] = {key: [] for key in keys}
     for edge in edges:
         if edge.source != edge.target:
@@ -388,6 +465,9 @@ def columns(keys: Iterable[Key], edges: Sequence[Edge]) -> dict[Key, int]:
         for other in after[key]:
             if (key, other) not in back:
                 found[other] = max(found[other], found[key] + 1)
+    led_to = {other for key in after for other in after[key]}
+    for key in after.keys() - led_to:
+        found[key] = max(0, min((found[other] for other in after[key]), default=1) - 1)
     return found
 
 
