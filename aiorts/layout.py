@@ -1,10 +1,12 @@
 """The places of boxes in bands and columns, and the ways of edges round them.
 
-A column holds boxes that are as far from a source, a band those of one context. Edges run along the axes in the room
-between boxes: down in the channel right of a column, and across columns at a height that is free in all of them. So no
-edge runs through a box. `place` lays all out; `add`, `remove` and `route` change one thing, and nothing else moves.
+A column holds boxes that are as far from a source, a band those of one context. Bands of a group stand above one
+another, and so do the groups of a pile; piles stand side by side, with an empty column between them. Edges run along
+the axes in the room between boxes: down in the channel right of a column, and across columns at a height that is free
+in all of them. So no edge runs through a box. `place` lays all out; `add`, `remove` and `route` change one thing, and
+nothing else moves.
 
-A graph with more columns than its number of boxes wants is folded: the boxes of each band go on in rows below, like
+A pile with more columns than its number of boxes wants is folded: the boxes of each band go on in rows below, like
 lines of a text. So 1,000 boxes of two in-ports and two out-ports in 40 bands, with 2,000 edges, become 9,800 x 21,100
 pixels.
 """
@@ -20,7 +22,24 @@ from typing import Final, TypeAlias
 
 from aiorts.late import dataclass
 
-__all__ = ("BAND_FOOT", "GROUP_HEAD", "HEAD", "ROW", "Band", "Edge", "Key", "Layout", "Point", "Route", "Spot", "meets")
+__all__ = (
+    "BAND_FOOT",
+    "BAND_GAP",
+    "GROUP_GAP",
+    "GROUP_HEAD",
+    "HEAD",
+    "LEFT",
+    "ROW",
+    "Band",
+    "Edge",
+    "Key",
+    "Layout",
+    "Point",
+    "Route",
+    "Spot",
+    "columns",
+    "meets",
+)
 
 Point: TypeAlias = tuple[float, float]
 Key: TypeAlias = tuple[str, ...]
@@ -49,6 +68,10 @@ GROUP_HEAD: Final = 44.0
 """Height of the title of a group of bands."""
 GROUP_GAP: Final = 28.0
 LEFT: Final = 28.0
+_BESIDE: Final = LEFT + 20.0
+"""Between the boxes, or the edges, at the side of a pile and the empty column beside it."""
+_EMPTY: Final = 56.0
+"""Width of the empty column between two piles."""
 _STEP: Final = 16.0
 _CLEAR: Final = 14.0
 """Between a column and the first edge that runs down beside it."""
@@ -138,6 +161,8 @@ class Layout:
         spots: the boxes by their keys.
         bands: the bands by their keys, in order.
         groups: of each band, the key of the group that it stands in.
+        piles: of each group, the number of the pile that it stands in, from the left; one that is not here is in the
+            last.
         moved: the places that boxes were wished to by `move`.
         label: the room for the figures of an edge before its in-port.
     """
@@ -145,8 +170,11 @@ class Layout:
     spots: dict[Key, Spot] = field(default_factory=dict)
     bands: dict[Key, Band] = field(default_factory=dict)
     groups: dict[Key, str] = field(default_factory=dict)
+    piles: dict[str, int] = field(default_factory=dict)
     moved: dict[Key, Point] = field(default_factory=dict)
     label: float = LABEL
+    _spans: list[tuple[int, int]] = field(default_factory=lambda: [(0, 0)])
+    """By pile: its first column, and the one behind its last."""
     _lefts: list[float] = field(default_factory=list)
     _widths: list[float] = field(default_factory=list)
     _taken: dict[int, list[Point]] = field(default_factory=dict)
@@ -163,24 +191,54 @@ class Layout:
         """The right end of the bands."""
         return max((one.x + one.w for one in self.spots.values()), default=200.0) + LEFT
 
-    def place(self, spots: Sequence[Spot], edges: Sequence[Edge], groups: Mapping[Key, str]) -> None:
+    def pile_of(self, band: Key) -> int:
+        """The number of the pile that a band stands in."""
+        return self.piles.get(self.groups.get(band, ""), len(self._spans) - 1)
+
+    def room_of(self, pile: int) -> tuple[float, float]:
+        """From where to where boxes and edges of a pile may be: to the empty columns at both of its sides."""
+        first, end = self._spans[pile]
+        left = self._lefts[first - 1] if pile else float("-inf")
+        return left, self._lefts[end] if pile + 1 < len(self._spans) else float("inf")
+
+    def place(
+        self,
+        spots: Sequence[Spot],
+        edges: Sequence[Edge],
+        groups: Mapping[Key, str],
+        piles: Mapping[str, int] | None = None,
+    ) -> None:
         """Place everything again.
 
         Args:
             groups: of each band, the group that it stands in; bands of one group follow one another.
+            piles: of each group, the number of its pile, from 0 without gaps; None: there is one pile.
         """
         self.spots = {one.key: one for one in spots}
-        self.groups = dict(groups)
+        self.groups, self.piles = dict(groups), dict(piles or {})
         for made in (self.bands, self._lefts, self._widths, self._taken, self._tracks, self._runs, self._heights):
             made.clear()
-        cells: dict[tuple[Key, int], list[Spot]] = {}
-        ranks = columns(self.spots, edges)
-        for one in spots:
-            cells.setdefault((one.band, ranks[one.key]), []).append(one)
-        _order(cells, ranks, edges)
+        self._spans = []
+        shelves: dict[Key, list[_Shelf]] = {}
+        rooms: dict[tuple[Key, int], float] = {}
+        first = 0
+        for pile in range(max(self.piles.values(), default=0) + 1):
+            own = {one.key: one for one in spots if self.piles.get(groups[one.band], 0) == pile}
+            inner = [edge for edge in edges if edge.source in own and edge.target in own]
+            ranks = columns(own, inner)
+            cells: dict[tuple[Key, int], list[Spot]] = {}
+            for one in own.values():
+                cells.setdefault((one.band, ranks[one.key]), []).append(one)
+            _order(cells, ranks, inner)
+            found, folded = _shelves(cells, len(own))
+            for one in own.values():
+                one.column += first
+            shelves |= found
+            rooms |= _rooms(found, inner) if folded else {}
+            end = max((one.column for one in own.values()), default=first) + 1
+            self._spans.append((first, end))
+            first = end + 1
         order = list(dict.fromkeys(groups.values()))
-        shelves, folded = _shelves(cells, len(spots))
-        rooms = _rooms(shelves, edges) if folded else {}
         for band in sorted(groups, key=lambda band: order.index(groups[band])):
             top = self._begin(band)
             bottom = top + BAND_HEAD
@@ -190,11 +248,11 @@ class Layout:
         self._put_columns(edges)
 
     def _begin(self, band: Key) -> float:
-        """The top of a band that comes below all others."""
-        if not self.bands:
+        """The top of a band that comes below all others of its pile."""
+        last = self._last(self.pile_of(band))
+        if last is None:
             return GROUP_HEAD
-        last, under = next(reversed(self.bands.items()))
-        top = under.top + under.height
+        top = self.bands[last].top + self.bands[last].height
         return top + (BAND_GAP if self.groups.get(last) == self.groups.get(band) else GROUP_GAP + GROUP_HEAD)
 
     def _put_shelf(self, shelf: Sequence[Sequence[Spot]], top: float) -> float:
@@ -208,10 +266,21 @@ class Layout:
                 insort(self._taken.setdefault(one.column, []), (one.y, one.y + one.h))
         return top + tall
 
+    def _last(self, pile: int) -> Key | None:
+        return next((band for band in reversed(self.bands) if self.pile_of(band) == pile), None)
+
+    def _is_empty(self, column: int) -> bool:
+        """Whether a column lies between two piles."""
+        return any(column == first - 1 for first, _ in self._spans[1:])
+
+    def _before(self, column: int) -> float:
+        """The room between the edges that run down before a column, and its boxes."""
+        return _BESIDE - TRACK * 2 if self._is_empty(column) else self.label
+
     def _put_columns(self, edges: Sequence[Edge]) -> None:
         """Put columns beside one another, with room for as many tracks between them as edges take there."""
-        count = max((one.column for one in self.spots.values()), default=0) + 1
-        self._widths += [0.0] * count
+        count = self._spans[-1][1]
+        self._widths += [_EMPTY if self._is_empty(column) else 0.0 for column in range(count)]
         for one in self.spots.values():
             self._widths[one.column] = max(self._widths[one.column], one.w)
         self._lefts += [LEFT] * count
@@ -219,7 +288,9 @@ class Layout:
             self.route(edge)  # which track it takes depends on heights alone
         for column in range(1, count):
             tracks = max((track + 1 for track, _, _ in self._tracks.get(column - 1, {}).values()), default=0)
-            room = _CLEAR + self.label + TRACK * (tracks + _SPARE)
+            room = _CLEAR + self._before(column) + TRACK * (tracks + _SPARE)
+            if self._is_empty(column - 1) and not tracks:
+                room = _BESIDE
             self._lefts[column] = self._lefts[column - 1] + self._widths[column - 1] + room
         for one in self.spots.values():
             one.x = self._lefts[one.column] + (self._widths[one.column] - one.w) / 2
@@ -239,24 +310,34 @@ class Layout:
         old = self.spots.get(spot.key)
         self.remove(spot.key)
         if spot.band not in self.bands:
-            last = next(reversed(self.bands), None)
-            if last is not None and group in self.groups.values() and self.groups[last] != group:
-                return False
+            is_new = group not in self.groups.values()
             self.groups[spot.band] = group
+            last = self._last(self.pile_of(spot.band))
+            if last is not None and not is_new and self.groups[last] != group:
+                return False
             self.bands[spot.band] = Band(self._begin(spot.band), BAND_HEAD + spot.h + BAND_FOOT)
-        sources, targets = ([self.spots[one] for one in side if one in self.spots] for side in (before, after))
+        pile = self.pile_of(spot.band)
+        first, end = self._spans[pile]
+        sources, targets = (
+            [one for key in side if (one := self.spots.get(key)) is not None and first <= one.column < end]
+            for side in (before, after)
+        )
         wish = [one.y for one in (*sources, *targets)]
         if old is not None and old.band == spot.band:
             spot.column, wish = old.column, [old.y]
         elif sources:
             spot.column = max(one.column for one in sources) + 1
         elif targets:
-            spot.column = max(0, min(one.column for one in targets) - 1)
+            spot.column = max(first, min(one.column for one in targets) - 1)
+        else:
+            spot.column = first
         band = self.bands[spot.band]
         wish = wish or [band.top + BAND_HEAD]
         y = None
         while y is None:  # the next column where this one is full; behind the last there is always room
-            if spot.column >= len(self._lefts):
+            if spot.column >= self._spans[pile][1]:
+                if pile + 1 < len(self._spans):
+                    return False  # another pile stands there
                 spot.column = len(self._lefts)
                 self._begin_column(spot.w)
             if spot.w <= self._widths[spot.column] + _WIDER:
@@ -272,9 +353,10 @@ class Layout:
         return True
 
     def _begin_column(self, width: float) -> None:
-        """Add a column at the right."""
+        """Add a column at the right: one more of the last pile."""
         self._lefts.append(self._lefts[-1] + self._widths[-1] + self.label + TRACK * 8 if self._lefts else LEFT)
         self._widths.append(width)
+        self._spans[-1] = self._spans[-1][0], len(self._lefts)
 
     def move(self, key: Key, x: float, y: float) -> None:
         """Put a box where there is room in its band, next to a place: `x` and `y` of its corner at the top left."""
@@ -283,11 +365,11 @@ class Layout:
         self.moved[key] = x, y
         band = self.bands[spot.band]
         low, high = band.top + BAND_HEAD, band.top + band.height - _FOOT
-        if x >= self._lefts[-1] + self._widths[-1]:
+        if self.pile_of(spot.band) + 1 == len(self._spans) and x >= self._lefts[-1] + self._widths[-1]:
             self._begin_column(spot.w)
         found = [
             (abs(left - x) + abs(free - y), column, left, free)
-            for column in range(len(self._lefts))
+            for column in range(*self._spans[self.pile_of(spot.band)])
             if spot.w <= self._widths[column] + _WIDER
             and (free := self._free(column, y, spot.h, low, high)) is not None
             and (left := self._lefts[column] + max(0.0, (self._widths[column] - spot.w) / 2)) is not None
@@ -344,7 +426,8 @@ class Layout:
         if channel < 0:
             return self._lefts[0] - self.label - TRACK * (track + 1)
         right = self._lefts[channel] + self._widths[channel]
-        room = self._lefts[channel + 1] - right - self.label - _CLEAR if channel + 1 < len(self._lefts) else 1e6
+        after = channel + 1
+        room = self._lefts[after] - right - self._before(after) - _CLEAR if after < len(self._lefts) else 1e6
         return right + _CLEAR + (track * TRACK) % max(room, TRACK)  # more than there is room for: over one another
 
     def _run(self, over: tuple[int, int], key: Key, y1: float, y2: float) -> float:

@@ -15,6 +15,7 @@ from aiorts.errors import AbsentError
 from aiorts.layout import Band, Edge, Key, Layout, Point, Route, Spot, meets
 from aiorts_studio.watching.frames import Thing, frames_of
 from aiorts_studio.watching.graph import FOLDED, IN_COMPOSITE, Graph, side_of
+from aiorts_studio.watching.piles import placed
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import class_of, error_of, link_state, policy_of, said_of, state_of
 
@@ -103,7 +104,7 @@ class Scene:
         tidy, self._tidy = self._tidy, False
         if tidy or not self._adapt(graph):
             spots, edges, bands = list(graph.spots.values()), list(graph.edges.values()), graph.bands()
-            made = await asyncio.to_thread(_laid_out, spots, edges, bands, dict(self._moved))
+            made = await asyncio.to_thread(_laid_out, spots, edges, bands, graph.units(), dict(self._moved))
             self._layout, self._routes = made
         self._graph = graph
         self.connectors = {key: {} for key in self.views}
@@ -223,10 +224,13 @@ class Scene:
 
 
 def _laid_out(
-    spots: list[Spot], edges: list[Edge], bands: Mapping[Key, str], moved: Mapping[Key, Point]
+    spots: list[Spot],
+    edges: list[Edge],
+    bands: Mapping[Key, str],
+    units: Mapping[str, str],
+    moved: Mapping[Key, Point],
 ) -> tuple[Layout, dict[Key, Route]]:
-    layout = Layout()
-    layout.place(spots, edges, bands)
+    layout = placed(spots, edges, bands, units)
     for key, (x, y) in moved.items():
         if key in layout.spots:
             layout.move(key, x, y)
