@@ -276,25 +276,32 @@ class Layout:
         self._lefts.append(self._lefts[-1] + self._widths[-1] + self.label + TRACK * 8 if self._lefts else LEFT)
         self._widths.append(width)
 
-    def move(self, key: Key, x: float, y: float) -> None:
-        """Put a box where there is room in its band, next to a place: `x` and `y` of its corner at the top left."""
-        spot = self.spots[key]
-        self.remove(key)
-        self.moved[key] = x, y
+    def move(self, places: Mapping[Key, Point]) -> None:
+        """Put boxes where there is room in their bands, each next to a place: that of its corner at the top left."""
+        spots = {key: self.spots[key] for key in places}
+        for key in spots:
+            self.remove(key)
+        for key, (x, y) in places.items():
+            self.moved[key] = x, y
+            self._put(spots[key], x, y)
+
+    def _put(self, spot: Spot, x: float, y: float) -> None:
         band = self.bands[spot.band]
         low, high = band.top + BAND_HEAD, band.top + band.height - _FOOT
         if x >= self._lefts[-1] + self._widths[-1]:
             self._begin_column(spot.w)
-        found = [
-            (abs(left - x) + abs(free - y), column, left, free)
-            for column in range(len(self._lefts))
-            if spot.w <= self._widths[column] + _WIDER
-            and (free := self._free(column, y, spot.h, low, high)) is not None
-            and (left := self._lefts[column] + max(0.0, (self._widths[column] - spot.w) / 2)) is not None
-        ]
-        if found:
-            _, spot.column, spot.x, spot.y = min(found)
-        self.spots[key] = spot
+        while not (
+            found := [
+                (abs(left - x) + abs(free - y), column, left, free)
+                for column in range(len(self._lefts))
+                if spot.w <= self._widths[column] + _WIDER
+                and (free := self._free(column, y, spot.h, low, high)) is not None
+                and (left := self._lefts[column] + max(0.0, (self._widths[column] - spot.w) / 2)) is not None
+            ]
+        ):
+            self._begin_column(spot.w)  # others have taken its old place
+        _, spot.column, spot.x, spot.y = min(found)
+        self.spots[spot.key] = spot
         insort(self._taken.setdefault(spot.column, []), (spot.y, spot.y + spot.h))
 
     def remove(self, key: Key) -> None:

@@ -90,9 +90,20 @@ def test_a_box_that_is_moved_finds_room(graph: tuple[list[Spot], list[Edge], dic
     layout = Layout()
     layout.place(spots, edges, groups)
     before = {one.key: (one.x, one.y) for one in spots}
-    layout.move(spots[0].key, x, y)
+    layout.move({spots[0].key: (x, y)})
     check(layout, edges)
     assert all((one.x, one.y) == before[one.key] for one in spots[1:])
+
+
+def test_boxes_that_are_moved_together_do_not_stand_in_the_way_of_one_another() -> None:
+    layout, band = Layout(), ("band",)
+    spots = [Spot((str(i),), band, ("in",), ("out",)) for i in range(3)]
+    layout.place(spots, [], {band: "all"})
+    places = {one.key: (one.x, one.y) for one in spots}
+    turned = dict(zip(places, [*list(places.values())[1:], places["0",]], strict=True))
+    layout.move(turned)
+    check(layout, [])
+    assert {one.key: (one.x, one.y) for one in spots} == turned
 
 
 def test_room_that_is_given_back_is_used_again() -> None:
