@@ -358,26 +358,53 @@ class Layout:
         self._widths.append(width)
         self._spans[-1] = self._spans[-1][0], len(self._lefts)
 
-    def move(self, key: Key, x: float, y: float) -> None:
-        """Put a box where there is room in its band, next to a place: `x` and `y` of its corner at the top left."""
-        spot = self.spots[key]
-        self.remove(key)
-        self.moved[key] = x, y
-        band = self.bands[spot.band]
+    def move(self, places: Mapping[Key, Point]) -> None:
+        """Put boxes where there is room in their bands, each next to a place: that of its corner at the top left.
+
+        Where a pile has no room for one of them, all that are to be moved in it stay.
+        """
+        piles: dict[int, dict[Key, Spot]] = {}
+        for key in places:
+            piles.setdefault(self.pile_of(self.spots[key].band), {})[key] = self.spots[key]
+        self.moved.update(places)
+        for spots in piles.values():
+            before = {key: (one.column, one.x, one.y) for key, one in spots.items()}
+            for key in spots:
+                self.remove(key)
+            if all(self._find(one, *places[key]) and self._put(one) for key, one in spots.items()):
+                continue
+            for key, one in spots.items():
+                self.remove(key)
+                one.column, one.x, one.y = before[key]
+            for one in spots.values():
+                self._put(one)
+
+    def _find(self, spot: Spot, x: float, y: float) -> bool:
+        """Give a box the place in its band that is nearest to another; whether there is one."""
+        pile, band = self.pile_of(spot.band), self.bands[spot.band]
+        is_last = pile + 1 == len(self._spans)
         low, high = band.top + BAND_HEAD, band.top + band.height - _FOOT
-        if self.pile_of(spot.band) + 1 == len(self._spans) and x >= self._lefts[-1] + self._widths[-1]:
+        if is_last and x >= self._lefts[-1] + self._widths[-1]:
             self._begin_column(spot.w)
-        found = [
-            (abs(left - x) + abs(free - y), column, left, free)
-            for column in range(*self._spans[self.pile_of(spot.band)])
-            if spot.w <= self._widths[column] + _WIDER
-            and (free := self._free(column, y, spot.h, low, high)) is not None
-            and (left := self._lefts[column] + max(0.0, (self._widths[column] - spot.w) / 2)) is not None
-        ]
-        if found:
-            _, spot.column, spot.x, spot.y = min(found)
-        self.spots[key] = spot
+        while not (
+            found := [
+                (abs(left - x) + abs(free - y), column, left, free)
+                for column in range(*self._spans[pile])
+                if spot.w <= self._widths[column] + _WIDER
+                and (free := self._free(column, y, spot.h, low, high)) is not None
+                and (left := self._lefts[column] + max(0.0, (self._widths[column] - spot.w) / 2)) is not None
+            ]
+        ):
+            if not is_last:
+                return False
+            self._begin_column(spot.w)  # others have taken its old place
+        _, spot.column, spot.x, spot.y = min(found)
+        return True
+
+    def _put(self, spot: Spot) -> bool:
+        self.spots[spot.key] = spot
         insort(self._taken.setdefault(spot.column, []), (spot.y, spot.y + spot.h))
+        return True
 
     def remove(self, key: Key) -> None:
         """Forget a box; its room is free again."""

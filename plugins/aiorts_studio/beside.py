@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 from typing import Final
 
 from anyio import to_thread
@@ -48,6 +49,8 @@ class StudioBeside(KernelService):
         if not self.kernel.address:
             raise ConfigurationError("--studio: the run cannot be reached; leave --control off out")
         command = [sys.executable, "-m", "aiorts", "studio", "--beside", self.kernel.address]
+        if (runs := Path(self.kernel.registry.runs)).is_file():
+            command += ["--layout", str(runs.with_suffix(".layout.json"))]
         # It ends when its standard input does: also where this process is killed. What it prints is not the system's.
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=2)  # noqa: S603 # our own command
 

@@ -47,6 +47,7 @@ _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     help="Where recordings go that are begun on the page.",
 )
 @click.option("--beside", is_flag=True, hidden=True, help="End when standard input ends.")
+@click.option("--layout", type=click.Path(path_type=Path), hidden=True, help="The file for places that a user chose.")
 @click.option("--bind", metavar="ADDRESS", help="Listen at this address, for other machines; needs --certs.")
 @click.option(
     "--certs",
@@ -66,6 +67,7 @@ def studio(
     pages: Path | None,
     files: Path | None,
     beside: bool,
+    layout: Path | None,
     bind: str | None,
     certificates: Path | None,
     name: str,
@@ -94,13 +96,16 @@ def studio(
             raise MissingExtra("aiorts studio", needed, "studio")
     from aiorts_studio.api import PAGES
     from aiorts_studio.serving import HOST, secured
+    from aiorts_studio.watching.places import PlaceFiles, state_folder
     from aiorts_studio.watching.studio import Studio
 
     tls, names = (None, (HOST, "localhost")) if certificates is None else secured(certificates, name, bind or HOST)
     right = Right.OPERATE if edit else Right.VIEW
     own = () if pages is None else sorted(pages.iterdir())
     shown = {one.name: one for one in own if one.suffix in PAGES and one.is_file()}
-    watched = Studio(kernels, files, _NO_FILES if bind is None else _NO_FILES_BEYOND)
+    # Pages beyond the machine write nothing.
+    places = PlaceFiles(state_folder(), layout, _say) if bind is None else None
+    watched = Studio(kernels, files, _NO_FILES if bind is None else _NO_FILES_BEYOND, places)
     serving = _Serving(names, port, tls, right, shown, watched, opens=opens, bare=api, beside=beside)
     return asyncio.run(serving.run())
 

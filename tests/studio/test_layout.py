@@ -95,9 +95,20 @@ def test_a_box_that_is_moved_finds_room(graph: tuple[list[Spot], list[Edge], dic
     layout = Layout()
     layout.place(spots, edges, groups)
     before = {one.key: (one.x, one.y) for one in spots}
-    layout.move(spots[0].key, x, y)
+    layout.move({spots[0].key: (x, y)})
     check(layout, edges)
     assert all((one.x, one.y) == before[one.key] for one in spots[1:])
+
+
+def test_boxes_that_are_moved_together_do_not_stand_in_the_way_of_one_another() -> None:
+    layout, band = Layout(), ("band",)
+    spots = [Spot((str(i),), band, ("in",), ("out",)) for i in range(3)]
+    layout.place(spots, [], {band: "all"})
+    places = {one.key: (one.x, one.y) for one in spots}
+    turned = dict(zip(places, [*list(places.values())[1:], places["0",]], strict=True))
+    layout.move(turned)
+    check(layout, [])
+    assert {one.key: (one.x, one.y) for one in spots} == turned
 
 
 def test_room_that_is_given_back_is_used_again() -> None:
@@ -243,3 +254,23 @@ def test_frames_of_kernels_beside_one_another_do_not_overlap() -> None:
     for one, other in combinations(kernels, 2):
         beside = one["x"] + one["w"] < other["x"] or other["x"] + other["w"] < one["x"]
         assert beside or one["y"] + one["h"] < other["y"] or other["y"] + other["h"] < one["y"]
+
+
+@pytest.mark.parametrize("pile", [0, 1])
+def test_boxes_of_a_pile_without_room_where_they_are_wished_stay(pile: int) -> None:
+    layout = Layout()
+    bands = [("left",), ("right",)]
+    spots = [Spot((band[0], str(i)), band, ("in",), ("out",)) for band in bands for i in range(3)]
+    layout.place(spots, [], {band: band[0] for band in bands}, {"left": 0, "right": 1})
+    before = {one.key: (one.x, one.y) for one in spots}
+    moved = {
+        one.key: (one.x, layout.bands[one.band].top + 60.0 + i)
+        for i, one in enumerate(spots)
+        if one.band == bands[pile]
+    }
+    layout.move(moved)
+    check(layout, [])
+    assert {one.key: (one.x, one.y) for one in layout.spots.values() if one.band != bands[pile]} == {
+        key: place for key, place in before.items() if key not in moved
+    }
+    assert layout.moved == moved

@@ -171,6 +171,8 @@ def test_the_page_of_a_run_ends_with_the_run(runtime: str, number: int) -> None:
             pass
         listed = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         (server,) = [one for one in listed if b"--beside" in Path(f"/proc/{one}/cmdline").read_bytes()]
+        given = Path(f"/proc/{server}/cmdline").read_bytes().split(b"\0")
+        assert given[given.index(b"--layout") + 1].decode() == ROOMBA.replace(".toml", ".layout.json")
         os.kill(process.pid, number)
         process.wait(WAIT)
         until(lambda: not is_running(int(server)))

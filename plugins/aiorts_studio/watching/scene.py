@@ -16,6 +16,7 @@ from aiorts.layout import Band, Edge, Key, Layout, Point, Route, Spot, meets
 from aiorts_studio.watching.frames import Thing, frames_of
 from aiorts_studio.watching.graph import FOLDED, IN_COMPOSITE, Graph, side_of
 from aiorts_studio.watching.piles import placed
+from aiorts_studio.watching.places import Places
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import class_of, error_of, link_state, policy_of, said_of, state_of
 
@@ -47,8 +48,9 @@ class Scene:
         self._routes: dict[Key, Route] = {}
         self._told: list[Thing] = []
         self._folded: set[Key] = set()
-        self._moved: dict[Key, tuple[float, float]] = {}
-        """Places that boxes were given by hand."""
+        self._moved: dict[Key, Point] = {}
+        """Places that boxes were given, from the top of their bands: by hand, or when they were shown before."""
+        self._by_hand: set[Key] = set()
         self._tidy = True
 
     def number(self, *key: str) -> int:
@@ -60,14 +62,43 @@ class Scene:
     # -- what pages do with it -------------------------------------------------------------------------------------
 
     def tidy(self) -> None:
-        """Place everything again when it is drawn next."""
+        """Place everything again when it is drawn next, also what has been given a place."""
+        self._moved, self._by_hand = {}, set()
         self._tidy = True
 
-    def move(self, number: int, x: float, y: float) -> None:
-        """Put a box where there is room next to a place, when it is drawn next."""
-        for key in self._layout.spots:
+    def lay_out(self) -> None:
+        """Lay out again when it is drawn next; what was given a place keeps it."""
+        self._tidy = True
+
+    def move(self, number: int, x: float, y: float) -> str | None:
+        """Put a box where there is room next to a place, when it is drawn next.
+
+        Returns:
+            The key of its kernel; None: there is no such box.
+        """
+        for key, spot in self._layout.spots.items():
             if self.numbers.get(key) == number:
-                self._moved[key] = x, y
+                self._moved[key] = x, y - self._layout.bands[spot.band].top
+                self._by_hand.add(key)
+                return key[1]
+        return None
+
+    def restore(self, kernel: str, places: Places) -> None:
+        """Give the boxes of a kernel that is not drawn yet the places that they had."""
+        self._moved |= {("box", kernel, name): place for name, place in places.boxes.items()}
+        self._by_hand |= {("box", kernel, name) for name in places.by_hand}
+
+    def places(self, kernel: str) -> Places:
+        """The places of a kernel's boxes; of one in a frame that is folded, the place that it is to have."""
+        components, bands = self.views[kernel].components, self._layout.bands
+        kept = {key: place for key, place in self._moved.items() if key[:2] == ("box", kernel)}
+        drawn = {
+            key: (round(spot.x, 1), round(spot.y - bands[spot.band].top, 1))
+            for key, spot in self._layout.spots.items()
+            if key[:2] == ("box", kernel)
+        }
+        boxes = {key[2]: place for key, place in {**kept, **drawn}.items() if key[2] in components}
+        return Places(boxes, {key[2] for key in self._by_hand & kept.keys() if key[2] in boxes})
 
     def fold(self, number: int, *, on: bool) -> None:
         """Fold a frame into one box, or unfold it, when the scene is drawn next."""
@@ -125,6 +156,7 @@ class Scene:
             self.numbers = {key: one for key, one in self.numbers.items() if one in there or key in folded}
             self._folded = folded
             self._moved = {key: place for key, place in self._moved.items() if key in self.numbers}
+            self._by_hand &= self._moved.keys()
 
     def _change(self) -> Message | None:
         message: Message = {"t": "change"}
@@ -160,7 +192,6 @@ class Scene:
             del self._routes[key]
         groups = graph.bands()
         new = [spot for key, spot in graph.spots.items() if not _is_placed(layout.spots.get(key), spot)]
-        placed = [key for key in self._moved if key in layout.spots and self._moved[key] != layout.moved.get(key)]
         if any(_comes_between(spot.band, layout.bands) for spot in new):
             return False
         for spot in new:
@@ -168,8 +199,9 @@ class Scene:
             after = [edge.target for edge in graph.edges.values() if edge.source == spot.key]
             if not layout.add(spot, groups[spot.band], before, after):
                 return False
-        for key in placed:
-            layout.move(key, *self._moved[key])
+        wanted = _wanted(layout, self._moved)
+        placed = {key: place for key, place in wanted.items() if place != layout.moved.get(key)}
+        layout.move(placed)
         moved = {*(spot.key for spot in new), *placed}
         for edge in graph.edges.values():
             if edge.source in moved or edge.target in moved or edge.key not in self._routes:
@@ -231,10 +263,14 @@ def _laid_out(
     moved: Mapping[Key, Point],
 ) -> tuple[Layout, dict[Key, Route]]:
     layout = placed(spots, edges, bands, units)
-    for key, (x, y) in moved.items():
-        if key in layout.spots:
-            layout.move(key, x, y)
+    layout.move(_wanted(layout, moved))
     return layout, {edge.key: layout.route(edge) for edge in edges}
+
+
+def _wanted(layout: Layout, moved: Mapping[Key, Point]) -> dict[Key, Point]:
+    """The places that boxes are to have, of those that are there."""
+    spots = {key: layout.spots[key] for key in moved if key in layout.spots}
+    return {key: (moved[key][0], layout.bands[spot.band].top + moved[key][1]) for key, spot in spots.items()}
 
 
 def _is_placed(old: Spot | None, new: Spot) -> bool:

@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +21,7 @@ from aiorts_studio.watching.ages import Ages
 from aiorts_studio.watching.feeds import happening
 from aiorts_studio.watching.figures import Row, different
 from aiorts_studio.watching.page import FAR, Page
+from aiorts_studio.watching.places import PlaceFiles, Places
 from aiorts_studio.watching.plots import Shown, Tap
 from aiorts_studio.watching.recording import Recorder
 from aiorts_studio.watching.scene import Scene
@@ -34,6 +36,8 @@ _SETTLES: Final = 0.5
 """Seconds without a change after which a kernel that has just begun is laid out again."""
 _SETTLING: Final = 10
 """Looks whether a kernel that has just begun is assembled."""
+_KEEP: Final = 1.0
+"""Seconds after a change until places are written: many come one after the other."""
 _OPEN: Final = 3.0
 _AGAIN: Final = 1.0
 """Seconds until a kernel that refuses is asked once more."""
@@ -50,6 +54,7 @@ class Studio:
     Args:
         names: names or addresses of the kernels to watch; none is all of this user, also those that begin later.
         files: the folder where recordings go; None: nothing is recorded, and pages are told why.
+        places: files with the places of boxes; None: they are kept as long as this is.
 
     Attributes:
         scene: what pages show.
@@ -57,7 +62,13 @@ class Studio:
         recorder: records what pages ask for.
     """
 
-    def __init__(self, names: Sequence[str] = (), files: Path | None = None, why_no_files: str = "") -> None:
+    def __init__(
+        self,
+        names: Sequence[str] = (),
+        files: Path | None = None,
+        why_no_files: str = "",
+        places: PlaceFiles | None = None,
+    ) -> None:
         self.scene = Scene()
         self.pages: set[Page] = set()
         self.recorder = Recorder(files, why_no_files, self._tell)
@@ -73,6 +84,12 @@ class Studio:
         self._taps: dict[tuple[str, str], Tap] = {}
         self._history: deque[dict[str, Any]] = deque(maxlen=_KEPT)
         self._dirty, self._drawn = asyncio.Event(), asyncio.Event()
+        self._unwritten = asyncio.Event()
+        self._places = places
+        self._written: dict[str, Places] = {}
+        """By the key of the view: the places that were read, or written last."""
+        self._placed: set[str] = set()
+        """The keys of the views whose boxes a user has placed."""
 
     # -- pages -----------------------------------------------------------------------------------------------------
 
@@ -111,6 +128,7 @@ class Studio:
         self._watches = {}
         if tasks:
             await asyncio.wait(tasks)
+        await self._write_places()
         await self.recorder.close()  # takes its time: a page that comes meanwhile begins anew
 
     def see(self, page: Page, rect: tuple[float, float, float, float], scale: float) -> None:
@@ -173,6 +191,7 @@ class Studio:
 
     async def _work(self) -> None:
         looking = begun(self._look(), "studio kernels")
+        keeping = begun(self._keep_places(), "studio places")
         try:
             while True:
                 await self._dirty.wait()
@@ -184,13 +203,15 @@ class Studio:
                 finally:
                     drawing.cancel()
                 if drawing.exception() is not None:
-                    self.scene.tidy()  # with the next change
+                    self.scene.lay_out()  # with the next change
         finally:
             looking.cancel()
+            keeping.cancel()
 
     async def _draw(self) -> None:
         change = await self.scene.draw()
         self._drawn.set()
+        self._unwritten.set()
         if change is not None:
             self._tell(change)
             for page in self.pages:
@@ -225,6 +246,7 @@ class Studio:
                 await asyncio.sleep(_AGAIN)
                 return  # it has just ended, or has too many clients: what is still there is tried once more
             view = self._view(entry, client.hello["lasting"])
+            await self._read_places(view)
             watch = self._watches[view.key] = Watch(client, view, self, self._followers)
             settling = asyncio.create_task(self._settle(view), name="studio layout")
             try:
@@ -262,7 +284,8 @@ class Studio:
             if view.size == count and view.components:
                 break
         view.settled = True
-        self.tidy()
+        self.scene.lay_out()
+        self.changed()
 
     def _end(self, there: Collection[str]) -> None:
         """Say of kernels that they have ended, where that was while no page was open."""
@@ -277,13 +300,43 @@ class Studio:
         for key, view in list(self.scene.views.items()):
             if view.about["state"] == "ended" and now > view.answered + _FORGOTTEN:
                 del self.scene.views[key]
+                self._written.pop(key, None)
+                self._placed.discard(key)
                 self.changed()
+
+    # -- places ----------------------------------------------------------------------------------------------------
+
+    async def _read_places(self, view: View) -> None:
+        """Give a kernel that is new here the places that it had when it was shown before."""
+        if self._places is not None and view.lasting and view.key not in self._written:
+            self._written[view.key] = places = await to_thread.run_sync(self._places.read, view.lasting)
+            self.scene.restore(view.key, places)
+
+    async def _keep_places(self) -> None:
+        while True:
+            await self._unwritten.wait()
+            await asyncio.sleep(_KEEP)
+            self._unwritten.clear()
+            await self._write_places()
+
+    async def _write_places(self) -> None:
+        """Write what is other than it was: of kernels that are assembled, or whose boxes a user has placed."""
+        for view in list(self.scene.views.values()):
+            placed = view.key in self._placed
+            if self._places is None or view.key not in self._written or not (placed or view.settled):
+                continue
+            places = self.scene.places(view.key)
+            if places.boxes and places != self._written[view.key]:
+                self._written[view.key] = places
+                write = partial(self._places.write, view.lasting, places, is_of_user=placed)
+                await to_thread.run_sync(write)
 
     # -- what pages are told ---------------------------------------------------------------------------------------
 
     def move(self, number: int, x: float, y: float) -> None:
         """Put a box elsewhere."""
-        self.scene.move(number, x, y)
+        if (kernel := self.scene.move(number, x, y)) is not None:
+            self._placed.add(kernel)
         self.changed()
 
     def fold(self, number: int, *, on: bool) -> None:
@@ -294,6 +347,7 @@ class Studio:
     def tidy(self) -> None:
         """Lay out everything again."""
         self.scene.tidy()
+        self._placed.update(self.scene.views)
         self.changed()
 
     def changed(self) -> None:
