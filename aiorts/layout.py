@@ -195,6 +195,10 @@ class Layout:
         """The number of the pile that a band stands in."""
         return self.piles.get(self.groups.get(band, ""), len(self._spans) - 1)
 
+    def corner(self, band: Key) -> Point:
+        """Where a band that was placed begins, at the left and at the top."""
+        return self._lefts[self._spans[self.pile_of(band)][0]], self.bands[band].top
+
     def room_of(self, pile: int) -> tuple[float, float]:
         """From where to where boxes and edges of a pile may be: to the empty columns at both of its sides."""
         first, end = self._spans[pile]

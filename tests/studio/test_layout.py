@@ -216,6 +216,34 @@ def test_what_belongs_together_stays_in_one_pile() -> None:
     assert {layout.piles[group] for group, unit in units.items() if unit == "that"} == {1}
 
 
+def test_groups_stay_in_their_piles_unless_others_show_far_more() -> None:
+    spots, edges, groups = rows_of(6)
+    units = {group: group for group in groups.values()}
+    before = placed(spots, edges, groups, units).piles
+    assert len({*before.values()}) > 1
+    spots, edges, groups = rows_of(7)
+    units = {group: group for group in groups.values()}
+    after = placed(spots, edges, groups, units, before).piles
+    assert {group: after[group] for group in before} == before
+    one = dict.fromkeys(before, 0)
+    assert len({*placed(spots, edges, groups, units, one).piles.values()}) > 1
+    few = {group: pile for group, pile in before.items() if pile}  # those of the first pile have gone
+    spots = [spot for spot in spots if groups[spot.band] in few]
+    edges = [edge for edge in edges if edge.key[0].removeprefix("e") in few]
+    groups = {band: group for band, group in groups.items() if group in few}
+    assert min(placed(spots, edges, groups, {group: group for group in few}, before).piles.values(), default=0) == 0
+
+
+def test_edges_between_groups_lead_from_pile_to_pile() -> None:
+    spots, edges, groups = rows_of(4)
+    order = ("3", "1", "0", "2")
+    edges += [Edge(("link", a, b), (f"reader{a}",), "out", (f"writer{b}",), "in") for a, b in pairwise(order)]
+    layout = placed(spots, edges, groups, {group: group for group in groups.values()})
+    piles = [layout.piles.get(group, 0) for group in order]
+    assert piles == sorted(piles)
+    check(layout, edges)
+
+
 def test_a_box_more_in_a_pile_stays_left_of_the_next() -> None:
     spots, edges, groups = rows_of(6)
     layout = placed(spots, edges, groups, {group: group for group in groups.values()})

@@ -32,7 +32,7 @@ function Live() {
 function facts() {
   const rows = [...figures.value];
   const known = rows.filter(([, row]) => row.rate !== null), passing = known.reduce((sum, [, row]) => sum + (row.rate ?? 0), 0);
-  const lost = rows.reduce((sum, [, row]) => sum + row.dropped, 0);
+  const lost = rows.reduce((sum, [, row]) => sum + row.dropped, 0), unknown = rows.filter(([, row]) => row.lossy && !row.dropped);
   const worst = rows.reduce((most, one) => (one[1].dropped > (most?.[1].dropped ?? 0) ? one : most), /** @type {typeof rows[0] | null} */ (null));
   const late = [...frameFigures.value].reduce((most, one) => ((one[1].late ?? -1) > (most?.[1].late ?? -1) ? one : most), /** @type {[number, any] | null} */ (null));
   const live = [...kernels.value.values()].filter((one) => one.state !== "ended"), names = live.length === 1 ? live[0].name : counted(live.length, "kernel");
@@ -40,7 +40,8 @@ function facts() {
   const all = [
     [names, `${counted(boxes.value.size, "component")}, ${counted(edges.value.size, "connector")}`, false, null],
     [known.length ? `${number(passing)}/s` : "–", "samples in view", false, null],
-    [count(lost), "samples dropped", lost > 0, worst ? () => choose("edge", worst[0], { focus: true }) : null],
+    lost || !unknown.length ? [count(lost), "samples dropped", lost > 0, worst ? () => choose("edge", worst[0], { focus: true }) : null]
+      : [counted(unknown.length, "connector"), unknown.length === 1 ? "drops samples" : "drop samples", true, () => choose("edge", unknown[0][0], { focus: true })],
   ];
   if (late && late[1].late !== null) {
     all.push([`${number(late[1].late)} ms`, `late (p99) in ${frames.value.get(late[0])?.name ?? "?"}`, false, () => choose("frame", late[0])]);

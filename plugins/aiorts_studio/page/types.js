@@ -29,7 +29,8 @@
  * Figures of a frame: lateness (p99) in ms, overruns, and which component caused most of them.
  * @typedef {{late: number | null, overruns: number, who: string}} FrameFigures
  *
- * @typedef {{kind: "box" | "edge" | "frame" | "kernel", id: number | string}} Selection Of a kernel the id is its address.
+ * @typedef {{kind: "box" | "port" | "edge" | "frame" | "kernel", id: number | string}} Selection
+ * Of a kernel the id is its address, of a port what `portId` makes.
  *
  * @typedef {{kernels: Kernel[], frames: Frame[], boxes: Box[], edges: Edge[]}} Things
  * @typedef {{kernels?: string[], frames?: number[], boxes?: number[], edges?: number[]}} Gone

@@ -49,9 +49,12 @@ class Scene:
         self._told: list[Thing] = []
         self._folded: set[Key] = set()
         self._moved: dict[Key, Point] = {}
-        """Places that boxes were given, from the top of their bands: by hand, or when they were shown before."""
+        """Places that boxes were given, from the corners of their bands: by hand, or when they were shown before."""
         self._by_hand: set[Key] = set()
+        self._again = True
+        """Whether all is to be placed again."""
         self._tidy = True
+        """Whether kernels, too, may come to stand elsewhere then."""
 
     def number(self, *key: str) -> int:
         """The number of a thing; the same for the same thing."""
@@ -64,11 +67,11 @@ class Scene:
     def tidy(self) -> None:
         """Place everything again when it is drawn next, also what has been given a place."""
         self._moved, self._by_hand = {}, set()
-        self._tidy = True
+        self._again = self._tidy = True
 
     def lay_out(self) -> None:
-        """Lay out again when it is drawn next; what was given a place keeps it."""
-        self._tidy = True
+        """Place everything again when it is drawn next: what was given a place keeps it, and kernels stay in order."""
+        self._again = True
 
     def move(self, number: int, x: float, y: float) -> str | None:
         """Put a box where there is room next to a place, when it is drawn next.
@@ -78,7 +81,8 @@ class Scene:
         """
         for key, spot in self._layout.spots.items():
             if self.numbers.get(key) == number:
-                self._moved[key] = x, y - self._layout.bands[spot.band].top
+                left, top = self._layout.corner(spot.band)
+                self._moved[key] = x - left, y - top
                 self._by_hand.add(key)
                 return key[1]
         return None
@@ -90,12 +94,13 @@ class Scene:
 
     def places(self, kernel: str) -> Places:
         """The places of a kernel's boxes; of one in a frame that is folded, the place that it is to have."""
-        components, bands = self.views[kernel].components, self._layout.bands
+        components, layout = self.views[kernel].components, self._layout
         kept = {key: place for key, place in self._moved.items() if key[:2] == ("box", kernel)}
         drawn = {
-            key: (round(spot.x, 1), round(spot.y - bands[spot.band].top, 1))
-            for key, spot in self._layout.spots.items()
+            key: (round(spot.x - left, 1), round(spot.y - top, 1))
+            for key, spot in layout.spots.items()
             if key[:2] == ("box", kernel)
+            for left, top in (layout.corner(spot.band),)
         }
         boxes = {key[2]: place for key, place in {**kept, **drawn}.items() if key[2] in components}
         return Places(boxes, {key[2] for key in self._by_hand & kept.keys() if key[2] in boxes})
@@ -105,7 +110,7 @@ class Scene:
         for key, known in self.numbers.items():
             if known == number and key[0] == "frame":
                 (self._folded.add if on else self._folded.discard)(key)
-                self._tidy = True
+                self._again = True
 
     def check_port(self, kernel: str, path: str) -> None:
         """Take the path of a data port; AbsentError: no kernel of this address has it."""
@@ -132,10 +137,13 @@ class Scene:
         What is laid out anew is laid out in a thread: 1,000 boxes take some tenths of a second.
         """
         graph = Graph(self.views, self._folded)
-        tidy, self._tidy = self._tidy, False
-        if tidy or not self._adapt(graph):
-            spots, edges, bands = list(graph.spots.values()), list(graph.edges.values()), graph.bands()
-            made = await asyncio.to_thread(_laid_out, spots, edges, bands, graph.units(), dict(self._moved))
+        tidy, again = self._tidy, self._again
+        self._tidy = self._again = False
+        if again or not self._adapt(graph):
+            before = self._layout
+            kept = {} if tidy else {group: before.pile_of(band) for band, group in before.groups.items()}
+            spots, edges, moved = list(graph.spots.values()), list(graph.edges.values()), dict(self._moved)
+            made = await asyncio.to_thread(_laid_out, spots, edges, graph.bands(), graph.units(), kept, moved)
             self._layout, self._routes = made
         self._graph = graph
         self.connectors = {key: {} for key in self.views}
@@ -260,17 +268,22 @@ def _laid_out(
     edges: list[Edge],
     bands: Mapping[Key, str],
     units: Mapping[str, str],
+    kept: Mapping[str, int],
     moved: Mapping[Key, Point],
 ) -> tuple[Layout, dict[Key, Route]]:
-    layout = placed(spots, edges, bands, units)
+    layout = placed(spots, edges, bands, units, kept)
     layout.move(_wanted(layout, moved))
     return layout, {edge.key: layout.route(edge) for edge in edges}
 
 
 def _wanted(layout: Layout, moved: Mapping[Key, Point]) -> dict[Key, Point]:
     """The places that boxes are to have, of those that are there."""
-    spots = {key: layout.spots[key] for key in moved if key in layout.spots}
-    return {key: (moved[key][0], layout.bands[spot.band].top + moved[key][1]) for key, spot in spots.items()}
+    found: dict[Key, Point] = {}
+    for key, (x, y) in moved.items():
+        if (spot := layout.spots.get(key)) is not None:
+            left, top = layout.corner(spot.band)
+            found[key] = left + x, top + y
+    return found
 
 
 def _is_placed(old: Spot | None, new: Spot) -> bool:

@@ -11,9 +11,9 @@ const CLICK = 4;
 const MOVES_PER_SECOND = 8;
 const ANSWER_MS = 600;
 
-/** @param {Scene} scene @param {(id: number) => void} click called for a box that was clicked, not moved */
+/** @param {Scene} scene @param {(target: Element, id: number) => void} click called with what was clicked, not moved, and its box */
 export function dragging(scene, click) {
-  /** @type {{id: number, pointer: number, x: number, y: number, startX: number, startY: number, moved: boolean, said: number} | null} */
+  /** @type {{id: number, pointer: number, x: number, y: number, startX: number, startY: number, moved: boolean, said: number, target: Element} | null} */
   let held = null;
 
   /** @param {PointerEvent} event */
@@ -27,7 +27,7 @@ export function dragging(scene, click) {
     const box = node && store.boxes.peek().get(Number(node.getAttribute("data-box")));
     if (!box || event.button || held || (event.pointerType === "touch" && !scene.world.chosen("box", box.id))) return;
     event.stopPropagation();
-    held = { id: box.id, pointer: event.pointerId, x: box.x, y: box.y, startX: event.clientX, startY: event.clientY, moved: false, said: 0 };
+    held = { id: box.id, pointer: event.pointerId, x: box.x, y: box.y, startX: event.clientX, startY: event.clientY, moved: false, said: 0, target: /** @type {Element} */ (event.target) };
   });
   window.addEventListener("pointermove", (event) => {
     if (!held || event.pointerId !== held.pointer) return;
@@ -42,10 +42,10 @@ export function dragging(scene, click) {
   });
   const end = (/** @type {PointerEvent} */ event) => {
     if (!held || event.pointerId !== held.pointer) return;
-    const { id, moved } = held, to = place(event);
+    const { id, moved, target } = held, to = place(event);
     held = null;
     scene.boxes.get(id)?.classList.remove("moving");
-    if (!moved) return click(id);
+    if (!moved) return click(target, id);
     store.say({ t: "move", id, ...to });
     window.setTimeout(() => {   // where the server found no room there, it stays where it was
       const box = held?.id === id ? null : store.boxes.peek().get(id);
