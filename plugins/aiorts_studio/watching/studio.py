@@ -24,7 +24,7 @@ from aiorts_studio.watching.plots import Shown, Tap
 from aiorts_studio.watching.recording import Recorder
 from aiorts_studio.watching.scene import Scene
 from aiorts_studio.watching.view import View, about
-from aiorts_studio.watching.watch import Follower, Watch, begun
+from aiorts_studio.watching.watch import ENDED, Follower, Watch, begun
 
 _LOOK: Final = 0.5
 """Seconds between looks for kernels that begin: a folder does not tell what comes into it, and a page is open."""
@@ -67,7 +67,7 @@ class Studio:
         self._sessions: dict[str, asyncio.Task[None]] = {}
         """By the epoch of a kernel, its watching; done where it has ended, and its file is still there."""
         self._watches: dict[str, Watch] = {}
-        """By the key of the view."""
+        """By the key of the view; of a kernel that has ended, the one that was last."""
         self._ages = Ages(self._refused)
         self._followers: dict[Follower, None] = {self._ages: None}
         self._taps: dict[tuple[str, str], Tap] = {}
@@ -231,8 +231,6 @@ class Studio:
                 await watch.run()
             finally:
                 settling.cancel()
-                if self._watches.get(view.key) is watch:
-                    del self._watches[view.key]
                 await client.aclose()
             return
 
@@ -267,8 +265,10 @@ class Studio:
     def _end(self, there: Collection[str]) -> None:
         """Say of kernels that they have ended, where that was while no page was open."""
         for view in self.scene.views.values():
-            is_known = view.about["state"] == "ended" or view.address in there or view.key in self._watches
-            if not is_known and view.say("ended", "has ended"):
+            watch = self._watches.get(view.key)
+            is_watched = watch is not None and watch.session.is_open
+            is_known = view.about["state"] == "ended" or view.address in there or is_watched
+            if not is_known and view.say("ended", ENDED):
                 self.changed()
 
     def _forget(self) -> None:
@@ -277,6 +277,7 @@ class Studio:
         for key, view in list(self.scene.views.items()):
             if view.about["state"] == "ended" and now > view.answered + _FORGOTTEN:
                 del self.scene.views[key]
+                self._watches.pop(key, None)
                 self.changed()
 
     # -- what pages are told ---------------------------------------------------------------------------------------
