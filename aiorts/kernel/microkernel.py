@@ -25,7 +25,7 @@ from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.loop import calls
-from aiorts.kernel.loop.bus import Bus
+from aiorts.kernel.loop.bus import Bus, Closing
 from aiorts.kernel.loop.deadlines import StopBudget, StopRequest
 from aiorts.kernel.loop.guarded import guarded
 from aiorts.kernel.loop.log import SharedBudget
@@ -186,6 +186,7 @@ class Microkernel:
         budget = StopBudget(self.loop)
         self._await_stop()
         self.closing.set_result(budget)
+        self.bus.publish(Closing())
         contexts = tuple(self.contexts.values())
         for driver in filter(None, (context.runner.driver for context in contexts)):
             driver.hurry(budget)

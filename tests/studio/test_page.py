@@ -105,6 +105,35 @@ async def test_a_kernel_that_ends_while_no_page_is_open_is_not_shown_as_live() -
             await page.until(lambda: page.kernel("robot") is None or page.kernel("robot")["state"] == "ended")
 
 
+async def test_the_end_of_a_run_leaves_its_last_whole_picture_without_rates() -> None:
+    async with site() as client, paging(client) as page:
+        async with controlled("robot"):
+            await page.whole("counter0", "reader0")
+            (edge,) = page.edges
+            await page.until(lambda: edge in page.figures and page.figures[edge][0])
+            frames = {number: (one["name"], one["kind"]) for number, one in page.frames.items()}
+            before, arrived = page.places(), page.figures[edge][1]
+        await page.until(lambda: page.kernel("robot")["state"] == "ended")
+        await page.until(lambda: {one["state"] for one in page.boxes.values()} == {"ended"})
+        await page.until(lambda: page.figures[edge][0] is None)
+        assert page.kernel("robot")["why"] == "has ended"
+        assert page.places() == before
+        assert {number: (one["name"], one["kind"]) for number, one in page.frames.items()} == frames
+        async with paging(client) as another:  # that comes later
+            await another.until(lambda: edge in another.figures)
+            assert another.figures[edge][:2] == [None, arrived]
+
+
+@pytest.mark.slow
+async def test_a_process_that_is_killed_is_said_to_be() -> None:
+    async with site() as client, paging(client) as page:
+        with running("killed", ROOMBA) as process:
+            await page.until(lambda: page.is_live("killed"))
+            process.kill()
+            await page.until(lambda: page.kernel("killed")["state"] == "ended")
+            assert "killed" in page.kernel("killed")["why"]
+
+
 @pytest.mark.slow
 async def test_a_process_that_is_stopped_is_silent_and_the_others_are_live() -> None:
     with running("stopped", ROOMBA) as process:
@@ -116,6 +145,7 @@ async def test_a_process_that_is_stopped_is_silent_and_the_others_are_live() -> 
                 began = time.monotonic()
                 await page.until(lambda: page.kernel("stopped")["state"] == "silent")
                 assert time.monotonic() - began < 6.0
+                await page.until(lambda: page.box("odometry")["state"] == "silent")
                 seen = len(page.at)
                 await kernel.create(Counter, "counter1")
                 await page.until(lambda: page.box("counter1"), 5.0)
@@ -124,6 +154,7 @@ async def test_a_process_that_is_stopped_is_silent_and_the_others_are_live() -> 
             finally:
                 os.kill(process.pid, signal.SIGCONT)
             await page.until(lambda: page.is_live("stopped"))
+            await page.until(lambda: page.box("odometry")["state"] == "active")
 
 
 async def test_frames_fold_and_unfold_and_boxes_are_moved() -> None:

@@ -25,6 +25,8 @@ class Figures:
     def __init__(self) -> None:
         self.now: dict[str, dict[str, Any]] = {kind: {} for kind in _KINDS}
         self.at_ns = 0
+        self.are_old = False
+        """Whether the kernel does not answer: its counts are those that were last, and it has no rates."""
         self.trips: dict[str, float] = {}
         """The round trips of links in ms, by connector."""
         self.ages: dict[str, float] = {}
@@ -70,6 +72,8 @@ class Figures:
             _digits(sum(row[at] or 0 for row in rows)) if at in (0, 3) else sum(row[at] for row in rows)
             for at in range(4)
         ]
+        if self.are_old:
+            sums[0] = None
         largest = [max((row[at] for row in rows if row[at] is not None), default=None) for at in (5, 6)]
         return [*sums, dict(reasons) or None, *largest]
 
@@ -80,6 +84,8 @@ class Figures:
             return None
         written, _, buffered, dropped, _ = counted
         rate, losing = None, 0.0
+        if self.are_old:
+            return [None, lost(dropped), buffered, 0.0, dropped or None, None, None]
         if (before := self._before(name)) is not None:
             at_ns, (written_then, _, _, dropped_then, _) = before
             seconds = (self.at_ns - at_ns) / 1e9
@@ -99,9 +105,9 @@ class Figures:
         return None
 
     def box(self, name: str) -> Row | None:
-        """The state of a component, and what is said of it."""
+        """The state of a component, and what is said of it; None: it is not known, or not now."""
         found = self.now["components"].get(name)
-        if found is None:
+        if found is None or self.are_old:
             return None
         states, overdue = found["states"], found.get("overdue") or {}
         return [state_of(states, failed=found["failed"]), said_of(states, overdue)]
@@ -111,7 +117,7 @@ class Figures:
         found = self.now["contexts"].get(context)
         if found is None:
             return None
-        late = round(found["lateness_p99_ns"] / 1e6, 1) if found["rate"] else None
+        late = round(found["lateness_p99_ns"] / 1e6, 1) if found["rate"] and not self.are_old else None
         return [late, found["overruns"], self.late.get(context, "")]
 
 

@@ -236,7 +236,7 @@ class Scene:
             }  # fmt: skip
             box = _box(view, key[2], spot) if key[0] == "box" else _other_box(spot, key[0])
             if len(key) == IN_COMPOSITE and (report := view.components.get(key[3])) is not None:
-                box |= _condition(report)
+                box |= _condition(view, report)
             made[number] = {**place, **box}
         return made
 
@@ -317,16 +317,20 @@ def _box(view: View, name: str, spot: Spot) -> Thing:
         for one in report["ports"].values()
     ]  # fmt: skip
     about = {"type": class_of(report["type"]), "kind": "component", "infrastructure": view.is_infrastructure(name)}
-    return {**about, **_condition(report), "ports": ports}
+    return {**about, **_condition(view, report), "ports": ports}
 
 
-def _condition(report: Mapping[str, Any]) -> Thing:
-    """How a component is."""
+def _condition(view: View, report: Mapping[str, Any]) -> Thing:
+    """How a component is; of one that has not failed, the state of a kernel that does not answer."""
     states, failed = report["states"], report["last_error"]
+    error, known = error_of(failed), view.about["state"]
+    if known != "live" and failed is None:
+        return {"state": known, "said": "", "error": error}
     return {
-        "state": state_of(states, failed=failed is not None), "said": said_of(states, report["overdue"]),
-        "error": error_of(failed),
-    }  # fmt: skip
+        "state": state_of(states, failed=failed is not None),
+        "said": said_of(states, report["overdue"]),
+        "error": error,
+    }
 
 
 def _comes_between(band: Key, bands: Mapping[Key, Band]) -> bool:

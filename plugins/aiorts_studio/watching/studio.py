@@ -26,7 +26,7 @@ from aiorts_studio.watching.plots import Shown, Tap
 from aiorts_studio.watching.recording import Recorder
 from aiorts_studio.watching.scene import Scene
 from aiorts_studio.watching.view import View, about
-from aiorts_studio.watching.watch import Follower, Watch, begun
+from aiorts_studio.watching.watch import ENDED, Follower, Watch, begun
 
 _LOOK: Final = 0.5
 """Seconds between looks for kernels that begin: a folder does not tell what comes into it, and a page is open."""
@@ -78,7 +78,7 @@ class Studio:
         self._sessions: dict[str, asyncio.Task[None]] = {}
         """By the epoch of a kernel, its watching; done where it has ended, and its file is still there."""
         self._watches: dict[str, Watch] = {}
-        """By the key of the view."""
+        """By the key of the view; of a kernel that has ended, the one that was last."""
         self._ages = Ages(self._refused)
         self._followers: dict[Follower, None] = {self._ages: None}
         self._taps: dict[tuple[str, str], Tap] = {}
@@ -252,8 +252,6 @@ class Studio:
                 await watch.run()
             finally:
                 settling.cancel()
-                if self._watches.get(view.key) is watch:
-                    del self._watches[view.key]
                 await client.aclose()
             return
 
@@ -289,8 +287,10 @@ class Studio:
     def _end(self, there: Collection[str]) -> None:
         """Say of kernels that they have ended, where that was while no page was open."""
         for view in self.scene.views.values():
-            is_known = view.about["state"] == "ended" or view.address in there or view.key in self._watches
-            if not is_known and view.say("ended", "has ended"):
+            watch = self._watches.get(view.key)
+            is_watched = watch is not None and watch.session.is_open
+            is_known = view.about["state"] == "ended" or view.address in there or is_watched
+            if not is_known and view.say("ended", ENDED):
                 self.changed()
 
     def _forget(self) -> None:
@@ -301,6 +301,7 @@ class Studio:
                 del self.scene.views[key]
                 self._written.pop(key, None)
                 self._placed.discard(key)
+                self._watches.pop(key, None)
                 self.changed()
 
     # -- places ----------------------------------------------------------------------------------------------------
