@@ -228,6 +228,27 @@ def test_a_command_is_copied(page: Opened) -> None:
     until(lambda: page.page.evaluate("navigator.clipboard.readText()") == "aiorts cat slow")
 
 
+def test_values_of_parameters_are_whole_at_the_width_that_the_panel_has_at_first(page: Opened) -> None:
+    page.choose("wave")
+    values = page.page.locator("aside .value .whole")
+    values.first.wait_for()
+    faults = """all => all.filter((one) => {
+      const own = one.getBoundingClientRect(), around = one.closest('aside').getBoundingClientRect();
+      return own.width < 5 || own.left < around.left || own.right > around.right
+        || getComputedStyle(one.parentElement).overflow !== 'visible' || one.dataset.full !== one.textContent;
+    }).map((one) => one.textContent)"""
+    assert values.count() >= 3
+    assert values.evaluate_all(faults) == []
+
+
+def test_the_command_that_changes_a_parameter_is_offered_where_there_is_one(page: Opened) -> None:
+    page.choose("wave")
+    commands = page.page.locator("aside .commands code")
+    until(lambda: "aiorts conf wave gain=3" in commands.all_inner_texts())
+    page.choose("slow")
+    until(lambda: commands.all_inner_texts() == ["aiorts cat slow", "aiorts vlog slow"])
+
+
 def test_a_page_that_only_looks_says_why_it_cannot_record_and_has_an_age_measured(
     chromium: Browser, site: Served
 ) -> None:
