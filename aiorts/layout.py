@@ -20,7 +20,21 @@ from typing import Final, TypeAlias
 
 from aiorts.late import dataclass
 
-__all__ = ("BAND_FOOT", "GROUP_HEAD", "HEAD", "ROW", "Band", "Edge", "Key", "Layout", "Point", "Route", "Spot", "meets")
+__all__ = (
+    "BAND_FOOT",
+    "BAND_HEAD",
+    "GROUP_HEAD",
+    "HEAD",
+    "ROW",
+    "Band",
+    "Edge",
+    "Key",
+    "Layout",
+    "Point",
+    "Route",
+    "Spot",
+    "meets",
+)
 
 Point: TypeAlias = tuple[float, float]
 Key: TypeAlias = tuple[str, ...]
