@@ -25,6 +25,7 @@ from aiorts.late import dataclass
 __all__ = (
     "BAND_FOOT",
     "BAND_GAP",
+    "BAND_HEAD",
     "GROUP_GAP",
     "GROUP_HEAD",
     "HEAD",

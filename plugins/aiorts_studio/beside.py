@@ -12,6 +12,7 @@ from anyio import to_thread
 from aiorts import KernelService, Microkernel, setting
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
+from aiorts.layout_file import layout_beside
 
 _LAST: Final = 3.0
 """Seconds that the process has to end in."""
@@ -50,7 +51,7 @@ class StudioBeside(KernelService):
             raise ConfigurationError("--studio: the run cannot be reached; leave --control off out")
         command = [sys.executable, "-m", "aiorts", "studio", "--beside", self.kernel.address]
         if (runs := Path(self.kernel.registry.runs)).is_file():
-            command += ["--layout", str(runs.with_suffix(".layout.json"))]
+            command += ["--layout", str(layout_beside(runs))]
         # It ends when its standard input does: also where this process is killed. What it prints is not the system's.
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=2)  # noqa: S603 # our own command
 

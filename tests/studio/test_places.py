@@ -9,13 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from aiorts_studio.watching.places import PlaceFiles, Places, state_folder
+from aiorts.layout_file import Place, Places
+from aiorts_studio.watching.places import PlaceFiles, state_folder
 from control_parts import controlled
 from studio_page import Seen, paging
 from studio_parts import site
 
 pytestmark = pytest.mark.row(120)
-HERE = Places({"a": (28.0, 48.0), "b": (300.5, 48.0)}, {"b"})
+HERE = Places({"a": Place(28.0, 48.0, 0.0), "b": Place(300.5, 48.0, 164.0)}, {"b"})
 
 
 def files_in(tmp_path: Path, said: list[str]) -> PlaceFiles:
@@ -65,16 +66,18 @@ def test_each_kernel_has_its_own_and_the_file_beside_goes_before(tmp_path: Path)
     files.write("host/one:/a/system.toml", HERE, is_of_user=False)
     assert files.read("host/one:/a/system.toml") == HERE
     assert files.read("host/one:/b/system.toml") == Places()
-    other = Places({"a": (5.0, 6.0)}, {"a"})
+    other = Places({"a": Place(5.0, 6.0, 0.0)}, {"a"})
     files.write("host/one:/b/system.toml", other, is_of_user=True)
-    assert files.read("host/one:/a/system.toml") == Places({"a": (5.0, 6.0), "b": (300.5, 48.0)}, {"a", "b"})
+    assert files.read("host/one:/a/system.toml") == Places(
+        {"a": Place(5.0, 6.0, 0.0), "b": Place(300.5, 48.0, 164.0)}, {"a", "b"}
+    )
     assert said == []
 
 
 BROKEN = (
     "", "{", "[]", '{"schema": 2, "boxes": {}}', '{"schema": 1}', '{"schema": 1, "boxes": {"a": [1]}}',
-    '{"schema": 1, "boxes": {"a": [1, NaN]}}', '{"schema": 1, "boxes": {"a": [1, 1e9]}}', "[" * 100_000,
-    '{"schema": 1, "boxes": {"a": [true, 1]}}', '{"schema": 1, "boxes": {}, "by_hand": 1}', " " * (1 << 20) + "{}",
+    '{"schema": 1, "boxes": {"a": [1, 1, NaN]}}', '{"schema": 1, "boxes": {"a": [1, 1, 1e9]}}', "[" * 100_000,
+    '{"schema": 1, "boxes": {"a": [true, 1, 1]}}', '{"schema": 1, "boxes": {}, "by_hand": 1}', " " * (1 << 20) + "{}",
 )  # fmt: skip
 
 

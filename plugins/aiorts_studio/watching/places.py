@@ -5,36 +5,17 @@ The names of the files come from the command line and from kernels, never from a
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from hashlib import sha256
-from math import isfinite
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from aiorts.layout import Point
+from aiorts.layout_file import LARGEST_LAYOUT, Places, places_of, text_of_places
 
-_SCHEMA: Final = 1
-_LARGEST: Final = 1 << 20
-"""Bytes of a file."""
 _MOST: Final = 500
 """Files in the state folder; the oldest go first."""
-_FARTHEST: Final = 1e6
 _BROKEN: Final = ".broken"
-
-
-@dataclass(slots=True)
-class Places:
-    """The places of a kernel's boxes, by the names of components: from the left, and from the top of the band.
-
-    Attributes:
-        by_hand: the components that a user has moved.
-    """
-
-    boxes: dict[str, Point] = field(default_factory=dict)
-    by_hand: set[str] = field(default_factory=set)
 
 
 class PlaceFiles:
@@ -66,10 +47,8 @@ class PlaceFiles:
         Args:
             is_of_user: whether a user has placed boxes: then the file beside the system's is written, too.
         """
-        boxes = dict(sorted(places.boxes.items()))
-        document = {"schema": _SCHEMA, "kernel": lasting, "boxes": boxes, "by_hand": sorted(places.by_hand)}
-        data = json.dumps(document, ensure_ascii=False, indent=1).encode() + b"\n"
-        if len(data) > _LARGEST:
+        data = text_of_places(lasting, places).encode()
+        if len(data) > LARGEST_LAYOUT:
             return
         if (path := self._path(lasting)) is not None and self._folder is not None:
             self._put(path, data)
@@ -89,8 +68,8 @@ class PlaceFiles:
             if not path.is_file():
                 return None
             with path.open("rb") as file:
-                data = file.read(_LARGEST + 1)
-            return _places(data)
+                data = file.read(LARGEST_LAYOUT + 1)
+            return places_of(data)
         except OSError as error:
             self._refuse(path, f"{path}: cannot be read: {error.strerror}")
         except ValueError as error:
@@ -131,32 +110,6 @@ def state_folder() -> Path | None:
         return (Path(base) if os.path.isabs(base) else Path.home() / ".local" / "state") / "aiorts" / "layouts"
     except RuntimeError:
         return None
-
-
-def _places(data: bytes) -> Places:
-    """The places in the text of a file; ValueError: it is not one."""
-    if len(data) > _LARGEST:
-        raise ValueError(f"expected at most {_LARGEST} bytes")
-    try:
-        document = json.loads(data)
-    except (ValueError, RecursionError):
-        raise ValueError("expected places as JSON") from None
-    if not isinstance(document, dict) or document.get("schema") != _SCHEMA:
-        raise ValueError(f"expected schema = {_SCHEMA}")
-    boxes, by_hand = document.get("boxes"), document.get("by_hand", [])
-    if not isinstance(boxes, Mapping) or not all(map(_is_place, boxes.values())):
-        raise ValueError("boxes: expected two numbers for each component")
-    if not isinstance(by_hand, list) or not all(isinstance(one, str) for one in by_hand):
-        raise ValueError("by_hand: expected names of components")
-    return Places({name: (float(x), float(y)) for name, (x, y) in boxes.items()}, set(by_hand) & boxes.keys())
-
-
-def _is_place(value: Any) -> bool:
-    return (
-        isinstance(value, list)
-        and len(value) == len(("x", "y"))
-        and all(type(one) in (int, float) and isfinite(one) and abs(one) <= _FARTHEST for one in value)
-    )
 
 
 def _thin_out(folder: Path) -> None:

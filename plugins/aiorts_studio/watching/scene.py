@@ -13,10 +13,10 @@ from typing import Any, Final, TypeAlias
 
 from aiorts.errors import AbsentError
 from aiorts.layout import Band, Edge, Key, Layout, Point, Route, Spot, meets
+from aiorts.layout_file import Place, Places
 from aiorts_studio.watching.frames import Thing, frames_of
 from aiorts_studio.watching.graph import FOLDED, IN_COMPOSITE, Graph, side_of
 from aiorts_studio.watching.piles import placed
-from aiorts_studio.watching.places import Places
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import class_of, error_of, link_state, policy_of, said_of, state_of
 
@@ -89,21 +89,20 @@ class Scene:
 
     def restore(self, kernel: str, places: Places) -> None:
         """Give the boxes of a kernel that is not drawn yet the places that they had."""
-        self._moved |= {("box", kernel, name): place for name, place in places.boxes.items()}
+        self._moved |= {("box", kernel, name): (one.x, one.y) for name, one in places.boxes.items()}
         self._by_hand |= {("box", kernel, name) for name in places.by_hand}
 
     def places(self, kernel: str) -> Places:
         """The places of a kernel's boxes; of one in a frame that is folded, the place that it is to have."""
         components, layout = self.views[kernel].components, self._layout
-        kept = {key: place for key, place in self._moved.items() if key[:2] == ("box", kernel)}
-        drawn = {
-            key: (round(spot.x - left, 1), round(spot.y - top, 1))
-            for key, spot in layout.spots.items()
-            if key[:2] == ("box", kernel)
-            for left, top in (layout.corner(spot.band),)
-        }
-        boxes = {key[2]: place for key, place in {**kept, **drawn}.items() if key[2] in components}
-        return Places(boxes, {key[2] for key in self._by_hand & kept.keys() if key[2] in boxes})
+        first = min((band.top for key, band in layout.bands.items() if key[1] == kernel), default=0.0)
+        boxes = {key[2]: Place(*place, 0.0) for key, place in self._moved.items() if key[:2] == ("box", kernel)}
+        for key, spot in layout.spots.items():
+            if key[:2] == ("box", kernel):
+                left, top = layout.corner(spot.band)
+                boxes[key[2]] = Place(round(spot.x - left, 1), round(spot.y - top, 1), round(top - first, 1))
+        by_hand = {key[2] for key in self._by_hand if key[:2] == ("box", kernel)}
+        return Places({name: one for name, one in boxes.items() if name in components}, by_hand & components.keys())
 
     def fold(self, number: int, *, on: bool) -> None:
         """Fold a frame into one box, or unfold it, when the scene is drawn next."""

@@ -14,6 +14,7 @@ from typing import Any, Final
 from anyio import to_thread
 
 from aiorts.errors import AiortsError, NoAnswerError
+from aiorts.layout_file import Places
 from aiorts.sessions import AsyncClient, Entry, entries
 from aiorts_studio.plain.problems import problem_of
 from aiorts_studio.plain.values import json_out
@@ -21,7 +22,7 @@ from aiorts_studio.watching.ages import Ages
 from aiorts_studio.watching.feeds import happening
 from aiorts_studio.watching.figures import Row, different
 from aiorts_studio.watching.page import FAR, Page
-from aiorts_studio.watching.places import PlaceFiles, Places
+from aiorts_studio.watching.places import PlaceFiles
 from aiorts_studio.watching.plots import Shown, Tap
 from aiorts_studio.watching.recording import Recorder
 from aiorts_studio.watching.scene import Scene
