@@ -5,7 +5,7 @@ between boxes: down in the channel right of a column, and across columns at a he
 edge runs through a box. `place` lays all out; `add`, `remove` and `route` change one thing, and nothing else moves.
 
 A graph with more columns than its number of boxes wants is folded: the boxes of each band go on in rows below, like
-lines of a text. So 1,000 boxes of two in-ports and two out-ports in 40 bands, with 2,000 edges, become 9,800 x 21,100
+lines of a text. So 1,000 boxes of two in-ports and two out-ports in 40 bands, with 2,000 edges, become 9,800 x 21,300
 pixels.
 """
 
