@@ -7,7 +7,7 @@ in all of them. So no edge runs through a box. `place` lays all out; `add`, `rem
 nothing else moves.
 
 A pile with more columns than its number of boxes wants is folded: the boxes of each band go on in rows below, like
-lines of a text. So 1,000 boxes of two in-ports and two out-ports in 40 bands, with 2,000 edges, become 9,800 x 21,100
+lines of a text. So 1,000 boxes of two in-ports and two out-ports in 40 bands, with 2,000 edges, become 9,800 x 21,300
 pixels.
 """
 
