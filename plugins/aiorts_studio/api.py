@@ -76,6 +76,7 @@ class Api:
 
     Attributes:
         exchanged: called when a code was exchanged.
+        ends: why the server ends; "" while it does not.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class Api:
         self.codes = Codes(self._ended)
         self.under_way = UnderWay()
         self.exchanged: Callable[[], object] = _ignore
+        self.ends = ""
         self._say = say
         self.studio = studio or Studio()
         self._visitors: dict[Holder, Visitor] = {}
@@ -202,8 +204,9 @@ class Api:
             self._endings.add(ending)
             ending.add_done_callback(self._endings.discard)
 
-    async def close(self) -> None:
-        """End all tokens, and what their clients have under way."""
+    async def close(self, why: str = "") -> None:
+        """End all tokens, and what their clients have under way, who are told why."""
+        self.ends = why
         self.codes.end_all()
         await self.studio.close()
         if self._endings:

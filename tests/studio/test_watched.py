@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aiorts_studio.beside import PORTS, port_of
 from aiorts_studio.watching.figures import Figures, different
+from aiorts_studio.watching.page import Page
 from aiorts_studio.watching.plots import Columns, field_of
+from aiorts_studio.watching.studio import Studio
+from control_parts import WAIT
 
 pytestmark = pytest.mark.row(120)
 KINDS = ("connectors", "service_connectors", "timed", "contexts", "components")
@@ -60,6 +65,23 @@ def test_only_what_is_different_and_in_view_is_told() -> None:
     assert different({1: [1], 2: [2]}, told, [1, 3]) == {1: [1]}
     assert different({1: [1], 2: [2]}, told, [1, 2]) == {2: [2]}
     assert different({1: [5], 2: [2]}, told, [1, 2]) == {1: [5]}
+
+
+@pytest.mark.anyio
+async def test_a_studio_is_unattended_some_time_after_its_last_page() -> None:
+    studio, page = Studio(["nothing"]), Page()
+    waiting = asyncio.create_task(studio.unattended(WAIT, 0.05))
+    await studio.join(page)
+    await asyncio.sleep(0.1)
+    assert not waiting.done()
+    await studio.leave(page)
+    await asyncio.wait_for(waiting, WAIT / 2)
+    await asyncio.wait_for(studio.unattended(0.01, WAIT), WAIT / 2)  # no page comes
+
+
+def test_the_port_of_a_run_is_the_same_each_time() -> None:
+    assert port_of("host/robot") == port_of("host/robot") != port_of("host/other")
+    assert port_of("host/robot") in PORTS
 
 
 DATA = st.recursive(

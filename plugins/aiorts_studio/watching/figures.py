@@ -72,10 +72,9 @@ class Figures:
             _digits(sum(row[at] or 0 for row in rows)) if at in (0, 3) else sum(row[at] for row in rows)
             for at in range(4)
         ]
-        if self.are_old:
-            sums[0] = None
+        rate = None if self.are_old else sums[0]
         largest = [max((row[at] for row in rows if row[at] is not None), default=None) for at in (5, 6)]
-        return [*sums, dict(reasons) or None, *largest]
+        return [rate, *sums[1:], dict(reasons) or None, *largest]
 
     def _connector(self, name: str) -> Row | None:
         """The rate in Hz, drops, samples that wait, drops a second and by reason, the age and the round trip in ms."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -72,16 +72,17 @@ class Studio:
         self._followers: dict[Follower, None] = {self._ages: None}
         self._taps: dict[tuple[str, str], Tap] = {}
         self._history: deque[dict[str, Any]] = deque(maxlen=_KEPT)
+        self._keeps = False
         self._dirty, self._drawn = asyncio.Event(), asyncio.Event()
+        self._attended, self._deserted = asyncio.Event(), asyncio.Event()
+        self._deserted.set()
 
     # -- pages -----------------------------------------------------------------------------------------------------
 
     async def join(self, page: Page) -> None:
         """Tell a page all that is there, and each change from then on."""
         self._coming += 1
-        if self._working is None:
-            self._drawn.clear()
-            self._working = begun(self._work(), "studio")
+        self._begin()
         try:
             with suppress(TimeoutError):  # then it begins with what is there
                 async with asyncio.timeout(_LOOK):
@@ -89,6 +90,8 @@ class Studio:
         finally:
             self._coming -= 1
         self.pages.add(page)
+        self._attended.set()
+        self._deserted.clear()
         page.put(self.scene.picture())
         page.put({"t": "history", "items": self._of_the_last_minute()})
         page.put(self.recorder.state())
@@ -98,8 +101,51 @@ class Studio:
         """Forget a page; with the last one the watching ends."""
         self.pages.discard(page)
         self._ages.leave(page)
+        if not self.pages:
+            self._attended.clear()
+            self._deserted.set()
         if not self.pages and not self._coming:
             await self.close()
+
+    def _begin(self) -> None:
+        if self._working is None:
+            self._drawn.clear()
+            self._working = begun(self._work(), "studio")
+
+    @asynccontextmanager
+    async def watching(self) -> AsyncIterator[None]:
+        """Watch without a page, too, and forget nothing, for as long as the block takes."""
+        self._coming += 1
+        self._keeps = True
+        self._begin()
+        try:
+            yield
+        finally:
+            self._coming -= 1
+            self._keeps = False
+
+    async def unattended(self, first: float, again: float) -> None:
+        """Wait until no page has been open for so many seconds.
+
+        Args:
+            first: where none is.
+            again: after the last was closed.
+        """
+        patience = again if self.pages else first
+        while True:
+            await self._deserted.wait()
+            try:
+                async with asyncio.timeout(patience):
+                    await self._attended.wait()
+            except TimeoutError:
+                return
+            patience = again
+
+    def say_ended(self, why: str) -> None:
+        """Say how what is watched has ended."""
+        for view in self.scene.views.values():
+            if view.say("ended", why):
+                self.changed()
 
     async def close(self) -> None:
         """End the watching."""
@@ -275,7 +321,7 @@ class Studio:
         """Forget kernels that ended long ago."""
         now = time.monotonic()
         for key, view in list(self.scene.views.items()):
-            if view.about["state"] == "ended" and now > view.answered + _FORGOTTEN:
+            if not self._keeps and view.about["state"] == "ended" and now > view.answered + _FORGOTTEN:
                 del self.scene.views[key]
                 self._watches.pop(key, None)
                 self.changed()
