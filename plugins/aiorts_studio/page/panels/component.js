@@ -63,7 +63,7 @@ function Connectors({ box }) {
   const own = [...edges.value.values()].filter((edge) => edge.from[0] === box.id || edge.to[0] === box.id);
   if (!own.length) return html`<section><h3 class="over">Connectors</h3><p class="quiet">None of its ports is connected.</p></section>`;
   own.sort((a, b) => Number(a.from[0] === box.id) - Number(b.from[0] === box.id));
-  return html`<section><h3 class="over">Connectors</h3><table><thead><tr><th scope="col">to, from</th><th scope="col" class="figure">rate</th><th scope="col" class="figure">dropped</th></tr></thead>
+  return html`<section><h3 class="over">Connectors</h3><table><thead><tr><th scope="col">to, from</th><th scope="col" class="figure">rate</th><th scope="col" class="figure">lost</th></tr></thead>
     <tbody>${own.map((edge) => html`<${ConnectorRow} key=${edge.id} edge=${edge} box=${box} />`)}</tbody></table></section>`;
 }
 
