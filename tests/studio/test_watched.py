@@ -14,6 +14,8 @@ from aiorts_studio.watching.figures import Figures, different
 from aiorts_studio.watching.page import Page
 from aiorts_studio.watching.plots import Columns, field_of
 from aiorts_studio.watching.studio import Studio
+from aiorts_studio.watching.totals import folded_row, total_of
+from aiorts_studio.watching.view import View
 from control_parts import WAIT
 
 pytestmark = pytest.mark.row(120)
@@ -58,6 +60,34 @@ def test_what_is_gone_is_forgotten() -> None:
     figures.take(item(2 * SECOND, {}, gone={"connectors": ["a"]}))
     assert figures.edge(["a"]) is None
     assert not figures.trips
+
+
+def test_a_kernel_as_a_whole_counts_what_is_folded_and_names_the_worst_first() -> None:
+    figures, view = Figures(), View("k", "host/k", {})
+    names = {"a.out-b.in": 5, "a.out-c.in": 70, "c.out-d.in": 0}
+    ends = {name: dict(zip(("source", "target"), name.split("-"), strict=True)) for name in names}
+    view.profile = {"components": {name: {"last_error": None} for name in "abcd"}, "connectors": ends}
+    view.profile["components"]["c"]["last_error"] = "ValueError: no"
+    states = {"states": {"x": "active"}, "failed": False}
+    for step in (0, 1):
+        counted = {name: [100 * step, 0, 0, {"overwritten": lost}, 0] for name, lost in names.items()}
+        figures.take(item(SECOND * (step + 1), counted, whole=not step))
+        figures.now["components"] = {name: {**states, "failed": name == "c"} for name in "abcd"}
+    folded = {"a.out-b.in": 11, "a.out-c.in": 12, "c.out-d.in": None}
+    total = total_of(view, figures, folded, {"a": 1, "b": 2, "c": 9, "d": 9})
+    assert total == [
+        *(4, 3, 300.0, 75),
+        [["c", "ValueError: no", 9]],
+        [
+            ["a.out", "c.in", 70, ["overwritten"], "edge", 12],
+            ["a.out", "b.in", 5, ["overwritten"], "edge", 11],
+        ],
+    ]
+    inside = total_of(view, figures, dict.fromkeys(folded), {"a": 9, "c": 9})
+    assert inside[:4] == total[:4]
+    assert inside[5][0][4:] == ["box", 9]
+    assert folded_row(figures, "cd", ["a.out-c.in", "c.out-d.in"]) == ["error", "1 failed, 1 loses samples"]
+    assert folded_row(figures, "ab", []) == ["active", ""]
 
 
 def test_only_what_is_different_and_in_view_is_told() -> None:

@@ -16,16 +16,21 @@ export function named(kernel, name) {
   return quoted(own && kernels.value.size > 1 ? `${own.name}/${name}` : name);
 }
 
-/** The commands for a thing; the first one shows it. @param {Selection | null} selection @returns {Command[]} */
-export function commandsOf(selection) {
+/**
+ * The commands for a thing; the first one shows it.
+ * @param {Selection | null} selection
+ * @param {string} [change] of a component, the command that changes a parameter; "" where it has none, undefined: that is not known
+ * @returns {Command[]}
+ */
+export function commandsOf(selection, change) {
   if (!selection) return [];
   const { kind, id } = selection;
   if (kind === "box") {
     const box = boxes.value.get(Number(id));
     if (!box) return [];
     const name = named(box.kernel, box.name);
-    return [{ says: "show it", command: `aiorts cat ${name}` }, { says: "its parameters", command: `aiorts conf ${name}` },
-      { says: "its log", command: `aiorts vlog ${name}` }];
+    return [{ says: "show it", command: `aiorts cat ${name}` }, ...(change === "" ? [] : [{ says: "its parameters", command: `aiorts conf ${name}` }]),
+      ...(change ? [{ says: "change a parameter", command: change }] : []), { says: "its log", command: `aiorts vlog ${name}` }];
   }
   if (kind === "edge") {
     const edge = edges.value.get(Number(id));

@@ -23,6 +23,7 @@ from aiorts_studio.watching.page import FAR, Page
 from aiorts_studio.watching.plots import Shown, Tap
 from aiorts_studio.watching.recording import Recorder
 from aiorts_studio.watching.scene import Scene
+from aiorts_studio.watching.totals import folded_row, total_of
 from aiorts_studio.watching.view import View, about
 from aiorts_studio.watching.watch import ENDED, Follower, Watch, begun
 
@@ -240,6 +241,8 @@ class Studio:
         if change is not None:
             self._tell(change)
             for page in self.pages:
+                for box in change.get("boxes", ()):
+                    page.told["b"].pop(box["id"], None)  # the box that is new has no row
                 page.look(self.scene.things)
 
     async def _look(self) -> None:
@@ -377,7 +380,8 @@ class Studio:
         wanted = frozenset[int]().union(*(page.seen["e"] for page in pages if not page.is_far))
         near = {number: row for number in wanted & edges.keys() if (row := figures.edge(edges[number])) is not None}
         far: dict[int, Row] = {number: [int(any(map(figures.is_lossy, names)))] for number, names in edges.items()}
-        boxes = self._rows("box", key, figures.now["components"], figures.box)
+        boxes = self._rows("box", key, figures.now["components"], figures.box) | self._folded(watch)
+        totals = self._total(watch)
         frames = self._rows("frame", key, figures.now["contexts"], figures.frame)
         for page in pages:
             rows, seen = (far, frozenset(far)) if page.is_far else (near, page.seen["e"])
@@ -385,9 +389,30 @@ class Studio:
                 "e": different(rows, page.told["e"], seen),
                 "b": different(boxes, page.told["b"], page.seen["b"]),
                 "f": different(frames, page.told["f"], frames),
+                "k": different(totals, page.told["k"], totals),
             }
             if any(message.values()):
                 page.put({"t": "figures", "at": {watch.view.address: figures.at_ns}, **message})
+
+    def _total(self, watch: Watch) -> dict[int, Row]:
+        """What a kernel comes to, by the number of its frame."""
+        key, numbers = watch.view.key, self.scene.numbers
+        boxes: dict[str, int | None] = {name: numbers.get(("box", key, name)) for name in watch.view.components}
+        for number, members in self.scene.folds.get(key, {}).items():
+            boxes |= dict.fromkeys(members, number)
+        connectors: dict[str, int | None] = dict.fromkeys(self.scene.inside.get(key, ()))
+        total = total_of(watch.view, watch.figures, connectors | self.scene.connectors.get(key, {}), boxes)
+        return {self.scene.number("frame", key): total}
+
+    def _folded(self, watch: Watch) -> dict[int, Row]:
+        """How those are that folded boxes stand for, by the number of the box."""
+        key, found = watch.view.key, dict[int, Row]()
+        names = [*self.scene.connectors.get(key, ()), *self.scene.inside.get(key, ())]
+        for number, members in self.scene.folds.get(key, {}).items():
+            known = set(members)
+            ends = [name for name in names if known.intersection(watch.view.ends_of(name))]
+            found[number] = folded_row(watch.figures, members, ends)
+        return found
 
     def _rows(self, kind: str, key: str, names: Mapping[str, Any], row: Callable[[str], Row | None]) -> dict[int, Row]:
         numbers = self.scene.numbers

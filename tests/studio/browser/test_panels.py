@@ -101,6 +101,24 @@ def test_an_error_leads_from_what_needs_a_look_and_from_the_log_to_its_component
     heading(page, "fails")
 
 
+def test_what_is_folded_counts_and_is_said(page: Opened) -> None:
+    needed, lost = page.page.locator(".troubles .name"), page.page.locator("header .fact.bad b")
+    until(lambda: {"fails", "wave.out → slow.in"} <= set(needed.all_inner_texts()))
+    facts = page.page.locator("header .fact span").first.inner_text()
+    before = int(lost.inner_text().replace(",", ""))
+    page.page.get_by_role("button", name="Fold lossy").click()
+    try:
+        page.page.locator(".box.folded.is-error").get_by_text("1 failed").wait_for()
+        assert set(needed.all_inner_texts()) == {"fails", "wave.out → slow.in"}
+        assert page.page.locator("header .fact span").first.inner_text() == facts
+        assert int(lost.inner_text().replace(",", "")) >= before
+        needed.get_by_text("fails").click()
+        heading(page, "lossy")
+    finally:
+        page.page.get_by_role("button", name="Unfold lossy").click()
+        page.page.locator(".box.folded").wait_for(state="detached")
+
+
 def test_the_log_is_chosen_by_component_and_level(page: Opened) -> None:
     page.show("Log")
     page.page.get_by_role("combobox", name="Component").select_option("wave")
@@ -201,6 +219,27 @@ def test_a_command_is_copied(page: Opened) -> None:
     page.page.evaluate("document.activeElement?.blur()")
     page.page.keyboard.press("c")
     until(lambda: page.page.evaluate("navigator.clipboard.readText()") == "aiorts cat slow")
+
+
+def test_values_of_parameters_are_whole_at_the_width_that_the_panel_has_at_first(page: Opened) -> None:
+    page.choose("wave")
+    values = page.page.locator("aside .value .whole")
+    values.first.wait_for()
+    faults = """all => all.filter((one) => {
+      const own = one.getBoundingClientRect(), around = one.closest('aside').getBoundingClientRect();
+      return own.width < 5 || own.left < around.left || own.right > around.right
+        || getComputedStyle(one.parentElement).overflow !== 'visible' || one.dataset.full !== one.textContent;
+    }).map((one) => one.textContent)"""
+    assert values.count() >= 3
+    assert values.evaluate_all(faults) == []
+
+
+def test_the_command_that_changes_a_parameter_is_offered_where_there_is_one(page: Opened) -> None:
+    page.choose("wave")
+    commands = page.page.locator("aside .commands code")
+    until(lambda: "aiorts conf wave gain=3" in commands.all_inner_texts())
+    page.choose("slow")
+    until(lambda: commands.all_inner_texts() == ["aiorts cat slow", "aiorts vlog slow"])
 
 
 def test_a_page_that_only_looks_says_why_it_cannot_record_and_has_an_age_measured(

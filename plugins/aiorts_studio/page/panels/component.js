@@ -4,13 +4,15 @@ import { boxFigures, boxes, choose, edges, figures, kernels } from "../store.js"
 import { count, endsOf, kernelTrouble, number, portSpoken, reasonsOf } from "../words.js";
 import { useAnswer } from "./asked.js";
 import { StateChart } from "./chart.js";
-import { Commands } from "./as_commands.js";
+import { Commands, CopyIcon } from "./as_commands.js";
 import { Cut, html, said } from "./parts.js";
 import { canPlot, plot } from "./plots.js";
 
 /** @import {Box, Edge} from "../types.js" */
 
 const EVERY_MS = 1500;
+/** Letters of a value from which on it has a line of its own. */
+const LONG = 12;
 
 /** @param {{box: Box}} props */
 export function ComponentPart({ box }) {
@@ -37,7 +39,14 @@ export function ComponentPart({ box }) {
     ${report?.composite && html`<section><h3 class="over">Members</h3><p class="doc">${report.composite.members.join(", ")}</p></section>`}
     ${report?.log?.length > 0 && html`<section><h3 class="over">Last lines</h3><ul class="last-lines">${report.log.slice(-5).map((/** @type {any} */ line, /** @type {number} */ index) => html`
       <li key=${index} class=${line.level.toLowerCase()}><b>${line.level}</b> ${line.text}</li>`)}</ul></section>`}
-    <${Commands} commands=${commandsOf({ kind: "box", id: box.id })} />`;
+    <${Commands} commands=${commandsOf({ kind: "box", id: box.id }, firstParameter(box, report))} />`;
+}
+
+/** The command that changes the first parameter; "" without one, undefined as long as that is not known. @param {Box} box @param {any} report */
+function firstParameter(box, report) {
+  if (!report) return undefined;
+  const [first] = Object.entries(/** @type {Record<string, any>} */ (report.params ?? {}));
+  return first ? setting(box, first[0], said(first[1].value)) : "";
 }
 
 /** @param {{box: Box, text: string}} props */
@@ -54,7 +63,7 @@ function Connectors({ box }) {
   const own = [...edges.value.values()].filter((edge) => edge.from[0] === box.id || edge.to[0] === box.id);
   if (!own.length) return html`<section><h3 class="over">Connectors</h3><p class="quiet">None of its ports is connected.</p></section>`;
   own.sort((a, b) => Number(a.from[0] === box.id) - Number(b.from[0] === box.id));
-  return html`<section><h3 class="over">Connectors</h3><table><thead><tr><th scope="col">to, from</th><th scope="col" class="figure">rate</th><th scope="col" class="figure">dropped</th></tr></thead>
+  return html`<section><h3 class="over">Connectors</h3><table><thead><tr><th scope="col">to, from</th><th scope="col" class="figure">rate</th><th scope="col" class="figure">lost</th></tr></thead>
     <tbody>${own.map((edge) => html`<${ConnectorRow} key=${edge.id} edge=${edge} box=${box} />`)}</tbody></table></section>`;
 }
 
@@ -62,7 +71,8 @@ function Connectors({ box }) {
 function ConnectorRow({ edge, box }) {
   const row = figures.value.get(edge.id), outward = edge.from[0] === box.id, [from, to] = endsOf(edge, boxes.value);
   const words = outward ? `${edge.from[1]} → ${to}` : `${edge.to[1]} ← ${from}`, service = isService(box, outward ? edge.from[1] : edge.to[1]);
-  return html`<tr><td><button class="lead" onClick=${() => choose("edge", edge.id)}><${Cut} text=${words} /></button><small>${edge.state === "up" ? edge.policy : edge.state}</small></td>
+  return html`<tr class="whole"><td colspan="3"><button class="lead" onClick=${() => choose("edge", edge.id)}><${Cut} text=${words} /></button></td></tr>
+    <tr class="under"><td><small>${edge.state === "up" ? edge.policy : edge.state}</small></td>
     <td class="figure">${service || row?.rate === null || row?.rate === undefined ? "–" : `${number(row.rate)} Hz`}${row?.backlog ? html`<small>${count(row.backlog)} wait</small>` : null}</td>
     <td class=${`figure ${row?.dropped ? "bad" : ""}`}>${service ? "–" : row ? count(row.dropped) : "–"}<small>${row && reasonsOf(row).map(([why]) => why).join(", ")}</small></td></tr>`;
 }
@@ -89,12 +99,15 @@ function Parameters({ box, report }) {
   return html`<section><h3 class="over">Parameters${sets.length > 1 && html` <span>of set ${report.configuration.active} (also ${sets.filter((one) => one !== report.configuration.active).join(", ")})</span>`}</h3>
     <table><tbody>${all.map(([name, one]) => {
       const value = said(one.value), changed = JSON.stringify(one.value) !== JSON.stringify(one.default), limits = constraint(one);
-      return html`<tr key=${name}><td><${Cut} text=${name} class="name" /><small>${one.doc}</small></td>
-        <td class="figure"><button class=${`value ${changed ? "changed" : ""}`} title=${changed ? `The default is ${said(one.default)}. Copies the command that sets it.` : "Copies the command that sets it"}
-            onClick=${() => void copy(`aiorts conf ${named(box.kernel, box.name)} ${quoted(`${name}=${value}`)}`)}><${Cut} text=${value === "" ? "“”" : value} />${one.unit && html` <span class="unit">${one.unit}</span>`}</button>
+      return html`<tr key=${name} class=${value.length > LONG ? "long" : ""}><td><${Cut} text=${name} class="name" /><small>${one.doc}</small></td>
+        <td class="figure"><button class=${`value ${changed ? "changed" : ""}`} title=${`${changed ? `The default is ${said(one.default)}. ` : ""}Copies the command that sets it`}
+            onClick=${() => void copy(setting(box, name, value))}><span class="whole" data-full=${value}>${value === "" ? "“”" : value}</span>${one.unit && html` <span class="unit">${one.unit}</span>`}<${CopyIcon} /></button>
           <small>${limits || one.type}</small></td></tr>`;
     })}</tbody></table></section>`;
 }
+
+/** The command that sets a parameter. @param {Box} box @param {string} name @param {string} value */
+const setting = (box, name, value) => `aiorts conf ${named(box.kernel, box.name)} ${quoted(`${name}=${value}`)}`;
 
 /** What a value may be, in words. @param {any} one */
 function constraint(one) {
