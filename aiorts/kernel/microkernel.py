@@ -183,11 +183,10 @@ class Microkernel:
 
     async def _close(self) -> None:
         """Give everything up, in reverse order, within one budget of time."""
-        budget = StopBudget(self.loop)
+        budget, contexts = StopBudget(self.loop), tuple(self.contexts.values())
         self._await_stop()
         self.closing.set_result(budget)
         self.bus.publish(Closing())
-        contexts = tuple(self.contexts.values())
         for driver in filter(None, (context.runner.driver for context in contexts)):
             driver.hurry(budget)
         try:

@@ -78,6 +78,7 @@ class Api:
 
     Attributes:
         exchanged: called when a code was exchanged.
+        ends: why the server ends; "" while it does not.
     """
 
     def __init__(
@@ -95,6 +96,7 @@ class Api:
         self.under_way = UnderWay()
         self._open = Open()
         self.exchanged: Callable[[], object] = _ignore
+        self.ends = ""
         self._say = say
         self.studio = studio or Studio()
         self._visitors: dict[Holder, Visitor] = {}
@@ -204,8 +206,9 @@ class Api:
             self._endings.add(ending)
             ending.add_done_callback(self._endings.discard)
 
-    async def close(self) -> None:
-        """End all tokens, and what their clients have under way."""
+    async def close(self, why: str = "") -> None:
+        """End all tokens, and what their clients have under way, who are told why."""
+        self.ends = why
         self.codes.end_all()
         await self.studio.close()
         if self._endings:

@@ -63,7 +63,7 @@ class PageSockets:
                 await visitor.work(_PageSocket(self._api, self._studio, socket, visitor).carry(), gone.wait)
             finally:
                 self._open -= 1
-            await close(socket, OVER, "the token has ended" if visitor.closed else "")
+            await close(socket, OVER, self._api.ends or ("the token has ended" if visitor.closed else ""))
 
 
 class _PageSocket:

@@ -1,8 +1,11 @@
 /** What the whole system does, in one line; and the theme. */
 import { h } from "./vendor/preact.js";
 import htm from "./vendor/htm.js";
-import { boxes, choose, connection, edges, figures, frameFigures, frames, kernels, keysOpen, missed, right, theme } from "./store.js";
+import { worstLoss } from "./panels/troubles.js";
+import { choose, connection, frameFigures, frames, kernels, keysOpen, missed, right, theme, totals } from "./store.js";
 import { count, counted, number } from "./words.js";
+
+/** @import {Total} from "./types.js" */
 
 const html = htm.bind(h);
 
@@ -30,23 +33,20 @@ function Live() {
 
 /** @returns {[string, string, boolean, (() => void) | null][]} value, words, whether it is bad, what leads there */
 function facts() {
-  const rows = [...figures.value];
-  const known = rows.filter(([, row]) => row.rate !== null), passing = known.reduce((sum, [, row]) => sum + (row.rate ?? 0), 0);
-  const lost = rows.reduce((sum, [, row]) => sum + row.dropped, 0), unknown = rows.filter(([, row]) => row.lossy && !row.dropped);
-  const worst = rows.reduce((most, one) => (one[1].dropped > (most?.[1].dropped ?? 0) ? one : most), /** @type {typeof rows[0] | null} */ (null));
+  const all = [...totals.value.values()], sum = (/** @type {(one: Total) => number} */ of) => all.reduce((so, one) => so + of(one), 0);
+  const known = all.some((one) => one.rate !== null), lost = sum((one) => one.dropped), worst = worstLoss();
   const late = [...frameFigures.value].reduce((most, one) => ((one[1].late ?? -1) > (most?.[1].late ?? -1) ? one : most), /** @type {[number, any] | null} */ (null));
   const live = [...kernels.value.values()].filter((one) => one.state !== "ended"), names = live.length === 1 ? live[0].name : counted(live.length, "kernel");
   /** @type {[string, string, boolean, (() => void) | null][]} */
-  const all = [
-    [names, `${counted(boxes.value.size, "component")}, ${counted(edges.value.size, "connector")}`, false, null],
-    [known.length ? `${number(passing)}/s` : "–", "samples in view", false, null],
-    lost || !unknown.length ? [count(lost), "samples dropped", lost > 0, worst ? () => choose("edge", worst[0], { focus: true }) : null]
-      : [counted(unknown.length, "connector"), unknown.length === 1 ? "drops samples" : "drop samples", true, () => choose("edge", unknown[0][0], { focus: true })],
+  const facts = [
+    [names, `${counted(sum((one) => one.components), "component")}, ${counted(sum((one) => one.connectors), "connector")}`, false, null],
+    [known ? `${number(sum((one) => one.rate ?? 0))}/s` : "–", "samples", false, null],
+    [count(lost), "samples lost", lost > 0, worst ? () => choose(worst.thing.kind, worst.thing.id, { focus: true }) : null],
   ];
   if (late && late[1].late !== null) {
-    all.push([`${number(late[1].late)} ms`, `late (p99) in ${frames.value.get(late[0])?.name ?? "?"}`, false, () => choose("frame", late[0])]);
+    facts.push([`${number(late[1].late)} ms`, `late (p99) in ${frames.value.get(late[0])?.name ?? "?"}`, false, () => choose("frame", late[0])]);
   }
-  return all;
+  return facts;
 }
 
 /** Light or dark: as the system has it, until the user has chosen. */

@@ -4,7 +4,7 @@
  */
 import { batch, computed, signal } from "./vendor/preact-signals.js";
 
-/** @import {Box, Change, Edge, EdgeFigures, Figures, Frame, FrameFigures, Kernel, Message, Picture, Selection, Answer} from "./types.js" */
+/** @import {Box, Change, Edge, EdgeFigures, Figures, Frame, FrameFigures, Kernel, Message, Picture, Selection, Total, Answer} from "./types.js" */
 /** @template T @typedef {import("./vendor/preact-signals.js").Signal<T>} Signal */
 
 /** The kernels by address. */
@@ -18,6 +18,8 @@ export const figures = signal(/** @type {Map<number, EdgeFigures>} */ (new Map()
 /** State and what is said of it, of boxes by id, where it differs from the box's own. */
 export const boxFigures = signal(/** @type {Map<number, {state: string, said: string}>} */ (new Map()));
 export const frameFigures = signal(/** @type {Map<number, FrameFigures>} */ (new Map()));
+/** Kernels as a whole, by the id of their frame. */
+export const totals = signal(/** @type {Map<number, Total>} */ (new Map()));
 /** The times to which the figures belong, in ns, by the kernel's address. */
 export const at = signal(/** @type {Record<string, number>} */ ({}));
 
@@ -187,6 +189,7 @@ function takePicture(message) {
   figures.value = new Map();
   boxFigures.value = new Map();
   frameFigures.value = new Map();
+  totals.value = new Map();
 }
 
 /** @param {Change} message */
@@ -199,6 +202,7 @@ function takeChange({ gone = {}, ...news }) {
   merge(edges, gone.edges, (news.edges ?? []).map((one) => [one.id, one]));
   merge(figures, gone.edges, []);
   merge(frameFigures, gone.frames, []);
+  merge(totals, gone.frames, []);
   merge(boxFigures, [...(gone.boxes ?? []), ...(news.boxes ?? []).map((one) => one.id)], []);
 }
 
@@ -215,11 +219,12 @@ function merge(place, gone, news) {
 }
 
 /** @param {Figures} message */
-function takeFigures({ at: times = {}, e = {}, b = {}, f = {} }) {
+function takeFigures({ at: times = {}, e = {}, b = {}, f = {}, k = {} }) {
   at.value = { ...at.value, ...times };
   merge(figures, [], Object.entries(e).map(([id, row]) => [Number(id), edgeFigures(row, figures.value.get(Number(id)))]));
   merge(boxFigures, [], Object.entries(b).map(([id, [state, said = ""]]) => [Number(id), { state, said }]));
   merge(frameFigures, [], Object.entries(f).map(([id, [late, overruns = 0, who = ""]]) => [Number(id), { late, overruns, who }]));
+  merge(totals, [], Object.entries(k).map(([id, [components, connectors, rate, dropped, failed, lossy]]) => [Number(id), { components, connectors, rate, dropped, failed, lossy }]));
 }
 
 const NONE = { rate: null, dropped: 0, backlog: 0, loss: 0, reasons: null, age: null, trip: null, lossy: false };

@@ -72,10 +72,9 @@ class Figures:
             _digits(sum(row[at] or 0 for row in rows)) if at in (0, 3) else sum(row[at] for row in rows)
             for at in range(4)
         ]
-        if self.are_old:
-            sums[0] = None
+        rate = None if self.are_old else sums[0]
         largest = [max((row[at] for row in rows if row[at] is not None), default=None) for at in (5, 6)]
-        return [*sums, dict(reasons) or None, *largest]
+        return [rate, *sums[1:], dict(reasons) or None, *largest]
 
     def _connector(self, name: str) -> Row | None:
         """The rate in Hz, drops, samples that wait, drops a second and by reason, the age and the round trip in ms."""
@@ -95,8 +94,20 @@ class Figures:
 
     def is_lossy(self, name: str) -> bool:
         """Whether the connector has lost samples."""
+        return self.lost(name) > 0
+
+    def lost(self, name: str) -> int:
+        """The samples that the connector has lost."""
         counted = self.now["connectors"].get(name)
-        return counted is not None and lost(counted[3]) > 0
+        return 0 if counted is None or not counted[3] else lost(counted[3])
+
+    def rate(self, names: Iterable[str]) -> float | None:
+        """The samples a second that come to some connectors; None: it is not known, or not now."""
+        if self.are_old or not self._earlier or self.at_ns == self._earlier[0][0]:
+            return None
+        (at_ns, before), now = self._earlier[0], self.now["connectors"]
+        written = sum(now[name][0] - before[name][0] for name in names if name in before and name in now)
+        return _digits(written / ((self.at_ns - at_ns) / 1e9))
 
     def _before(self, name: str) -> tuple[int, Any] | None:
         for at_ns, counted in self._earlier:

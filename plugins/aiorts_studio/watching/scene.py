@@ -34,6 +34,8 @@ class Scene:
         views: the kernels by key.
         things: what pages show, by kind and number.
         connectors: by the key of a kernel, the number of the edge of each connector whose figures the edge has.
+        folds: by the key of a kernel, the components of each folded box by its number.
+        inside: by the key of a kernel, its connectors that are inside folded boxes.
         numbers: the number of each thing by key.
     """
 
@@ -41,6 +43,8 @@ class Scene:
         self.views: dict[str, View] = {}
         self.things: dict[str, dict[int, Thing]] = {kind: {} for kind in KINDS}
         self.connectors: dict[str, dict[str, int]] = {}
+        self.folds: dict[str, dict[int, list[str]]] = {}
+        self.inside: dict[str, list[str]] = {}
         self.numbers: dict[Key, int] = {}
         self._next = count(1)
         self._graph = Graph({})
@@ -145,6 +149,10 @@ class Scene:
             made = await asyncio.to_thread(_laid_out, spots, edges, graph.bands(), graph.units(), kept, moved)
             self._layout, self._routes = made
         self._graph = graph
+        self.folds = {key: {} for key in self.views}
+        for key, members in graph.folds.items():
+            self.folds[key[1]][self.number(*key)] = members
+        self.inside = graph.inside
         self.connectors = {key: {} for key in self.views}
         for key, bundle in graph.bundles.items():
             writer = bundle[0][0]

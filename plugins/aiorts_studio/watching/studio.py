@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -26,6 +26,7 @@ from aiorts_studio.watching.places import PlaceFiles
 from aiorts_studio.watching.plots import Shown, Tap
 from aiorts_studio.watching.recording import Recorder
 from aiorts_studio.watching.scene import Scene
+from aiorts_studio.watching.totals import folded_row, total_of
 from aiorts_studio.watching.view import View, about
 from aiorts_studio.watching.watch import ENDED, Follower, Watch, begun
 
@@ -84,6 +85,7 @@ class Studio:
         self._followers: dict[Follower, None] = {self._ages: None}
         self._taps: dict[tuple[str, str], Tap] = {}
         self._history: deque[dict[str, Any]] = deque(maxlen=_KEPT)
+        self._keeps = False
         self._dirty, self._drawn = asyncio.Event(), asyncio.Event()
         self._unwritten = asyncio.Event()
         self._places = places
@@ -91,15 +93,15 @@ class Studio:
         """By the key of the view: the places that were read, or written last."""
         self._placed: set[str] = set()
         """The keys of the views whose boxes a user has placed."""
+        self._attended, self._deserted = asyncio.Event(), asyncio.Event()
+        self._deserted.set()
 
     # -- pages -----------------------------------------------------------------------------------------------------
 
     async def join(self, page: Page) -> None:
         """Tell a page all that is there, and each change from then on."""
         self._coming += 1
-        if self._working is None:
-            self._drawn.clear()
-            self._working = begun(self._work(), "studio")
+        self._begin()
         try:
             with suppress(TimeoutError):  # then it begins with what is there
                 async with asyncio.timeout(_LOOK):
@@ -107,6 +109,8 @@ class Studio:
         finally:
             self._coming -= 1
         self.pages.add(page)
+        self._attended.set()
+        self._deserted.clear()
         page.put(self.scene.picture())
         page.put(self.recorder.state())
         page.look(self.scene.things)
@@ -115,8 +119,51 @@ class Studio:
         """Forget a page; with the last one the watching ends."""
         self.pages.discard(page)
         self._ages.leave(page)
+        if not self.pages:
+            self._attended.clear()
+            self._deserted.set()
         if not self.pages and not self._coming:
             await self.close()
+
+    def _begin(self) -> None:
+        if self._working is None:
+            self._drawn.clear()
+            self._working = begun(self._work(), "studio")
+
+    @asynccontextmanager
+    async def watching(self) -> AsyncIterator[None]:
+        """Watch without a page, too, and forget nothing, for as long as the block takes."""
+        self._coming += 1
+        self._keeps = True
+        self._begin()
+        try:
+            yield
+        finally:
+            self._coming -= 1
+            self._keeps = False
+
+    async def unattended(self, first: float, again: float) -> None:
+        """Wait until no page has been open for so many seconds.
+
+        Args:
+            first: where none is.
+            again: after the last was closed.
+        """
+        patience = again if self.pages else first
+        while True:
+            await self._deserted.wait()
+            try:
+                async with asyncio.timeout(patience):
+                    await self._attended.wait()
+            except TimeoutError:
+                return
+            patience = again
+
+    def say_ended(self, why: str) -> None:
+        """Say how what is watched has ended."""
+        for view in self.scene.views.values():
+            if view.say("ended", why):
+                self.changed()
 
     async def close(self) -> None:
         """End the watching."""
@@ -215,6 +262,8 @@ class Studio:
         if change is not None:
             self._tell(change)
             for page in self.pages:
+                for box in change.get("boxes", ()):
+                    page.told["b"].pop(box["id"], None)  # the box that is new has no row
                 page.look(self.scene.things)
 
     async def _look(self) -> None:
@@ -298,7 +347,7 @@ class Studio:
         """Forget kernels that ended long ago."""
         now = time.monotonic()
         for key, view in list(self.scene.views.items()):
-            if view.about["state"] == "ended" and now > view.answered + _FORGOTTEN:
+            if not self._keeps and view.about["state"] == "ended" and now > view.answered + _FORGOTTEN:
                 del self.scene.views[key]
                 self._written.pop(key, None)
                 self._placed.discard(key)
@@ -386,7 +435,8 @@ class Studio:
         wanted = frozenset[int]().union(*(page.seen["e"] for page in pages if not page.is_far))
         near = {number: row for number in wanted & edges.keys() if (row := figures.edge(edges[number])) is not None}
         far: dict[int, Row] = {number: [int(any(map(figures.is_lossy, names)))] for number, names in edges.items()}
-        boxes = self._rows("box", key, figures.now["components"], figures.box)
+        boxes = self._rows("box", key, figures.now["components"], figures.box) | self._folded(watch)
+        totals = self._total(watch)
         frames = self._rows("frame", key, figures.now["contexts"], figures.frame)
         for page in pages:
             rows, seen = (far, frozenset(far)) if page.is_far else (near, page.seen["e"])
@@ -394,9 +444,30 @@ class Studio:
                 "e": different(rows, page.told["e"], seen),
                 "b": different(boxes, page.told["b"], page.seen["b"]),
                 "f": different(frames, page.told["f"], frames),
+                "k": different(totals, page.told["k"], totals),
             }
             if any(message.values()):
                 page.put({"t": "figures", "at": {watch.view.address: figures.at_ns}, **message})
+
+    def _total(self, watch: Watch) -> dict[int, Row]:
+        """What a kernel comes to, by the number of its frame."""
+        key, numbers = watch.view.key, self.scene.numbers
+        boxes: dict[str, int | None] = {name: numbers.get(("box", key, name)) for name in watch.view.components}
+        for number, members in self.scene.folds.get(key, {}).items():
+            boxes |= dict.fromkeys(members, number)
+        connectors: dict[str, int | None] = dict.fromkeys(self.scene.inside.get(key, ()))
+        total = total_of(watch.view, watch.figures, connectors | self.scene.connectors.get(key, {}), boxes)
+        return {self.scene.number("frame", key): total}
+
+    def _folded(self, watch: Watch) -> dict[int, Row]:
+        """How those are that folded boxes stand for, by the number of the box."""
+        key, found = watch.view.key, dict[int, Row]()
+        names = [*self.scene.connectors.get(key, ()), *self.scene.inside.get(key, ())]
+        for number, members in self.scene.folds.get(key, {}).items():
+            known = set(members)
+            ends = [name for name in names if known.intersection(watch.view.ends_of(name))]
+            found[number] = folded_row(watch.figures, members, ends)
+        return found
 
     def _rows(self, kind: str, key: str, names: Mapping[str, Any], row: Callable[[str], Row | None]) -> dict[int, Row]:
         numbers = self.scene.numbers

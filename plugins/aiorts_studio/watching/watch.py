@@ -94,7 +94,8 @@ class Watch:
         except AiortsError:
             self._say("ended", KILLED)
         else:
-            self._say("ended", ENDED)
+            if self.view.about["state"] != "ended":  # the run has not said how
+                self._say("ended", ENDED)
 
     async def _follow(self, changes: AsyncStream) -> None:
         for one in self._followers:

@@ -101,6 +101,24 @@ def test_an_error_leads_from_what_needs_a_look_and_from_the_log_to_its_component
     heading(page, "fails")
 
 
+def test_what_is_folded_counts_and_is_said(page: Opened) -> None:
+    needed, lost = page.page.locator(".troubles .name"), page.page.locator("header .fact.bad b")
+    until(lambda: {"fails", "wave.out → slow.in"} <= set(needed.all_inner_texts()))
+    facts = page.page.locator("header .fact span").first.inner_text()
+    before = int(lost.inner_text().replace(",", ""))
+    page.page.get_by_role("button", name="Fold lossy").click()
+    try:
+        page.page.locator(".box.folded.is-error").get_by_text("1 failed").wait_for()
+        assert set(needed.all_inner_texts()) == {"fails", "wave.out → slow.in"}
+        assert page.page.locator("header .fact span").first.inner_text() == facts
+        assert int(lost.inner_text().replace(",", "")) >= before
+        needed.get_by_text("fails").click()
+        heading(page, "lossy")
+    finally:
+        page.page.get_by_role("button", name="Unfold lossy").click()
+        page.page.locator(".box.folded").wait_for(state="detached")
+
+
 def test_the_log_is_chosen_by_component_and_level(page: Opened) -> None:
     page.show("Log")
     page.page.get_by_role("combobox", name="Component").select_option("wave")
