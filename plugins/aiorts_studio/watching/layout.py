@@ -15,7 +15,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final, TypeAlias
 
-Point: TypeAlias = tuple[float, float]
+from aiorts_studio.watching.detour import Point, Rect, around, room
+
 Key: TypeAlias = tuple[str, ...]
 """The name of a box, a band or an edge."""
 
@@ -136,6 +137,8 @@ class Layout:
     moved: dict[Key, Point] = field(default_factory=dict)
     _spans: list[tuple[int, int]] = field(default_factory=lambda: [(0, 0)])
     """By pile: its first column, and the one behind its last."""
+    _loose: dict[Key, tuple[int, ...]] = field(default_factory=dict)
+    """The boxes that `move` has put, which stand in no column, and the columns in which they are in the way."""
     _lefts: list[float] = field(default_factory=list)
     _widths: list[float] = field(default_factory=list)
     _taken: dict[int, list[Point]] = field(default_factory=dict)
@@ -172,6 +175,7 @@ class Layout:
         """
         self.spots = {one.key: one for one in spots}
         self.groups, self.piles = dict(groups), dict(piles or {})
+        self._loose.clear()
         for made in (self.bands, self._lefts, self._widths, self._taken, self._tracks, self._runs, self._heights):
             made.clear()
         self._spans = [(0, 0)] * (max(self.piles.values(), default=0) + 1)
@@ -322,31 +326,38 @@ class Layout:
         self._spans[-1] = self._spans[-1][0], len(self._lefts)
 
     def move(self, key: Key, x: float, y: float) -> None:
-        """Put a box where there is room in its band, next to a place: `x` and `y` of its corner at the top left."""
+        """Put a box at a place, `x` and `y` of its corner at the top left, or where its band has room next to it."""
         spot = self.spots[key]
         self.remove(key)
         self.moved[key] = x, y
-        band = self.bands[spot.band]
-        low, high = band.top + BAND_HEAD, band.top + band.height - _FOOT
-        if self.pile_of(spot.band) + 1 == len(self._spans) and x >= self._lefts[-1] + self._widths[-1]:
-            self._begin_column(spot.w)
-        found = [
-            (abs(left - x) + abs(free - y), column, left, free)
-            for column in range(*self._spans[self.pile_of(spot.band)])
-            if spot.w <= self._widths[column] + _WIDER
-            and (free := self._free(column, y, spot.h, low, high)) is not None
-            and (left := self._lefts[column] + max(0.0, (self._widths[column] - spot.w) / 2)) is not None
-        ]
-        if found:
-            _, spot.column, spot.x, spot.y = min(found)
+        band, (left, right) = self.bands[spot.band], self.room_of(self.pile_of(spot.band))
+        within = (left + _EMPTY, band.top + BAND_HEAD, right - _BESIDE, band.top + band.height - _FOOT)
+        place = room((spot.w, spot.h), (x, y), within, map(_rect, self.spots.values()))
+        if place is not None:
+            spot.x, spot.y = place
         self.spots[key] = spot
-        insort(self._taken.setdefault(spot.column, []), (spot.y, spot.y + spot.h))
+        self._loose[key] = self._covered(spot)
+        for column in self._loose[key]:
+            insort(self._taken.setdefault(column, []), (spot.y, spot.y + spot.h))
+
+    def _covered(self, spot: Spot) -> tuple[int, ...]:
+        """The columns in which, or beside which, a box stands: no edge runs across there at its height."""
+        first, end = self._spans[self.pile_of(spot.band)]
+        rights = [self._lefts[column] + self._widths[column] for column in range(first, end)]
+        begins, ends = [float("-inf"), *rights[:-1]], [*self._lefts[first + 1 : end], float("inf")]
+        return tuple(
+            column
+            for column, begin, finish in zip(range(first, end), begins, ends, strict=True)
+            if spot.x < finish and spot.x + spot.w > begin
+        )
 
     def remove(self, key: Key) -> None:
         """Forget a box; its room is free again."""
         spot = self.spots.pop(key, None)
-        if spot is not None and (spot.y, spot.y + spot.h) in self._taken.get(spot.column, ()):
-            self._taken[spot.column].remove((spot.y, spot.y + spot.h))
+        if spot is not None:
+            for column in self._loose.pop(key, (spot.column,)):
+                if (spot.y, spot.y + spot.h) in self._taken.get(column, ()):
+                    self._taken[column].remove((spot.y, spot.y + spot.h))
 
     def _free(self, column: int, wanted: float, size: float, low: float, high: float) -> float | None:
         """The place nearest to `wanted` for a box of this height; None where there is none."""
@@ -361,6 +372,17 @@ class Layout:
 
     def route(self, edge: Edge) -> Route:
         """The way of an edge. Each has its own: connectors of one out-port have rates and losses of their own."""
+        route = self._along(edge)
+        ends = {edge.source, edge.target} & self._loose.keys()
+        in_the_way = self.spots.values() if ends else (self.spots[key] for key in self._loose)
+        if not any(meets(route, spot) for spot in in_the_way):
+            return route
+        self.forget(edge.key)
+        points = around(route.points[0], route.points[-1], map(_rect, self.spots.values()))
+        return route if points is None else Route(points, route.label)
+
+    def _along(self, edge: Edge) -> Route:
+        """The way through the channels between columns."""
         source, target = self.spots[edge.source], self.spots[edge.target]
         x1, y1 = source.x + source.w, source.y + source.port_y(edge.out, out=True)
         x2, y2 = target.x - 7, target.y + target.port_y(edge.into, out=False)
@@ -424,6 +446,10 @@ class Layout:
             tracks.pop((*key, "end"), None)
         if (height := self._heights.pop(key, None)) is not None:
             self._runs[height].pop(key, None)
+
+
+def _rect(spot: Spot) -> Rect:
+    return spot.x, spot.y, spot.x + spot.w, spot.y + spot.h
 
 
 def meets(route: Route, spot: Spot) -> bool:

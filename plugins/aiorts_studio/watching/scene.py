@@ -12,9 +12,10 @@ from itertools import count
 from typing import Any, Final, TypeAlias
 
 from aiorts.errors import AbsentError
+from aiorts_studio.watching.detour import Point
 from aiorts_studio.watching.frames import Thing, frames_of
 from aiorts_studio.watching.graph import FOLDED, IN_COMPOSITE, Graph, side_of
-from aiorts_studio.watching.layout import Band, Edge, Key, Layout, Point, Route, Spot, meets
+from aiorts_studio.watching.layout import Band, Edge, Key, Layout, Route, Spot, meets
 from aiorts_studio.watching.piles import placed
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import class_of, error_of, link_state, policy_of, said_of, state_of
@@ -63,8 +64,9 @@ class Scene:
     # -- what pages do with it -------------------------------------------------------------------------------------
 
     def tidy(self) -> None:
-        """Place everything anew when it is drawn next."""
+        """Place everything anew when it is drawn next, also what was moved by hand."""
         self._again = self._tidy = True
+        self._moved.clear()
 
     def lay_out(self) -> None:
         """Place everything again when it is drawn next, kernels beside those that they stood beside."""
