@@ -19,7 +19,7 @@ from anyio import to_thread
 from aiorts import KernelService, Microkernel, setting
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
-from aiorts.layout_file import layout_beside
+from aiorts.layout import layout_beside
 
 _FIRST: Final = 5.0
 """Seconds for which a run waits at the most for the address of its page before its contexts start."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from aiorts.cli.app import run_command
-from aiorts.layout_file import Place, places_of
+from aiorts.layout import Place, places_of
 from openrtm_parts import canonical, component, configuration, context, profile
 
 Out = pytest.CaptureFixture[str]

@@ -111,6 +111,25 @@ def test_boxes_that_are_moved_together_do_not_stand_in_the_way_of_one_another() 
     assert {one.key: (one.x, one.y) for one in spots} == turned
 
 
+def test_a_box_stays_where_it_is_put_and_edges_go_round_it() -> None:
+    spots, edges, groups = rows_of(1)
+    band: Key = ("band", "0")
+    spots += [Spot((f"more{n}",), band, ("in",), ("out",)) for n in range(4)]
+    layout = Layout()
+    layout.place(spots, edges, groups)
+    writer, reader = spots[:2]
+    between = (writer.x + writer.w + 40, writer.y + 9)
+    layout.move({("more0",): between})  # into the channel that the edge takes
+    moved = layout.spots["more0",]
+    assert (moved.x, moved.y) == between
+    check(layout, edges)
+    layout.move({("more1",): (reader.x + 3, reader.y + 5)})  # upon another
+    check(layout, edges)
+    layout.move({reader.key: (reader.x + 60, reader.y + 37)})
+    assert layout.route(edges[0]).points[-1] == (reader.x - 7, reader.y + reader.port_y("in", out=False))
+    check(layout, edges)
+
+
 def test_room_that_is_given_back_is_used_again() -> None:
     layout = Layout()
     spots = [Spot((str(i),), ("band",), ("in",), ("out",)) for i in range(3)]

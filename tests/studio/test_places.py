@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from aiorts.layout_file import Place, Places
+from aiorts.layout import Place, Places
 from aiorts_studio.watching.places import PlaceFiles, state_folder
 from control_parts import controlled
 from studio_page import Seen, paging

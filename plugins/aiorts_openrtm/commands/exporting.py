@@ -12,7 +12,7 @@ import click
 
 from aiorts import declaration_of, exits
 from aiorts.errors import AiortsError
-from aiorts.layout_file import LARGEST_LAYOUT, Places, layout_beside, places_of
+from aiorts.layout import LARGEST_LAYOUT, Places, layout_beside, places_of
 from aiorts.system import Choices, SystemFile, load, prepare
 from aiorts_openrtm.commands.output import check_free, say, say_json, write
 from aiorts_openrtm.errors import OpenRTMError

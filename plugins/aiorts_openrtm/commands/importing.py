@@ -10,7 +10,7 @@ from types import MappingProxyType
 import click
 
 from aiorts import exits
-from aiorts.layout_file import layout_beside, text_of_places
+from aiorts.layout import layout_beside, text_of_places
 from aiorts.system import parse, system_text
 from aiorts_openrtm.commands.output import check_free, say, say_json, write
 from aiorts_openrtm.notes import Note

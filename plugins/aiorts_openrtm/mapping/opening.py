@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from aiorts.layout_file import Places
+from aiorts.layout import Places
 from aiorts.system import Wanted
 from aiorts_openrtm.conf.properties import Conf
 from aiorts_openrtm.mapping.conf_system import system_of_conf

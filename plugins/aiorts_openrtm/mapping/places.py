@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping
 from math import isfinite
 from typing import Final
 
-from aiorts.layout import BAND_HEAD
-from aiorts.layout_file import Place, Places
+from aiorts.layout import BAND_HEAD, Place, Places
 from aiorts.system import Wanted
 from aiorts_openrtm.markup.element import Element
 from aiorts_openrtm.markup.shapes import RTS, RTS_EXT

@@ -11,7 +11,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
-from aiorts.layout_file import LARGEST_LAYOUT, Places, places_of, text_of_places
+from aiorts.layout import LARGEST_LAYOUT, Places, places_of, text_of_places
 
 _MOST: Final = 500
 """Files in the state folder; the oldest go first."""

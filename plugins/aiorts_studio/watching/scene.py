@@ -12,8 +12,7 @@ from itertools import count
 from typing import Any, Final, TypeAlias
 
 from aiorts.errors import AbsentError
-from aiorts.layout import Band, Edge, Key, Layout, Point, Route, Spot, meets
-from aiorts.layout_file import Place, Places
+from aiorts.layout import Band, Edge, Key, Layout, Place, Places, Point, Route, Spot, meets
 from aiorts_studio.watching.frames import Thing, frames_of
 from aiorts_studio.watching.graph import FOLDED, IN_COMPOSITE, Graph, side_of
 from aiorts_studio.watching.piles import placed

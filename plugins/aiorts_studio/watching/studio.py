@@ -14,7 +14,7 @@ from typing import Any, Final
 from anyio import to_thread
 
 from aiorts.errors import AiortsError, NoAnswerError
-from aiorts.layout_file import Places
+from aiorts.layout import Places
 from aiorts.sessions import AsyncClient, Entry, entries
 from aiorts_studio.plain.problems import problem_of
 from aiorts_studio.plain.values import json_out

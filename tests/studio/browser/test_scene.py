@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+import browser_checks as checks
 from browser_parts import ROOT, WAIT_MS, Opened, ended, kernel, opened, served
 
 if TYPE_CHECKING:
@@ -299,6 +300,40 @@ def test_a_frame_folds_into_one_box_and_unfolds(page: Opened) -> None:
     assert {"work", "imu", "show", "panel"} == page.names()
     page.page.get_by_role("button", name="Unfold work").click()
     page.wait_for_boxes(7)
+
+
+def test_a_box_stays_where_it_is_dropped_and_its_edges_follow(page: Opened) -> None:
+    box = page.page.locator(".box[aria-label^='metres,'] .body")
+    (before,) = [one for one in page.things("boxes") if one["name"] == "metres"]
+    ways = {one["name"]: one["points"] for one in page.things("edges")}
+    place = box.bounding_box()
+    assert place is not None
+    scale = page.page.evaluate("studio.scene.view.k")
+    mouse = page.page.mouse
+    mouse.move(place["x"] + 40 * scale, place["y"] + 30 * scale)
+    mouse.down()
+    for step in range(1, 6):
+        mouse.move(place["x"] + (40 + 5 * step) * scale, place["y"] + (30 + 7 * step) * scale)
+    page.page.wait_for_timeout(300)
+    held = box.bounding_box()
+    assert held is not None
+    assert abs(held["y"] - place["y"] - 35 * scale) < 3
+    mouse.up()
+    page.page.wait_for_timeout(1500)
+    dropped = box.bounding_box()
+    assert dropped is not None
+    assert abs(dropped["x"] - held["x"]) < 3
+    assert abs(dropped["y"] - held["y"]) < 3
+    (after,) = [one for one in page.things("boxes") if one["name"] == "metres"]
+    assert (after["x"] - before["x"], after["y"] - before["y"]) == pytest.approx((25, 35), abs=2)
+    changed = {one["name"] for one in page.things("edges") if one["points"] != ways[one["name"]]}
+    assert "odometry.pose-metres.input0" in changed
+    assert checks.edges_through_boxes(page) + checks.overlaps(page) == []
+    page.page.keyboard.press("t")
+    page.wait_for(
+        "([id, x, y]) => store.boxes.value.get(id).x === x && store.boxes.value.get(id).y === y",
+        [before["id"], before["x"], before["y"]],
+    )
 
 
 def test_infrastructure_can_be_hidden(page: Opened) -> None:

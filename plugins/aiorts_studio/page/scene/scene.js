@@ -41,6 +41,8 @@ export class Scene {
     /** @type {Map<number, import("./edge.js").Drawn>} */
     this.edges = new Map();
     this.shown = { boxes: /** @type {Set<number>} */ (new Set()), edges: /** @type {Set<number>} */ (new Set()) };
+    /** The box that a hand holds, and where. @type {{id: number, x: number, y: number} | null} */
+    this.held = null;
     this.far = false;
     this.seen = "";
     this.due = 0;
@@ -104,6 +106,22 @@ export class Scene {
     this.changed();
   }
 
+  /** Show a box where a hand holds it, whatever the server says meanwhile. @param {{id: number, x: number, y: number}} held */
+  hold(held) {
+    this.held = held;
+    const node = this.boxes.get(held.id);
+    node?.setAttribute("transform", `translate(${held.x} ${held.y})`);
+    node?.classList.add("moving");
+  }
+
+  /** Show a box where the server has it again, unless a hand has taken one since. @param {{id: number, x: number, y: number}} held */
+  letGo(held) {
+    if (this.held !== held) return;
+    this.held = null;
+    const box = store.boxes.peek().get(held.id);
+    if (box) this.putBox(box);
+  }
+
   /** @param {Box} box */
   putBox(box) {
     this.grid.put("boxes", box.id, [[box.x, box.y], [box.x + box.w, box.y + box.h]]);
@@ -114,6 +132,7 @@ export class Scene {
     this.boxes.set(box.id, node);
     old.replaceWith(node);   // in its place, with the focus where it was
     if (focus) ((port && portIn(node, port)) || node).focus({ preventScroll: true });
+    if (this.held?.id === box.id) this.hold(this.held);
   }
 
   /** @param {number} id of an edge */

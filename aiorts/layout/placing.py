@@ -21,28 +21,8 @@ from math import ceil, sqrt
 from typing import Final, TypeAlias
 
 from aiorts.late import dataclass
+from aiorts.layout.detour import Point, Rect, around, room
 
-__all__ = (
-    "BAND_FOOT",
-    "BAND_GAP",
-    "BAND_HEAD",
-    "GROUP_GAP",
-    "GROUP_HEAD",
-    "HEAD",
-    "LEFT",
-    "ROW",
-    "Band",
-    "Edge",
-    "Key",
-    "Layout",
-    "Point",
-    "Route",
-    "Spot",
-    "columns",
-    "meets",
-)
-
-Point: TypeAlias = tuple[float, float]
 Key: TypeAlias = tuple[str, ...]
 """The name of a box, a band or an edge."""
 _Shelf: TypeAlias = "list[list[Spot]]"
@@ -176,6 +156,8 @@ class Layout:
     label: float = LABEL
     _spans: list[tuple[int, int]] = field(default_factory=lambda: [(0, 0)])
     """By pile: its first column, and the one behind its last."""
+    _loose: dict[Key, tuple[int, ...]] = field(default_factory=dict)
+    """The boxes that `move` has put, which stand in no column, and the columns in which they are in the way."""
     _lefts: list[float] = field(default_factory=list)
     _widths: list[float] = field(default_factory=list)
     _taken: dict[int, list[Point]] = field(default_factory=dict)
@@ -221,6 +203,7 @@ class Layout:
         """
         self.spots = {one.key: one for one in spots}
         self.groups, self.piles = dict(groups), dict(piles or {})
+        self._loose.clear()
         for made in (self.bands, self._lefts, self._widths, self._taken, self._tracks, self._runs, self._heights):
             made.clear()
         self._spans = []
@@ -364,7 +347,7 @@ class Layout:
         self._spans[-1] = self._spans[-1][0], len(self._lefts)
 
     def move(self, places: Mapping[Key, Point]) -> None:
-        """Put boxes where there is room in their bands, each next to a place: that of its corner at the top left.
+        """Put boxes at places, those of their corners at the top left, or where their bands have room next to these.
 
         Where a pile has no room for one of them, all that are to be moved in it stay.
         """
@@ -373,49 +356,62 @@ class Layout:
             piles.setdefault(self.pile_of(self.spots[key].band), {})[key] = self.spots[key]
         self.moved.update(places)
         for spots in piles.values():
-            before = {key: (one.column, one.x, one.y) for key, one in spots.items()}
+            before = {key: (one.column, one.x, one.y, self._loose.get(key)) for key, one in spots.items()}
             for key in spots:
                 self.remove(key)
-            if all(self._find(one, *places[key]) and self._put(one) for key, one in spots.items()):
+            if all(self._put_near(one, *places[key]) for key, one in spots.items()):
                 continue
-            for key, one in spots.items():
+            for key in spots:
                 self.remove(key)
-                one.column, one.x, one.y = before[key]
-            for one in spots.values():
-                self._put(one)
+            for key, one in spots.items():
+                one.column, one.x, one.y, loose = before[key]
+                self._put(one, loose)
 
-    def _find(self, spot: Spot, x: float, y: float) -> bool:
-        """Give a box the place in its band that is nearest to another; whether there is one."""
+    def _put_near(self, spot: Spot, x: float, y: float) -> bool:
+        """Put a box at a place or next to it, in its band; False: there is no room."""
         pile, band = self.pile_of(spot.band), self.bands[spot.band]
-        is_last = pile + 1 == len(self._spans)
         low, high = band.top + BAND_HEAD, band.top + band.height - _FOOT
-        if is_last and x >= self._lefts[-1] + self._widths[-1]:
-            self._begin_column(spot.w)
-        while not (
-            found := [
-                (abs(left - x) + abs(free - y), column, left, free)
-                for column in range(*self._spans[pile])
-                if spot.w <= self._widths[column] + _WIDER
-                and (free := self._free(column, y, spot.h, low, high)) is not None
-                and (left := self._lefts[column] + max(0.0, (self._widths[column] - spot.w) / 2)) is not None
-            ]
-        ):
-            if not is_last:
-                return False
-            self._begin_column(spot.w)  # others have taken its old place
-        _, spot.column, spot.x, spot.y = min(found)
+        for column in range(*self._spans[pile]):
+            left = self._lefts[column] + max(0.0, (self._widths[column] - spot.w) / 2)
+            if abs(left - x) < 1.0 and self._free(column, y, spot.h, low, high) == y:
+                spot.column, spot.x, spot.y = column, left, y  # as one that was laid out
+                self._put(spot, None)
+                return True
+        begin, end = self.room_of(pile)
+        within = (begin + _EMPTY, low, end - _BESIDE, high)
+        place = room((spot.w, spot.h), (x, y), within, map(_rect, self.spots.values()))
+        if place is None:
+            return False
+        spot.x, spot.y = place
+        self._put(spot, self._covered(spot))
         return True
 
-    def _put(self, spot: Spot) -> bool:
+    def _put(self, spot: Spot, loose: tuple[int, ...] | None) -> None:
+        """Let a box stand where it says, in its column; or in the way of others in these."""
         self.spots[spot.key] = spot
-        insort(self._taken.setdefault(spot.column, []), (spot.y, spot.y + spot.h))
-        return True
+        if loose is not None:
+            self._loose[spot.key] = loose
+        for column in (spot.column,) if loose is None else loose:
+            insort(self._taken.setdefault(column, []), (spot.y, spot.y + spot.h))
+
+    def _covered(self, spot: Spot) -> tuple[int, ...]:
+        """The columns in which, or beside which, a box stands: no edge runs across there at its height."""
+        first, end = self._spans[self.pile_of(spot.band)]
+        rights = [self._lefts[column] + self._widths[column] for column in range(first, end)]
+        begins, ends = [float("-inf"), *rights[:-1]], [*self._lefts[first + 1 : end], float("inf")]
+        return tuple(
+            column
+            for column, begin, finish in zip(range(first, end), begins, ends, strict=True)
+            if spot.x < finish and spot.x + spot.w > begin
+        )
 
     def remove(self, key: Key) -> None:
         """Forget a box; its room is free again."""
         spot = self.spots.pop(key, None)
-        if spot is not None and (spot.y, spot.y + spot.h) in self._taken.get(spot.column, ()):
-            self._taken[spot.column].remove((spot.y, spot.y + spot.h))
+        if spot is not None:
+            for column in self._loose.pop(key, (spot.column,)):
+                if (spot.y, spot.y + spot.h) in self._taken.get(column, ()):
+                    self._taken[column].remove((spot.y, spot.y + spot.h))
 
     def _free(self, column: int, wanted: float, size: float, low: float, high: float) -> float | None:
         """The place nearest to `wanted` for a box of this height; None where there is none."""
@@ -430,6 +426,17 @@ class Layout:
 
     def route(self, edge: Edge) -> Route:
         """The way of an edge. Each has its own: connectors of one out-port have rates and losses of their own."""
+        route = self._along(edge)
+        ends = {edge.source, edge.target} & self._loose.keys()
+        in_the_way = self.spots.values() if ends else (self.spots[key] for key in self._loose)
+        if not any(meets(route, spot) for spot in in_the_way):
+            return route
+        self.forget(edge.key)
+        points = around(route.points[0], route.points[-1], map(_rect, self.spots.values()))
+        return route if points is None else Route(points, route.label)
+
+    def _along(self, edge: Edge) -> Route:
+        """The way through the channels between columns."""
         source, target = self.spots[edge.source], self.spots[edge.target]
         x1, y1 = source.x + source.w, source.y + source.port_y(edge.out, out=True)
         x2, y2 = target.x - 7, target.y + target.port_y(edge.into, out=False)
@@ -493,6 +500,10 @@ class Layout:
             tracks.pop((*key, "end"), None)
         if (height := self._heights.pop(key, None)) is not None:
             self._runs[height].pop(key, None)
+
+
+def _rect(spot: Spot) -> Rect:
+    return spot.x, spot.y, spot.x + spot.w, spot.y + spot.h
 
 
 def _shelves(cells: Mapping[tuple[Key, int], list[Spot]], count: int) -> tuple[dict[Key, list[_Shelf]], bool]:

@@ -15,8 +15,6 @@ from typing import Any, Final, NamedTuple
 
 from aiorts.late import dataclass
 
-__all__ = ("LARGEST_LAYOUT", "Place", "Places", "layout_beside", "places_of", "text_of_places")
-
 LARGEST_LAYOUT: Final = 1 << 20
 """Bytes of a file; a larger one is none."""
 _SCHEMA: Final = 1
