@@ -7,6 +7,9 @@ import { parting } from "./paths.js";
 /** The height of a row of ports: labels of two edges this near share a line. */
 const ROW = 26;
 
+/** Whether a box only records or shows. One that carries does more: without it two boxes would look as if nothing joined them. @param {Box} box */
+export const onlyLooks = (box) => box.infrastructure && box.type !== "FlexiFilter";
+
 export class World {
   constructor() {
     /** Edges by the port from which they come, or to which they go. @type {Map<string, Edge[]>} */
@@ -42,8 +45,8 @@ export class World {
     return store.infrastructure.peek() ? things : [...things].filter((one) => !hidden(one));
   }
 
-  /** Whether a box is hidden, as it only records or shows. One that carries stays: without it two boxes would look as if nothing joined them. @param {Box | undefined} box */
-  hidden = (box) => Boolean(box?.infrastructure) && box?.type !== "FlexiFilter" && !store.infrastructure.peek() && !this.chosen("box", box?.id ?? 0);
+  /** Whether a box is hidden. @param {Box | undefined} box */
+  hidden = (box) => Boolean(box && onlyLooks(box)) && !store.infrastructure.peek() && !this.chosen("box", box?.id ?? 0);
   hiddenEdge = (/** @type {Edge} */ edge) => [edge.from, edge.to].some(([id]) => this.hidden(store.boxes.peek().get(id)));
 
   /** @param {Box} box */
