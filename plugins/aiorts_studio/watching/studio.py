@@ -41,6 +41,7 @@ _AGAIN: Final = 1.0
 _MINUTE: Final = 60 * 10**9
 _KEPT: Final = 500
 """Changes of the last minute that are kept."""
+_NO_FILES: Final = "recordings need a server beside this one: `aiorts studio --files FOLDER`, while the system runs"
 _FORGOTTEN: Final = 60.0
 """Seconds for which a kernel that has ended is shown."""
 
@@ -58,7 +59,7 @@ class Studio:
         recorder: records what pages ask for.
     """
 
-    def __init__(self, names: Sequence[str] = (), files: Path | None = None, why_no_files: str = "") -> None:
+    def __init__(self, names: Sequence[str] = (), files: Path | None = None, why_no_files: str = _NO_FILES) -> None:
         self.scene = Scene()
         self.pages: set[Page] = set()
         self.recorder = Recorder(files, why_no_files, self._tell)
