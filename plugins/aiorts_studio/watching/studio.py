@@ -46,6 +46,7 @@ _AGAIN: Final = 1.0
 _MINUTE: Final = 60 * 10**9
 _KEPT: Final = 500
 """Changes of the last minute that are kept."""
+_NO_FILES: Final = "recordings need a server beside this one: `aiorts studio --files FOLDER`, while the system runs"
 _FORGOTTEN: Final = 60.0
 """Seconds for which a kernel that has ended is shown."""
 
@@ -68,7 +69,7 @@ class Studio:
         self,
         names: Sequence[str] = (),
         files: Path | None = None,
-        why_no_files: str = "",
+        why_no_files: str = _NO_FILES,
         places: PlaceFiles | None = None,
     ) -> None:
         self.scene = Scene()

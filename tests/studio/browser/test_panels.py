@@ -194,13 +194,18 @@ def test_a_plot_shows_the_values_and_pauses(page: Opened) -> None:
         )
     )
     assert page.page.locator(".chart-of canvas").count() == 1
+    lowest = "one => one.getBoundingClientRect().bottom"
+    bottoms = [
+        page.page.locator(one).first.evaluate(lowest) for one in (".chart-of canvas", ".values table", ".charts")
+    ]
+    assert max(bottoms[:2]) <= bottoms[2] + 1 <= page.page.evaluate("innerHeight") + 1, bottoms
     now = values.locator("td").first
     page.page.get_by_role("button", name="Pause").click()
     page.page.wait_for_timeout(700)
     before = now.inner_text()
     page.page.wait_for_timeout(1200)
     assert now.inner_text() == before
-    page.page.get_by_role("button", name="Pause").click()
+    page.page.get_by_role("button", name="Resume").click()
     until(lambda: now.inner_text() != before)
 
 
@@ -213,9 +218,9 @@ def test_fields_are_added_and_get_plots_and_axes_of_their_own(page: Opened) -> N
         "wave.pose position.x", "wave.pose position.y", "wave.pose heading"
     ]  # fmt: skip
     charts = page.page.locator(".chart-of").count()
-    rows.nth(2).get_by_role("button", name="into a plot of its own").click()
+    page.page.get_by_role("button", name="Move wave.pose heading into a plot of its own").click()
     until(lambda: page.page.locator(".chart-of").count() == charts + 1)
-    rows.nth(1).get_by_role("button", name="an axis of its own").click()
+    page.page.get_by_role("button", name="wave.pose position.y: an axis of its own").click()
     page.page.locator(".values [aria-pressed=true]").wait_for()
     while page.page.locator(".values button[title=Remove]").count():
         page.page.locator(".values button[title=Remove]").first.click()
@@ -273,7 +278,7 @@ def test_a_page_that_only_looks_says_why_it_cannot_record_and_has_an_age_measure
     with served() as looks_only, opened(chromium, looks_only) as page:
         page.wait_for_boxes(len(COMPONENTS))
         page.show("Plots")
-        assert "--files DIR" in page.page.locator("#record-why").inner_text()
+        assert "--files FOLDER" in page.page.locator("#record-why").inner_text()
         page.choose_edge("wave.out-slow.in")
         page.page.locator("aside tr", has_text="not measured").wait_for()
         page.page.get_by_role("button", name="Measure").click()

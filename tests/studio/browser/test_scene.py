@@ -51,6 +51,29 @@ LABELS = """() => {
     ...labels.slice(at + 1).filter((other) => over(one, other)).map((other) => `${one.said} over ${other.said}`),
     ...bodies.filter((body) => over(one, body)).map(() => `${one.said} over a box`)])]; }"""
 """How many labels of edges there are, and which lie over another, or over a box."""
+OUTSIDE = """() => {
+  const around = document.querySelector('main').getBoundingClientRect();
+  return [...document.querySelectorAll('.box')].map((one) => one.getBoundingClientRect()).filter((box) =>
+    box.left < around.left || box.top < around.top || box.right > around.right || box.bottom > around.bottom);
+}"""
+"""The boxes that are not wholly in view."""
+OUTSIDE_ANY = """() => {
+  const { scene, store } = studio, { x, y, k } = scene.view;
+  return [...store.boxes.peek().values()].filter((box) => box.x * k + x < 0 || box.y * k + y < 0
+    || (box.x + box.w) * k + x > scene.width || (box.y + box.h) * k + y > scene.height).map((box) => box.name);
+}"""
+"""The same by their places, also in the far view."""
+ROOMS_OVERLAP = """() => {
+  const names = ['nav', 'main', 'footer', 'aside', '.below'];
+  const rooms = names.map((one) => [one, document.querySelector(one).getBoundingClientRect()]);
+  return rooms.flatMap(([one, a], index) => rooms.slice(index + 1).filter(([, b]) =>
+    a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1)
+    .map(([other]) => `${one} ${other}`));
+}"""
+MIDDLE = """() => {
+  const { left, top, width, height } = document.querySelector('main').getBoundingClientRect();
+  return [left + width / 2, top + height / 2];
+}"""
 FOCUSED = "document.activeElement.getAttribute('aria-label')"
 
 
@@ -338,6 +361,7 @@ def test_a_box_stays_where_it_is_dropped_and_its_edges_follow(page: Opened) -> N
 
 def test_infrastructure_can_be_hidden(page: Opened) -> None:
     shown = page.page.locator(".box")
+    page.page.get_by_role("button", name="Hide infrastructure (2)").wait_for()
     infrastructure = [box["name"] for box in page.things("boxes") if box["infrastructure"]]
     assert infrastructure
     page.page.get_by_role("button", name="Hide infrastructure").click()
@@ -354,9 +378,29 @@ def test_all_is_in_view_at_first(chromium: Browser, site: Served, size: tuple[in
     with opened(chromium, site, size=size, theme="dark") as found:
         found.wait_for_boxes(7)
         found.settle()
-        outside = """() => {
-          const around = document.querySelector('main').getBoundingClientRect();
-          return [...document.querySelectorAll('.box')].map((one) => one.getBoundingClientRect()).filter((box) =>
-            box.left < around.left || box.top < around.top || box.right > around.right || box.bottom > around.bottom);
-        }"""
-        assert found.page.evaluate(outside) == []
+        assert found.page.evaluate(OUTSIDE) == []
+
+
+def test_all_stays_in_view_beside_and_above_the_panels_until_a_hand_pans(chromium: Browser, site: Served) -> None:
+    with opened(chromium, site, size=(1280, 720)) as found:
+        found.wait_for_boxes(7)
+        found.settle()
+        found.page.locator("aside").get_by_text("Needs a look").wait_for()
+        view = "JSON.stringify(studio.scene.view)"
+        for change in (lambda: found.show("Log"), lambda: found.choose("show"), lambda: found.show("Plots")):
+            change()
+            found.page.wait_for_timeout(400)
+            assert found.page.evaluate(ROOMS_OVERLAP) == []
+            assert found.page.evaluate(OUTSIDE_ANY) == []
+        found.page.set_viewport_size({"width": 1500, "height": 900})
+        found.page.wait_for_timeout(400)
+        assert found.page.evaluate(OUTSIDE_ANY) == []
+        found.page.mouse.move(*found.page.evaluate(MIDDLE))
+        found.page.mouse.wheel(0, -200)
+        found.page.wait_for_timeout(400)
+        held = found.page.evaluate(view)
+        found.page.get_by_role("tab", name="Plots").click()
+        found.page.wait_for_timeout(400)
+        assert found.page.evaluate(view) == held
+        found.fit()
+        assert found.page.evaluate(OUTSIDE_ANY) == []

@@ -7,6 +7,7 @@ import { StateChart } from "./chart.js";
 import { Commands, CopyIcon } from "./as_commands.js";
 import { Cut, html, said } from "./parts.js";
 import { canPlot, plot } from "./plots.js";
+import { lostOn } from "./troubles.js";
 
 /** @import {Box, Edge} from "../types.js" */
 
@@ -75,11 +76,11 @@ export function ConnectorTable({ box, own, none }) {
 /** @param {{edge: Edge, box: Box}} props */
 function ConnectorRow({ edge, box }) {
   const row = figures.value.get(edge.id), outward = edge.from[0] === box.id, [from, to] = endsOf(edge, boxes.value);
-  const words = outward ? `${edge.from[1]} → ${to}` : `${edge.to[1]} ← ${from}`, service = isService(box, outward ? edge.from[1] : edge.to[1]);
+  const lost = lostOn(edge.id, row), words = outward ? `${edge.from[1]} → ${to}` : `${edge.to[1]} ← ${from}`, service = isService(box, outward ? edge.from[1] : edge.to[1]);
   return html`<tr class="whole"><td colspan="3"><button class="lead" onClick=${() => choose("edge", edge.id)}><${Cut} text=${words} /></button></td></tr>
     <tr class="under"><td><small>${edge.state === "up" ? edge.policy : edge.state}</small></td>
     <td class="figure">${service || row?.rate === null || row?.rate === undefined ? "–" : `${number(row.rate)} Hz`}${row?.backlog ? html`<small>${count(row.backlog)} wait</small>` : null}</td>
-    <td class=${`figure ${row?.dropped ? "bad" : ""}`}>${service ? "–" : row ? count(row.dropped) : "–"}<small>${row && reasonsOf(row).map(([why]) => why).join(", ")}</small></td></tr>`;
+    <td class=${`figure ${lost ? "bad" : ""}`}>${service || lost === null ? "–" : count(lost)}<small>${row && reasonsOf(row).map(([why]) => why).join(", ")}</small></td></tr>`;
 }
 
 /** @param {Box} box @param {string} port */
@@ -105,10 +106,12 @@ function Parameters({ box, report }) {
   return html`<section><h3 class="over">Parameters${sets.length > 1 && html` <span>of set ${report.configuration.active} (also ${sets.filter((one) => one !== report.configuration.active).join(", ")})</span>`}</h3>
     <table><tbody>${all.map(([name, one]) => {
       const value = said(one.value), changed = JSON.stringify(one.value) !== JSON.stringify(one.default), limits = constraint(one);
-      return html`<tr key=${name} class=${value.length > LONG ? "long" : ""}><td><${Cut} text=${name} class="name" /><small>${one.doc}</small></td>
-        <td class="figure"><button class=${`value ${changed ? "changed" : ""}`} title=${`${changed ? `The default is ${said(one.default)}. ` : ""}Copies the command that sets it`}
-            onClick=${() => void copy(setting(box, name, value))}><span class="whole" data-full=${value}>${value === "" ? "“”" : value}</span>${one.unit && html` <span class="unit">${one.unit}</span>`}<${CopyIcon} /></button>
-          <small>${limits || one.type}</small></td></tr>`;
+      const shown = html`<button class=${`value ${changed ? "changed" : ""}`} title=${`${changed ? `The default is ${said(one.default)}. ` : ""}Copies the command that sets it`}
+          onClick=${() => void copy(setting(box, name, value))}><span class="whole" data-full=${value}>${value === "" ? "“”" : value}</span>${one.unit && html` <span class="unit">${one.unit}</span>`}<${CopyIcon} /></button>
+        <small>${limits || one.type}</small>`;
+      const says = html`<${Cut} text=${name} class="name" /><small>${one.doc}</small>`;
+      if (value.length <= LONG) return html`<tr key=${name}><td>${says}</td><td class="figure">${shown}</td></tr>`;
+      return html`<tr key=${name} class="whole"><td colspan="2">${says}</td></tr><tr key=${`${name} `} class="under long"><td colspan="2">${shown}</td></tr>`;
     })}</tbody></table></section>`;
 }
 

@@ -1,5 +1,5 @@
 /** What is selected, in full; and where nothing is, what needs a look. */
-import { boxes, choose, selected, selection } from "../store.js";
+import { boxes, choose, frames, selected, selection } from "../store.js";
 import { ComponentPart } from "./component.js";
 import { ConnectorPart } from "./connector.js";
 import { Cut, html } from "./parts.js";
@@ -14,12 +14,17 @@ const MOST = 30;
 export function Inspector() {
   const one = selection.value;
   if (!one) return html`<${Overview} />`;
+  const folded = one.kind === "box" ? foldedIn(/** @type {Box} */ (one.thing)) : undefined;
+  if (folded) return html`<${FramePart} key=${`f${folded.id}`} frame=${folded} />`;
   if (one.kind === "box") return html`<${ComponentPart} key=${`b${/** @type {Box} */ (one.thing).id}`} box=${one.thing} />`;
   if (one.kind === "edge") return html`<${ConnectorPart} key=${`e${/** @type {Edge} */ (one.thing).id}`} edge=${one.thing} />`;
   if (one.kind === "frame") return html`<${FramePart} key=${`f${/** @type {Frame} */ (one.thing).id}`} frame=${one.thing} />`;
   if (one.kind === "port") return html`<${PortPart} key=${`p${selected.value?.id}`} ...${one.thing} />`;
   return html`<${KernelPart} key=${`k${/** @type {Kernel} */ (one.thing).address}`} kernel=${one.thing} />`;
 }
+
+/** The frame for which a box stands, where it is no component itself. @param {Box} box */
+const foldedIn = (box) => (box.kind === "folded" && box.frame !== null && frames.value.get(box.frame)?.kind !== "composite" ? frames.value.get(box.frame) : undefined);
 
 /** What is wrong, the worst first; each leads there. */
 function Overview() {

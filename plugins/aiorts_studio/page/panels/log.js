@@ -67,7 +67,7 @@ export function Log() {
       <${Choice} label="Level" value=${level} all=${LEVELS.map((one) => [one, one === "CRITICAL" ? one.toLowerCase() : `${one.toLowerCase()} and above`])} />
       ${kernels.value.size > 1 && html`<${Choice} label="Kernel" value=${kernel} all=${[["", "all kernels"], ...[...kernels.value.values()].map((one) => [one.address, one.name])]} />`}
       <${Choice} label="Component" value=${component} all=${[["", "all components"], ...names.map((one) => [one, one])]} />
-      <button aria-pressed=${paused.value} onClick=${() => { paused.value = !paused.value; }}>Pause</button>
+      <button onClick=${() => { paused.value = !paused.value; }}>${paused.value ? "Resume" : "Pause"}</button>
       <button onClick=${subscribe}>Clear</button>
       <span class="quiet" role="status">${missed.value > 0 && `${count(missed.value)} lines not shown: more than can be read, or paused`}</span>
     </div>

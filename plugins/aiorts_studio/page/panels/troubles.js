@@ -2,7 +2,7 @@
 import { boxes, edges, frameFigures, frames, kernels, totals } from "../store.js";
 import { count, counted, endsOf, kernelTrouble } from "../words.js";
 
-/** @import {Selection} from "../types.js" */
+/** @import {EdgeFigures, Selection} from "../types.js" */
 /** @typedef {{key: string, name: string, words: string, thing: Selection}} Trouble */
 
 /** @returns {Trouble[]} */
@@ -32,6 +32,13 @@ export function worstLoss() {
 
 /** The selection of what stands for a thing; of its kernel, where nothing does. @param {string} kernel @param {number | null} id @param {"box" | "edge"} [kind] @returns {Selection} */
 const leadTo = (kernel, id, kind = "box") => (id === null ? { kind: "kernel", id: kernel } : { kind, id });
+
+/** How many samples an edge has lost; null: that is not known. In the far view only the worst are. @param {number} edge @param {EdgeFigures | undefined} row */
+export function lostOn(edge, row) {
+  if (row && (row.rate !== null || row.dropped)) return row.dropped;
+  const named = [...totals.value.values()].flatMap((one) => one.lossy).find((one) => one[4] === "edge" && one[5] === edge);
+  return named ? named[2] : row && !row.lossy ? 0 : null;
+}
 
 /** Contexts that were late, in words; "" is none. */
 export function late() {

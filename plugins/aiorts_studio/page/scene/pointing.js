@@ -33,7 +33,7 @@ export function pointing(scene, view) {
     if (frame) return store.choose("frame", Number(frame.getAttribute("data-frame")), { focus: true });
     const tapped = target.closest(".box");
     if (tapped && /** @type {PointerEvent} */ (event).pointerType === "touch") return tap(target, Number(tapped.getAttribute("data-box")));
-    if (tapped || target.closest(".upon, .tip, .splitter")) return undefined;
+    if (tapped || target.closest(".tip, .splitter")) return undefined;
     const box = scene.far ? boxAt(scene, event.clientX, event.clientY) : null;
     if (box !== null) return store.choose("box", box);
     const near = scene.far ? edgeAt(scene, event.clientX, event.clientY) : null;

@@ -12,6 +12,9 @@ const LABEL = 220;
 /** The height of both lines of a label, above and below its edge. */
 const LINES = 24;
 
+/** Whether a box only records or shows. One that carries does more: without it two boxes would look as if nothing joined them. @param {Box} box */
+export const onlyLooks = (box) => box.infrastructure && box.type !== "FlexiFilter";
+
 export class World {
   /** @param {import("./grid.js").Grid} grid where boxes are found */
   constructor(grid) {
@@ -50,8 +53,8 @@ export class World {
     return store.infrastructure.peek() ? things : [...things].filter((one) => !hidden(one));
   }
 
-  /** Whether a box is hidden, as it only records or shows. One that carries stays: without it two boxes would look as if nothing joined them. @param {Box | undefined} box */
-  hidden = (box) => Boolean(box?.infrastructure) && box?.type !== "FlexiFilter" && !store.infrastructure.peek() && store.portOf(store.selected.peek()?.id ?? "", store.boxes.peek())?.box !== box && !this.chosen("box", box?.id ?? 0);
+  /** Whether a box is hidden. @param {Box | undefined} box */
+  hidden = (box) => Boolean(box && onlyLooks(box)) && !store.infrastructure.peek() && store.portOf(store.selected.peek()?.id ?? "", store.boxes.peek())?.box !== box && !this.chosen("box", box?.id ?? 0);
   hiddenEdge = (/** @type {Edge} */ edge) => [edge.from, edge.to].some(([id]) => this.hidden(store.boxes.peek().get(id)));
 
   /** @param {Box} box */
