@@ -45,7 +45,7 @@ const heard = document.body.appendChild(document.createElement("p"));
 heard.className = "heard";
 heard.setAttribute("aria-live", "polite");
 
-pointing(scene, view);
+const reveal = pointing(scene, view);
 outline(scene);
 walk(scene, view, (text) => { heard.textContent = text; });
 
@@ -76,7 +76,8 @@ store.on("change", ({ boxes = [], frames = [] }) => {
   if (!touched && boxes.length + frames.length) view.fit();
 });
 store.on("choose", () => { touched = true; });
-new ResizeObserver(() => { if (!touched) view.fit(); }).observe(main);
+// The panel of what is selected may have opened upon it.
+new ResizeObserver(() => { if (touched) reveal(); else view.fit(); }).observe(main);
 
 // -- signs of life -----------------------------------------------------------------------------------------------------
 
