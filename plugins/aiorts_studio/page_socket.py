@@ -76,7 +76,7 @@ class _PageSocket:
         self._feeds: dict[str, Feed] = {}
         self._shown: dict[int, tuple[str, str, Shown]] = {}
         self._events_until = 0
-        """The time until which the page was told events, in ns."""
+        """The time until which the page was sent events, in ns."""
 
     async def carry(self) -> None:
         """Do what the page says, and send what it is told, until it goes."""
@@ -150,7 +150,7 @@ class _PageSocket:
                 raise RecordError(f"{kind!s:.40}: nothing that a page says")
 
     def _events(self, *, on: bool) -> None:
-        """Tell the page events; first the changes of the last minute that it was not told."""
+        """Send the page events, first the changes of the last minute that it has missed; or end it."""
         if not on:
             if "events" in self._feeds:
                 self._follow("events", None)

@@ -69,7 +69,7 @@ function Connectors({ box }) {
 /** Connectors as one end of them sees them. @param {{box: Box, own: Edge[], none: string}} props none: what is said where there are none */
 export function ConnectorTable({ box, own, none }) {
   if (!own.length) return html`<section><h3 class="over">Connectors</h3><p class="quiet">${none}</p></section>`;
-  return html`<section><h3 class="over">Connectors</h3><table><thead><tr><th scope="col">to, from</th><th scope="col" class="figure">rate</th><th scope="col" class="figure">lost</th></tr></thead>
+  return html`<section><h3 class="over">Connectors</h3><table class="connectors"><thead><tr><th scope="col">to, from</th><th scope="col" class="figure">rate</th><th scope="col" class="figure">lost</th></tr></thead>
     <tbody>${own.map((edge) => html`<${ConnectorRow} key=${edge.id} edge=${edge} box=${box} />`)}</tbody></table></section>`;
 }
 

@@ -29,7 +29,7 @@ export function PortPart({ box, port }) {
       ${port.unit && html`<tr><td>unit</td><td class="figure"><${Cut} text=${port.unit} /></td></tr>`}
       ${report?.interfaces?.map((/** @type {any} */ one) => html`<tr key=${one.name}><td>${one.polarity}</td><td class="figure"><${Cut} text=${one.name} /></td></tr>`)}
     </tbody></table></section>
-    ${canPlot(port) && known && html`<p><button onClick=${() => plot(box.kernel, path, port.type)} aria-label=${`Plot ${path}`}>Plot</button></p>`}
+    ${canPlot(port) && known && html`<p class="pills"><button onClick=${() => plot(box.kernel, path, port.type)} aria-label=${`Plot ${path}`}>Plot</button></p>`}
     <${ConnectorTable} box=${box} own=${own} none="It is not connected." />
     <${Commands} commands=${commandsOf({ kind: "port", id: portId(box.id, port.name) })} />`;
 }

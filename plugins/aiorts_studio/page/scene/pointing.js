@@ -10,7 +10,7 @@ import { tips } from "./tip.js";
 /** How near an edge has to be to a click, in px. */
 const NEAR_EDGE = 8;
 
-/** @param {Scene} scene @param {import("./view.js").Moves} view */
+/** @param {Scene} scene @param {import("./view.js").Moves} view @returns {() => void} brings what is selected into view */
 export function pointing(scene, view) {
   /** @param {Element} target what was clicked @param {number} id of the box that it is in */
   const tap = (target, id) => {
@@ -40,7 +40,7 @@ export function pointing(scene, view) {
     return near === null ? store.chooseNothing() : store.choose("edge", near);
   });
 
-  store.on("choose", ({ focus = false }) => {
+  const reveal = () => {
     const chosen = store.selected.peek();
     if (!chosen || chosen.kind === "kernel") return;
     const id = Number(chosen.id);
@@ -54,10 +54,15 @@ export function pointing(scene, view) {
       const edge = store.edges.peek().get(id);
       if (edge) view.reveal(edge.label[0] - 110, edge.label[1] - 24, 120, 48);
     }
-    if (!focus) return;
+  };
+  store.on("choose", ({ focus = false }) => {
+    const chosen = store.selected.peek();
+    reveal();
+    if (!focus || !chosen || chosen.kind === "kernel") return;
     scene.drawNow();   // now: focus goes only to what is in the document
     scene.nodeOf(chosen)?.focus({ preventScroll: true });
   });
+  return reveal;
 }
 
 /** @param {Scene} scene @param {number} x @param {number} y of the window @returns {[number, number]} of the scene */
