@@ -151,6 +151,28 @@ def test_an_event_leads_to_its_component(page: Opened, site: Served) -> None:
     heading(page, "door")
 
 
+def test_a_row_of_the_log_leads_to_its_component_and_its_place_is_copied(page: Opened) -> None:
+    page.show("Log")
+    page.page.get_by_role("combobox", name="Component").select_option("fails")
+    line = page.page.locator(".log .line", has_text="RuntimeError").first
+    line.locator(".what").click()
+    heading(page, "fails")
+    line.get_by_role("button", name="parts.py:").click()
+    until(lambda: re.search(r"parts\.py:\d+$", page.page.evaluate("navigator.clipboard.readText()")))
+    page.page.get_by_role("combobox", name="Component").select_option("")
+
+
+def test_one_change_of_a_parameter_is_one_readable_event(page: Opened, site: Served) -> None:
+    page.show("Events")
+    page.page.get_by_role("button", name="Clear").click()
+    site.call("lossy", "configure", component="wave", values={"": {"gain": 2.5}})
+    lines = page.page.locator(".log .line", has_text="wave")
+    lines.get_by_text("gain: 3.0 → 2.5").wait_for()
+    page.page.wait_for_timeout(500)
+    assert lines.count() == 1, lines.all_inner_texts()
+    site.call("lossy", "configure", component="wave", values={"": {"gain": 3.0}})
+
+
 def test_the_state_chart_is_drawn_and_its_state_is_lit(page: Opened) -> None:
     page.choose("door")
     page.page.locator("aside .chart li.lit > b", has_text="opening").wait_for()
