@@ -72,6 +72,31 @@ def test_the_search_finds_names_types_and_ports_and_enter_selects(page: Opened) 
     page.page.locator("#search").fill("")
 
 
+def test_escape_clears_the_search_from_anywhere_and_docks_and_theme_have_keys(page: Opened) -> None:
+    keys, tree = page.page.keyboard, page.page.locator("[role=treeitem]")
+    whole = tree.count()
+    keys.press("/")
+    keys.type("slow")
+    keys.press("Enter")
+    until(lambda: tree.count() < whole)
+    keys.press("Escape")
+    until(lambda: tree.count() == whole)
+    heading(page, "slow")  # the next one selects nothing
+    keys.press("Escape")
+    page.page.locator("aside").get_by_text("Needs a look").wait_for()
+    page.page.evaluate("document.activeElement?.blur()")
+    for key, name in (("l", "Log"), ("e", "Events"), ("p", "Plots")):
+        keys.press(key)
+        page.page.get_by_role("tab", name=name, selected=True).wait_for()
+    keys.press("p")
+    page.page.locator("body.low").wait_for()
+    theme = "document.documentElement.dataset.theme"
+    before = page.page.evaluate(theme)
+    keys.press("d")
+    assert page.page.evaluate(theme) != before
+    keys.press("d")
+
+
 def test_the_tree_is_walked_by_arrows(page: Opened) -> None:
     tree = page.page.get_by_role("tree")
     tree.locator("[tabindex='0']").focus()
