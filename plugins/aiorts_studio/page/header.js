@@ -2,6 +2,7 @@
 import { h } from "./vendor/preact.js";
 import htm from "./vendor/htm.js";
 import { worstLoss } from "./panels/troubles.js";
+import { flipTheme } from "./shell.js";
 import { choose, connection, frameFigures, frames, kernels, keysOpen, missed, right, theme, totals } from "./store.js";
 import { count, counted, number } from "./words.js";
 
@@ -21,7 +22,7 @@ export function Header() {
     ${missed.value > 0 && html`<span class="missed" role="status">missed ${count(missed.value)} messages: this page was too slow</span>`}
     <span class="right">${right.value === "operate" ? "may change what runs" : right.value && "looks only"}</span>
     <button aria-label="Keys" title="Keys (?)" onClick=${() => { keysOpen.value = true; }}>?</button>
-    <button onClick=${flip}>${theme.value === "dark" ? "Light" : "Dark"}</button>`;
+    <button onClick=${flipTheme} title="Dark or light (d)">${theme.value === "dark" ? "Light" : "Dark"}</button>`;
 }
 
 function Live() {
@@ -55,9 +56,4 @@ export function followTheme() {
   const put = (/** @type {string} */ name) => { theme.value = document.documentElement.dataset.theme = name; };
   put(kept ?? (dark.matches ? "dark" : "light"));
   dark.addEventListener("change", () => localStorage.getItem("aiorts-theme") ?? put(dark.matches ? "dark" : "light"));
-}
-
-function flip() {
-  theme.value = document.documentElement.dataset.theme = theme.value === "dark" ? "light" : "dark";
-  localStorage.setItem("aiorts-theme", theme.value);
 }

@@ -2,7 +2,7 @@
 import { h } from "./vendor/preact.js";
 import { signal } from "./vendor/preact-signals.js";
 import htm from "./vendor/htm.js";
-import { connection, notice } from "./store.js";
+import { connection, notice, theme } from "./store.js";
 import { html as element } from "./scene/svg.js";
 import { why } from "./connection.js";
 
@@ -21,14 +21,18 @@ export function openTab(name) {
   localStorage.setItem("aiorts-tab", name);
 }
 
+/** Show the panel of a tab, or close it. @param {string} name */
+export const turnTab = (name) => openTab(open.peek() === name ? "" : name);
+
+/** Dark instead of light, or light instead of dark; it stays so. */
+export function flipTheme() {
+  theme.value = document.documentElement.dataset.theme = theme.peek() === "dark" ? "light" : "dark";
+  localStorage.setItem("aiorts-theme", theme.peek());
+}
+
 /** @param {{tabs: Record<string, () => any>}} props the panels by the names of their tabs */
 export function Below({ tabs }) {
   const names = Object.keys(tabs), shown = open.value in tabs ? open.value : "";
-  const choose = (/** @type {string} */ name) => {
-    open.value = open.value === name ? "" : name;
-    localStorage.setItem("aiorts-tab", open.value);
-    document.body.classList.toggle("low", !open.value);
-  };
   document.body.classList.toggle("low", !shown);
   const Panel = tabs[shown];
   const turn = (/** @type {KeyboardEvent} */ event) => {
@@ -37,7 +41,7 @@ export function Below({ tabs }) {
   };
   return html`<div class="tabs" role="tablist" aria-label="Below" onKeyDown=${turn}>${names.map((name) => html`
       <button key=${name} role="tab" id=${`tab-${name}`} aria-selected=${shown === name} aria-controls="below" tabindex=${(shown || names[0]) === name ? 0 : -1}
-        onClick=${() => choose(name)}>${name}</button>`)}</div>
+        title=${`${name} (${name[0].toLowerCase()})`} onClick=${() => turnTab(name)}>${name}</button>`)}</div>
     <div class="panel" id="below" role="tabpanel" aria-labelledby=${shown ? `tab-${shown}` : null} aria-label=${shown ? null : "closed"} hidden=${!shown}>${shown && html`<${Panel} />`}</div>`;
 }
 

@@ -35,6 +35,8 @@ export const connection = signal("closed");
 export const theme = signal("light");
 /** Whether components of the infrastructure are shown. */
 export const infrastructure = signal(true);
+/** What the search of the tree seeks. */
+export const sought = signal("");
 /** Whether the list of keys is open. */
 export const keysOpen = signal(false);
 /** The last thing that was said to the user; it is shown for some seconds, and read aloud. */

@@ -6,7 +6,8 @@
 import { commandsOf, copy } from "./commands.js";
 import { nudge } from "./scene/drag.js";
 import { folds } from "./scene/frame.js";
-import { boxes, choose, chooseNothing, edges, frames, keysOpen, portId, portOf, say, selected, tell } from "./store.js";
+import { flipTheme, turnTab } from "./shell.js";
+import { boxes, choose, chooseNothing, edges, frames, infrastructure, keysOpen, portId, portOf, say, selected, sought, tell } from "./store.js";
 import { endsOf } from "./words.js";
 
 /** @import {Box, Edge, Frame, Selection} from "./types.js" */
@@ -25,8 +26,11 @@ export const KEYS = [
   { keys: "c", does: "copy the command that shows the selected thing" },
   { keys: "+ − 0", does: "zoom in, zoom out, fit" },
   { keys: "t", does: "tidy: lay out everything anew" },
+  { keys: "l e p", does: "open or close log, events, plots" },
+  { keys: "d", does: "dark or light" },
+  { keys: "h", does: "hide or show infrastructure" },
   { keys: "?", does: "show these keys" },
-  { keys: "Esc", does: "close, or select nothing" },
+  { keys: "Esc", does: "close, clear the search, or select nothing" },
 ];
 
 const STEP = 16;
@@ -159,7 +163,8 @@ export function walk(scene, view, hear) {
     obey(event, {
       "/": () => document.getElementById("search")?.focus(), "?": () => { keysOpen.value = !keysOpen.peek(); },
       "+": () => view.by(1.25), "=": () => view.by(1.25), "-": () => view.by(0.8), 0: () => view.fit(), t: () => tidy(), c: () => copySelected(),
-      Escape: () => { if (keysOpen.peek()) keysOpen.value = false; else chooseNothing(); },
+      l: () => turnTab("Log"), e: () => turnTab("Events"), p: () => turnTab("Plots"), d: () => flipTheme(), h: () => hideInfrastructure(),
+      Escape: () => { if (keysOpen.peek()) keysOpen.value = false; else if (sought.peek()) sought.value = ""; else chooseNothing(); },
     });
   });
 }
@@ -175,6 +180,12 @@ function obey(event, does) {
 /** Lay out everything anew. */
 export function tidy() {
   if (say({ t: "tidy" })) tell("Tidied");
+}
+
+/** Hide what only records or shows, or show it again. */
+export function hideInfrastructure() {
+  infrastructure.value = !infrastructure.peek();
+  say({ t: "infrastructure", on: infrastructure.peek() });
 }
 
 /** @param {number} id of a frame */

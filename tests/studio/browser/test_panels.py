@@ -72,6 +72,31 @@ def test_the_search_finds_names_types_and_ports_and_enter_selects(page: Opened) 
     page.page.locator("#search").fill("")
 
 
+def test_escape_clears_the_search_from_anywhere_and_docks_and_theme_have_keys(page: Opened) -> None:
+    keys, tree = page.page.keyboard, page.page.locator("[role=treeitem]")
+    whole = tree.count()
+    keys.press("/")
+    keys.type("slow")
+    keys.press("Enter")
+    until(lambda: tree.count() < whole)
+    keys.press("Escape")
+    until(lambda: tree.count() == whole)
+    heading(page, "slow")  # the next one selects nothing
+    keys.press("Escape")
+    page.page.locator("aside").get_by_text("Needs a look").wait_for()
+    page.page.evaluate("document.activeElement?.blur()")
+    for key, name in (("l", "Log"), ("e", "Events"), ("p", "Plots")):
+        keys.press(key)
+        page.page.get_by_role("tab", name=name, selected=True).wait_for()
+    keys.press("p")
+    page.page.locator("body.low").wait_for()
+    theme = "document.documentElement.dataset.theme"
+    before = page.page.evaluate(theme)
+    keys.press("d")
+    assert page.page.evaluate(theme) != before
+    keys.press("d")
+
+
 def test_the_tree_is_walked_by_arrows(page: Opened) -> None:
     tree = page.page.get_by_role("tree")
     tree.locator("[tabindex='0']").focus()
@@ -174,6 +199,28 @@ def test_events_are_asked_for_while_they_are_shown_and_those_between_are_there(p
     page.page.get_by_role("button", name="What changed in the last minute").click()
     site.call("lossy", "remove", components=["made0"])
     until(lambda: "made0" not in page.names())
+
+
+def test_a_row_of_the_log_leads_to_its_component_and_its_place_is_copied(page: Opened) -> None:
+    page.show("Log")
+    page.page.get_by_role("combobox", name="Component").select_option("fails")
+    line = page.page.locator(".log .line", has_text="RuntimeError").first
+    line.locator(".what").click()
+    heading(page, "fails")
+    line.get_by_role("button", name="parts.py:").click()
+    until(lambda: re.search(r"parts\.py:\d+$", page.page.evaluate("navigator.clipboard.readText()")))
+    page.page.get_by_role("combobox", name="Component").select_option("")
+
+
+def test_one_change_of_a_parameter_is_one_readable_event(page: Opened, site: Served) -> None:
+    page.show("Events")
+    page.page.get_by_role("button", name="Clear").click()
+    site.call("lossy", "configure", component="wave", values={"": {"gain": 2.5}})
+    lines = page.page.locator(".log .line", has_text="wave")
+    lines.get_by_text("gain: 3.0 → 2.5").wait_for()
+    page.page.wait_for_timeout(500)
+    assert lines.count() == 1, lines.all_inner_texts()
+    site.call("lossy", "configure", component="wave", values={"": {"gain": 3.0}})
 
 
 def test_the_state_chart_is_drawn_and_its_state_is_lit(page: Opened) -> None:

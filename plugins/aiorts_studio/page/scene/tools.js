@@ -2,8 +2,8 @@
 import { h } from "../vendor/preact.js";
 import { useSignal } from "../vendor/preact-signals.js";
 import htm from "../vendor/htm.js";
-import { boxes, connection, infrastructure, kernels, say } from "../store.js";
-import { copySelected, tidy } from "../walk.js";
+import { boxes, connection, infrastructure, kernels } from "../store.js";
+import { copySelected, hideInfrastructure, tidy } from "../walk.js";
 import { counted, letterOf } from "../words.js";
 import { onlyLooks } from "./world.js";
 
@@ -42,13 +42,9 @@ export function Empty() {
 
 /** @param {{view: import("./view.js").Moves}} props */
 export function Tools({ view }) {
-  const hide = () => {
-    infrastructure.value = !infrastructure.value;
-    say({ t: "infrastructure", on: infrastructure.value });
-  };
   const some = [...boxes.value.values()].filter(onlyLooks).length;
   return html`<div class="tools" role="toolbar" aria-label="View">
-    <button aria-pressed=${!infrastructure.value} disabled=${!some && infrastructure.value} onClick=${hide}
+    <button aria-pressed=${!infrastructure.value} disabled=${!some && infrastructure.value} onClick=${hideInfrastructure}
       title=${some ? `Hide what only records or shows: ${counted(some, "component")}` : "Nothing to hide: no component here only records or shows"}>Hide infrastructure${some > 0 && ` (${some})`}</button>
     <button onClick=${copySelected} title="Copy the command that shows what is selected (c)">Copy command</button>
     <button onClick=${tidy} title="Lay out everything anew (t)">Tidy</button>
