@@ -163,7 +163,7 @@ class _Serving:
                 outlasting = asyncio.create_task(self._outlast(api, entrance, over), name="studio of a run")
                 outlasting.add_done_callback(lambda _: over.set())
             await over.wait()
-            await api.close("aiorts studio was ended")
+            await api.close("the run has ended" if self.beside else "aiorts studio was ended")
         return exits.DONE
 
     async def _outlast(self, api: Api, entrance: Entrance, over: asyncio.Event) -> None:

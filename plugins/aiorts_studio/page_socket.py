@@ -8,7 +8,7 @@ from collections.abc import Coroutine, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.errors import AbsentError, AiortsError, RecordError
+from aiorts.errors import SLOW_READER_BURSTS, SLOW_READER_CURES, AbsentError, AiortsError, RecordError
 from aiorts_studio.kernels import Visitor, entry_of
 from aiorts_studio.offered import check_names, operation_of, patience
 from aiorts_studio.plain.problems import HttpError, problem_of
@@ -82,8 +82,11 @@ class _PageSocket:
         """Do what the page says, and send what it is told, until it goes."""
         page = self._page
         page.put(
-            {"t": "hello", "right": self._api.right.value, "files": self._studio.recorder.can_record, "period": 0.2}
-        )
+            {
+                "t": "hello", "right": self._api.right.value, "files": self._studio.recorder.can_record, "period": 0.2,
+                "cures": SLOW_READER_CURES, "bursts": SLOW_READER_BURSTS,
+            }
+        )  # fmt: skip
         sending = asyncio.create_task(self._send(), name="studio page")
         try:
             await self._studio.join(page)

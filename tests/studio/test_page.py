@@ -15,7 +15,7 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
-from aiorts import Kernel, OutPort
+from aiorts import Component, EventContext, InPort, Kernel, OutPort
 from aiorts.types import TimedDouble
 from aiorts_studio.page_socket import PAGES
 from aiorts_studio.watching.watch import Watch
@@ -228,6 +228,23 @@ async def test_the_log_is_told_by_level_and_a_burst_is_counted() -> None:
         assert told >= 200
         assert missed > 0
         assert told + missed <= 5_000 + marked
+
+
+class Deaf(Component):
+    in_ = InPort(TimedDouble, name="in")
+
+
+async def test_losses_that_the_kernel_warned_of_before_are_in_the_log() -> None:
+    async with controlled("robot") as kernel, site() as client, paging(client) as page:
+        await kernel.connect(kernel.components["counter0"].ports["out"], (await kernel.create(Deaf, "deaf")).in_)
+        await kernel.start(EventContext(name="other"), kernel.components["deaf"], activate=True)
+        async with asyncio.timeout(WAIT):
+            while not kernel.connectors["counter0.out-deaf.in"].statistics.dropped:
+                await asyncio.sleep(0.05)
+        await page.say("log", on=True, level="INFO", component="")
+        (line,) = (await page.heard("log", lambda one: one["lines"]))["lines"]
+        assert (line["level"], line["component"]) == ("WARNING", "")
+        assert line["text"].startswith("counter0.out -> deaf.in: 1 sample lost so far")
 
 
 async def test_events_are_told_and_history_is_there_for_a_page_that_comes() -> None:

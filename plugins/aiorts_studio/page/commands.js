@@ -1,5 +1,5 @@
 /** The commands that show or change what is selected, to be copied into a terminal. */
-import { boxes, edges, frames, kernels, portOf, tell } from "./store.js";
+import { boxFigures, boxes, edges, frames, kernels, portOf, tell } from "./store.js";
 import { endsOf } from "./words.js";
 
 /** @import {Selection} from "./types.js" */
@@ -29,7 +29,8 @@ export function commandsOf(selection, change) {
     const box = boxes.value.get(Number(id));
     if (!box) return [];
     const name = named(box.kernel, box.name);
-    return [{ says: "show it", command: `aiorts cat ${name}` }, ...(change === "" ? [] : [{ says: "its parameters", command: `aiorts conf ${name}` }]),
+    const { state } = boxFigures.value.get(box.id) ?? box;
+    return [...(state === "error" ? [{ says: "take it out of error", command: `aiorts reset ${name}` }] : []), { says: "show it", command: `aiorts cat ${name}` }, ...(change === "" ? [] : [{ says: "its parameters", command: `aiorts conf ${name}` }]),
       ...(change ? [{ says: "change a parameter", command: change }] : []), { says: "its log", command: `aiorts vlog ${name}` }];
   }
   if (kind === "edge") {

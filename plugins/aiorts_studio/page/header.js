@@ -4,13 +4,14 @@ import htm from "./vendor/htm.js";
 import { worstLoss } from "./panels/troubles.js";
 import { flipTheme } from "./shell.js";
 import { choose, connection, frameFigures, frames, kernels, keysOpen, missed, right, theme, totals } from "./store.js";
-import { count, counted, number } from "./words.js";
+import { why } from "./connection.js";
+import { count, counted, hasEnded, number } from "./words.js";
 
-/** @import {Total} from "./types.js" */
+/** @import {Kernel, Total} from "./types.js" */
 
 const html = htm.bind(h);
 
-const LIVE = /** @type {Record<string, string>} */ ({ closed: "not signed in", opening: "connecting", lost: "connection lost, trying again", ended: "the server has ended" });
+const LIVE = /** @type {Record<string, string>} */ ({ closed: "not signed in", opening: "connecting", lost: "connection lost, trying again", ended: "aiorts studio has ended" });
 
 export function Header() {
   return html`
@@ -26,10 +27,20 @@ export function Header() {
 }
 
 function Live() {
-  const silent = [...kernels.value.values()].filter((one) => one.state === "silent");
-  const words = connection.value !== "live" ? LIVE[connection.value] : silent.length ? `${silent.map((one) => one.name).join(", ")}: no answer` : "live";
-  const kind = connection.value === "live" ? (silent.length ? "partly" : "") : "not";
+  const [words, kind] = howItIs();
   return html`<span class=${`live ${kind}`} role="status">${words}</span>`;
+}
+
+/** @returns {[string, "" | "partly" | "over" | "not"]} in words, and how good that is */
+function howItIs() {
+  const all = [...kernels.value.values()], silent = all.filter((one) => one.state === "silent"), ended = all.filter((one) => one.state === "ended");
+  const names = (/** @type {Kernel[]} */ some) => some.map((one) => one.name).join(", ");
+  if (connection.value === "ended") return [why || LIVE.ended, why ? "over" : "not"];
+  if (connection.value !== "live") return [LIVE[connection.value], "not"];
+  if (silent.length) return [`${names(silent)}: no answer`, "partly"];
+  if (!all.length) return ["nothing runs", "over"];
+  if (ended.length < all.length) return ["live", ""];
+  return [ended.length === 1 ? `${ended[0].name} ${ended[0].why}` : `${names(ended)} have ended`, ended.every(hasEnded) ? "over" : "partly"];
 }
 
 /** @returns {[string, string, boolean, (() => void) | null][]} value, words, whether it is bad, what leads there */

@@ -50,12 +50,13 @@ export function Toast() {
   return html`<p class=${`toast ${notice.value ? "shown" : ""}`} role="status" aria-live="polite">${notice.value}</p>`;
 }
 
-/** Says across the page that what is shown is old. */
+/** Says across the page that what is shown is old, and what to do. */
 export function Banner() {
-  const said = { lost: "The connection to the server was lost. What is shown is old; trying again…",
-    ended: "The server has ended. What is shown is what was last known; the page goes on as soon as it runs again." };
+  const again = "What is shown is what was last. When it is started again, open the address that it prints.";
+  const said = { lost: "The connection to aiorts studio was lost. What is shown is old; trying again…",
+    ended: why ? `${why[0].toUpperCase()}${why.slice(1)}. ${again}` : `aiorts studio does not answer any more. ${again}` };
   const text = said[/** @type {"lost"} */ (connection.value)];
-  return text ? html`<p class="banner" role="alert">${text} ${why}</p>` : null;
+  return text ? html`<p class=${`banner ${why ? "over" : ""}`} role="alert">${text}</p>` : null;
 }
 
 /** @typedef {{property: string, sign: 1 | -1, axis: "x" | "y", least: number, most: number, first: number, label: string, kind: string}} Edge */

@@ -28,6 +28,9 @@ export const selected = signal(/** @type {Selection | null} */ (null));
 export const right = signal("");
 /** Whether the server was given a folder to write recordings to. */
 export const files = signal(false);
+/** What helps a reader that is too slow, the best first, in words and as it is written; and what a longer buffer helps. */
+export const cures = signal(/** @type {[string, string][]} */ ([]));
+export const bursts = signal("");
 /** Messages that this page was too slow for, since it was opened. */
 export const missed = signal(0);
 /** "closed" before sign-in, "opening", "live", "lost" (it tries again), "ended". */
@@ -173,6 +176,8 @@ export function take(message) {
     if (kind === "hello") {
       right.value = message.right;
       files.value = message.files;
+      cures.value = message.cures;
+      bursts.value = message.bursts;
     } else if (kind === "picture") takePicture(message);
     else if (kind === "change") takeChange(message);
     else if (kind === "figures") takeFigures(message);
@@ -237,3 +242,13 @@ function edgeFigures(row, before = NONE) {
   const [rate, dropped, backlog, loss, reasons, age, trip] = row;
   return { rate, dropped, backlog, loss: loss ?? 0, reasons, age: age ?? null, trip: trip ?? null, lossy: dropped > 0 };
 }
+
+/** How often the time is said for which kernels have not answered, in ms: one count for all that say it. */
+const COUNT_MS = 1000;
+let countedAt = performance.now();
+
+setInterval(() => {
+  const now = performance.now(), passed = (now - countedAt) / 1000;
+  countedAt = now;
+  merge(kernels, [], [...kernels.peek().values()].filter((one) => one.state === "silent").map((one) => [one.address, { ...one, since_s: one.since_s + passed }]));
+}, COUNT_MS);

@@ -38,7 +38,8 @@
  *
  * @typedef {{kernels: Kernel[], frames: Frame[], boxes: Box[], edges: Edge[]}} Things
  * @typedef {{kernels?: string[], frames?: number[], boxes?: number[], edges?: number[]}} Gone
- * @typedef {{t: "hello", right: "view" | "operate", files: boolean, period: number}} Hello
+ * @typedef {{t: "hello", right: "view" | "operate", files: boolean, period: number, cures: [string, string][], bursts: string}} Hello
+ *   cures: what helps a slow reader, in words and as it is written; bursts: what a longer buffer helps
  * @typedef {{t: "picture", missed?: number} & Things} Picture
  * @typedef {{t: "change", gone?: Gone} & Partial<Things>} Change
  * @typedef {{t: "figures", at?: Record<string, number>, e?: Record<string, any[]>, b?: Record<string, any[]>,

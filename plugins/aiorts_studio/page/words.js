@@ -120,7 +120,7 @@ export function portSpoken(port) {
 
 /** What a screen reader says of a box. @param {Box} box @param {string} state @param {string} said @param {Kernel | undefined} kernel */
 export function boxSpoken(box, state, said, kernel) {
-  const silent = kernel && kernel.state !== "live" ? "its kernel does not answer" : "";
+  const silent = !kernel || kernel.state === "live" ? "" : kernel.state === "silent" ? "its kernel does not answer" : `its kernel ${kernel.why}`;
   return [box.name, box.type, state, said, box.error?.message ?? "", silent].filter(Boolean).join(", ");
 }
 
@@ -137,9 +137,11 @@ export function frameSaid(frame, row) {
 /** What is said of a kernel that is not live; "" of one that is. @param {Kernel} kernel @param {number} since seconds */
 export function kernelTrouble(kernel, since) {
   if (kernel.state === "live") return "";
-  if (kernel.state === "silent") return `no answer for ${seconds(since)}`;
-  return kernel.why.includes("ended") ? kernel.why : ["ended", kernel.why].filter(Boolean).join(": ");
+  return kernel.state === "silent" ? `no answer for ${seconds(since)}` : kernel.why;
 }
+
+/** Whether a kernel has ended as a run ends, and nothing is wrong. @param {Kernel} kernel */
+export const hasEnded = (kernel) => kernel.state === "ended" && /^has ended( with status 0)?$/.test(kernel.why);
 
 /** Where a kernel runs. @param {Kernel} kernel */
 export function kernelSaid(kernel) {

@@ -280,7 +280,7 @@ def test_a_page_says_that_its_server_has_ended(chromium: Browser) -> None:
         found.wait_for_boxes(2)
         with ended(site.process):
             pass
-        found.page.get_by_role("alert").get_by_text("The server has ended").wait_for()
+        found.page.get_by_role("alert").get_by_text("aiorts studio does not answer any more").wait_for()
         assert found.page.locator("main .box").count() == 2  # what was last known stays
 
 

@@ -7,6 +7,7 @@ import { StateChart } from "./chart.js";
 import { Commands, CopyIcon } from "./as_commands.js";
 import { Cut, html, said } from "./parts.js";
 import { canPlot, plot } from "./plots.js";
+import { Timing } from "./timing.js";
 import { lostOn } from "./troubles.js";
 
 /** @import {Box, Edge} from "../types.js" */
@@ -30,6 +31,7 @@ export function ComponentPart({ box }) {
     ${report?.doc && html`<p class="doc">${report.doc.split("\n\n")[0].replaceAll("`", "")}</p>`}
     ${problem && !trouble && html`<p class="quiet" role="status">${problem}</p>`}
     <${LastError} box=${box} text=${report?.last_error ?? ""} />
+    ${report && html`<${Timing} box=${box} contexts=${Object.keys(report.states)} />`}
     <${Connectors} box=${box} />
     ${report?.machine && html`<${StateChart} kernel=${box.kernel} component=${box.name} machine=${report.machine} />`}
     ${report?.modes && html`<section><h3 class="over">Modes</h3><p class="pills">${report.modes.modes.map((/** @type {string} */ one) => html`

@@ -6,23 +6,11 @@ import { capacityOf, count, endsOf, number, reasonsOf, toneOf } from "../words.j
 import { useAnswer } from "./asked.js";
 import { Commands } from "./as_commands.js";
 import { Cut, counted, html } from "./parts.js";
+import { WhyLost } from "./why_lost.js";
 
 /** @import {Edge, EdgeFigures} from "../types.js" */
 
 const EVERY_MS = 600;
-
-/** Why samples are dropped -> what it means, and what helps. */
-const REASONS = /** @type {Record<string, [string, string]>} */ ({
-  overwritten: ["The buffer was full when a sample came, and the oldest one made room.", "The reader takes fewer than come: let it read all that waits or run more often, lengthen the buffer (length), or let the writer wait (full = \"block\"). Where only the newest counts, this is as it should be."],
-  rejected: ["The buffer was full when a sample came, and the new one was refused.", "The reader takes fewer than come: let it run more often, lengthen the buffer (length), or let the writer wait (full = \"block\")."],
-  superseded: ["A newer sample came before this one was passed on.", "It is what push = \"new\" asks for; push = \"all\" passes on every sample."],
-  timeout: ["The writer waited for room in the buffer, and gave up.", "Find out why the reader stands still; timeout says how long a writer waits."],
-  inactive: ["The reader's component was not active.", "Activate it, or connect it once it is."],
-  expired: ["The sample was older than its lifespan when it was to be read.", "The reader is late: let it run more often, or lengthen lifespan."],
-  unconverted: ["The converter of the connector could not make the reader's type of it.", "The log of the reader says which value; see the option convert."],
-  undecodable: ["The reader's process could not decode it.", "The types of the two ends are not the same: compare the versions that run."],
-  disconnected: ["The link was cut while the sample was on its way.", "See the state of the link; on_link_lost says what becomes of samples then."],
-});
 
 /** @param {{edge: Edge}} props */
 export function ConnectorPart({ edge }) {
@@ -37,8 +25,7 @@ export function ConnectorPart({ edge }) {
     <p class="pills"><span class=${`pill tone-${tone || "idle"}`}>${{ "": "connected", busy: "samples pass", idle: "nothing passes", full: "nearly full", lossy: "drops samples", down: "down", waiting: "waits for the other end" }[tone]}</span></p>
     <section aria-label="Ends"><table><tbody>${/** @type {const} */ (["from", "to"]).map((end) => html`<tr key=${end}><td>${end}</td>
       <td class="figure"><button class="lead" onClick=${() => choose("box", edge[end][0])}><${Cut} text=${end === "from" ? from : to} /></button></td></tr>`)}</tbody></table></section>
-    ${reasons.length > 0 && html`<section class="failure" aria-label="Why samples are lost"><h3 class="over">Why samples are lost</h3>${reasons.map(([why, times]) => html`
-      <p key=${why}><b>${count(times)} ${why.replaceAll("_", " ")}</b>${(REASONS[why] ?? []).map((words, index) => html`<span class=${index ? "remedy" : ""}>${words}</span>`)}</p>`)}</section>`}
+    <${WhyLost} edge=${edge} reasons=${reasons} />
     <section><h3 class="over">Now</h3><table><tbody>
       <${Figure} name="arrive" value=${row?.rate} unit="samples/s" />
       <${Figure} name="lost now" value=${row?.loss} unit="samples/s" bad=${(row?.loss ?? 0) > 0} />
