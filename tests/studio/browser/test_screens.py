@@ -202,7 +202,7 @@ def test_the_picture_of_the_readme(chromium: Browser, pictures: Path) -> None:
         page.wait_for("() => [...store.figures.value.values()].some((row) => row.dropped > 20)")
         page.page.get_by_role("button", name="Tidy").click()
         page.choose_edge("metres.output0-panel.pose")
-        page.page.locator("aside").get_by_text("lengthen the buffer").wait_for()
+        page.page.locator("aside").get_by_text("length helps only bursts").wait_for()
         page.fit()
         page.page.locator(".toast:not(.shown)").wait_for(state="attached")
         assert checks.at_a_glance(page) == []
