@@ -75,6 +75,8 @@ class _PageSocket:
         self._calls: set[asyncio.Task[None]] = set()
         self._feeds: dict[str, Feed] = {}
         self._shown: dict[int, tuple[str, str, Shown]] = {}
+        self._events_until = 0
+        """The time until which the page was sent events, in ns."""
 
     async def carry(self) -> None:
         """Do what the page says, and send what it is told, until it goes."""
@@ -137,7 +139,7 @@ class _PageSocket:
                     LogFeed(self._page, *_words(said, "kernel", "level", "component")) if said.get("on") else None,
                 )
             case "events":
-                self._follow("events", EventFeed(self._page) if said.get("on") else None)
+                self._events(on=said.get("on") is True)
             case "measure":
                 self._studio.measure(self._page, _edges(said.get("edges")), on=said.get("on") is True)
             case "watch":
@@ -146,6 +148,16 @@ class _PageSocket:
                 self._unwatch(whole(said, "id"))
             case kind:
                 raise RecordError(f"{kind!s:.40}: nothing that a page says")
+
+    def _events(self, *, on: bool) -> None:
+        """Send the page events, first the changes of the last minute that it has missed; or end it."""
+        if not on:
+            if "events" in self._feeds:
+                self._follow("events", None)
+                self._events_until = time.time_ns()
+        elif "events" not in self._feeds:
+            self._page.put({"t": "history", "items": self._studio.changes_since(self._events_until)})
+            self._follow("events", EventFeed(self._page))
 
     def _record(self, said: Mapping[str, Any]) -> None:
         recorder = self._studio.recorder

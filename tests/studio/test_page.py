@@ -209,6 +209,7 @@ async def test_events_are_told_and_history_is_there_for_a_page_that_comes() -> N
         found = await page.heard("event", lambda one: any(item["component"] == "counter0" for item in one["items"]))
         assert all(item["kernel"] == address_of(kernel) for item in found["items"])
         async with paging(client) as other:
+            await other.say("events", on=True)
             history = await other.heard("history")
             assert any(item["component"] == "counter0" for item in history["items"])
 

@@ -46,7 +46,7 @@ const heard = document.body.appendChild(document.createElement("p"));
 heard.className = "heard";
 heard.setAttribute("aria-live", "polite");
 
-pointing(scene, view);
+const reveal = pointing(scene, view);
 outline(scene);
 walk(scene, view, (text) => { heard.textContent = text; });
 
@@ -100,7 +100,8 @@ store.on("change", (change) => {
   if (!held && size !== before && (change.frames || change.boxes || change.gone)) view.fit();
   before = size;
 });
-new ResizeObserver(() => { if (!held) view.fit(); }).observe(main);
+// What is selected stays in view, too, when its panel opens upon it.
+new ResizeObserver(() => { if (held) reveal(); else view.fit(); }).observe(main);
 
 // -- signs of life -----------------------------------------------------------------------------------------------------
 

@@ -1,5 +1,5 @@
 /** The commands that show or change what is selected, to be copied into a terminal. */
-import { boxes, edges, frames, kernels, tell } from "./store.js";
+import { boxes, edges, frames, kernels, portOf, tell } from "./store.js";
 import { endsOf } from "./words.js";
 
 /** @import {Selection} from "./types.js" */
@@ -39,6 +39,10 @@ export function commandsOf(selection, change) {
     return [{ says: "show it", command: `aiorts cat ${named(edge.kernel, edge.name)}` },
       { says: "its ledger, from end to end", command: `aiorts con --both-ends ${from} ${to}` },
       { says: "what passes", command: `aiorts print ${from}` }];
+  }
+  if (kind === "port") {
+    const found = portOf(id, boxes.value);
+    return found ? commandsOfPort(found.box.kernel, `${found.box.name}.${found.port.name}`, found.port.side) : [];
   }
   const frame = kind === "frame" ? frames.value.get(Number(id)) : null;
   if (frame && frame.kind !== "kernel" && frame.kind !== "host") return [{ says: "show it", command: `aiorts cat ${named(frame.kernel, frame.name)}` }];

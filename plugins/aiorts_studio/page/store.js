@@ -46,9 +46,23 @@ export const notice = signal("");
 export const selection = computed(() => {
   const one = selected.value;
   if (!one) return null;
+  if (one.kind === "port") {
+    const port = portOf(one.id, boxes.value);
+    return port && { kind: one.kind, thing: port };
+  }
   const found = places[one.kind].value.get(/** @type {never} */ (one.id));
   return found ? { kind: one.kind, thing: found } : null;
 });
+
+/** The id of a port. @param {number} box @param {string} name */
+export const portId = (box, name) => `${box}.${name}`;
+
+/** The box that has a port, and the port; null: it is not there. @param {number | string} id of the port @param {Map<number, Box>} all */
+export function portOf(id, all) {
+  const [, number, name] = /^(\d+)\.(.*)$/s.exec(String(id)) ?? [], box = all.get(Number(number)), port = box?.ports.find((one) => one.name === name);
+  return box && port ? { box, port } : null;
+}
+
 const places = { box: boxes, edge: edges, frame: frames, kernel: kernels };
 
 // -- out ---------------------------------------------------------------------------------------------------------------

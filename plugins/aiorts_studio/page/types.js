@@ -33,7 +33,8 @@
  * @typedef {{components: number, connectors: number, rate: number | null, dropped: number, failed: [string, string, number | null][],
  *   lossy: [string, string, number, string[], "box" | "edge", number | null][]}} Total
  *
- * @typedef {{kind: "box" | "edge" | "frame" | "kernel", id: number | string}} Selection Of a kernel the id is its address.
+ * @typedef {{kind: "box" | "port" | "edge" | "frame" | "kernel", id: number | string}} Selection
+ * Of a kernel the id is its address, of a port what `portId` makes.
  *
  * @typedef {{kernels: Kernel[], frames: Frame[], boxes: Box[], edges: Edge[]}} Things
  * @typedef {{kernels?: string[], frames?: number[], boxes?: number[], edges?: number[]}} Gone

@@ -78,6 +78,13 @@ class Graph:
                         found |= dict.fromkeys((own, *sorted(bands)), view.key)
         return found
 
+    def units(self) -> dict[str, str]:
+        """Of each group of bands, what stays in one pile with it: the kernels of its host, where there are several."""
+        hosts = {view.key: view.about["host"] for view in self._views.values()}
+        if len({*hosts.values()}) < 2:
+            return {key: key for key in hosts}
+        return hosts | {f"{HOST} {host}": host for host in hosts.values()}
+
     # -- boxes -----------------------------------------------------------------------------------------------------
 
     def _band(self, view: View, name: str) -> Key:

@@ -1,8 +1,10 @@
 """The places of boxes in bands and columns, and the ways of edges round them.
 
-A column holds boxes that are as far from a source, a band those of one context. Edges run along the axes in the room
-between boxes: down in the channel right of a column, and across columns at a height that is free in all of them. So no
-edge runs through a box. `place` lays all out; `add`, `remove` and `route` change one thing, and nothing else moves.
+A column holds boxes that are as far from a source, a band those of one context. Bands of a group stand above one
+another, and so do the groups of a pile; piles stand side by side, with an empty column between them. Edges run along
+the axes in the room between boxes: down in the channel right of a column, and across columns at a height that is free
+in all of them. So no edge runs through a box. `place` lays all out; `add`, `remove` and `route` change one thing, and
+nothing else moves.
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final, TypeAlias
 
-Point: TypeAlias = tuple[float, float]
+from aiorts_studio.watching.detour import Point, Rect, around, room
+
 Key: TypeAlias = tuple[str, ...]
 """The name of a box, a band or an edge."""
 
@@ -38,6 +41,10 @@ GROUP_HEAD: Final = 44.0
 """Height of the title of a group of bands."""
 GROUP_GAP: Final = 28.0
 LEFT: Final = 28.0
+_BESIDE: Final = LEFT + 20.0
+"""Between the boxes, or the edges, at the side of a pile and the empty column beside it."""
+_EMPTY: Final = 56.0
+"""Width of the empty column between two piles."""
 _STEP: Final = 16.0
 _CLEAR: Final = 14.0
 """Between a column and the first edge that runs down beside it."""
@@ -118,13 +125,20 @@ class Layout:
         spots: the boxes by their keys.
         bands: the bands by their keys, in order.
         groups: of each band, the key of the group that it stands in.
+        piles: of each group, the number of the pile that it stands in, from the left; one that is not here is in the
+            last.
         moved: the places that boxes were wished to by `move`.
     """
 
     spots: dict[Key, Spot] = field(default_factory=dict)
     bands: dict[Key, Band] = field(default_factory=dict)
     groups: dict[Key, str] = field(default_factory=dict)
+    piles: dict[str, int] = field(default_factory=dict)
     moved: dict[Key, Point] = field(default_factory=dict)
+    _spans: list[tuple[int, int]] = field(default_factory=lambda: [(0, 0)])
+    """By pile: its first column, and the one behind its last."""
+    _loose: dict[Key, tuple[int, ...]] = field(default_factory=dict)
+    """The boxes that `move` has put, which stand in no column, and the columns in which they are in the way."""
     _lefts: list[float] = field(default_factory=list)
     _widths: list[float] = field(default_factory=list)
     _taken: dict[int, list[Point]] = field(default_factory=dict)
@@ -136,24 +150,47 @@ class Layout:
     _heights: dict[Key, int] = field(default_factory=dict)
     """The height in steps at which an edge runs across columns."""
 
-    @property
-    def right(self) -> float:
-        """The right end of the bands."""
-        return max((one.x + one.w for one in self.spots.values()), default=200.0) + LEFT
+    def pile_of(self, band: Key) -> int:
+        """The number of the pile that a band stands in."""
+        return self.piles.get(self.groups.get(band, ""), len(self._spans) - 1)
 
-    def place(self, spots: Sequence[Spot], edges: Sequence[Edge], groups: Mapping[Key, str]) -> None:
+    def room_of(self, pile: int) -> tuple[float, float]:
+        """From where to where boxes and edges of a pile may be: to the empty columns at both of its sides."""
+        first, end = self._spans[pile]
+        left = self._lefts[first - 1] if pile else float("-inf")
+        return left, self._lefts[end] if pile + 1 < len(self._spans) else float("inf")
+
+    def place(
+        self,
+        spots: Sequence[Spot],
+        edges: Sequence[Edge],
+        groups: Mapping[Key, str],
+        piles: Mapping[str, int] | None = None,
+    ) -> None:
         """Place everything again.
 
         Args:
             groups: of each band, the group that it stands in; bands of one group follow one another.
+            piles: of each group, the number of its pile, from 0 without gaps; None: there is one pile.
         """
         self.spots = {one.key: one for one in spots}
-        self.groups = dict(groups)
+        self.groups, self.piles = dict(groups), dict(piles or {})
+        self._loose.clear()
         for made in (self.bands, self._lefts, self._widths, self._taken, self._tracks, self._runs, self._heights):
             made.clear()
-        for key, column in columns(self.spots, edges).items():
-            self.spots[key].column = column
-        count = max((one.column for one in spots), default=0) + 1
+        self._spans = [(0, 0)] * (max(self.piles.values(), default=0) + 1)
+        count = 0
+        for pile in range(len(self._spans)):
+            own = {one.key for one in spots if self.pile_of(one.band) == pile}
+            found = columns(
+                [key for key in self.spots if key in own],
+                [edge for edge in edges if edge.source in own and edge.target in own],
+            )
+            first = count + (pile > 0)
+            for key, column in found.items():
+                self.spots[key].column = first + column
+            count = first + max(found.values(), default=0) + 1
+            self._spans[pile] = first, count
         cells: dict[tuple[Key, int], list[Spot]] = {}
         for one in spots:
             cells.setdefault((one.band, one.column), []).append(one)
@@ -174,25 +211,39 @@ class Layout:
             insort(self._taken.setdefault(one.column, []), (one.y, one.y + one.h))
 
     def _begin(self, band: Key) -> float:
-        """The top of a band that comes below all others."""
-        if not self.bands:
+        """The top of a band that comes below all others of its pile."""
+        last = self._last(self.pile_of(band))
+        if last is None:
             return GROUP_HEAD
-        last, under = next(reversed(self.bands.items()))
-        top = under.top + under.height
+        top = self.bands[last].top + self.bands[last].height
         return top + (BAND_GAP if self.groups.get(last) == self.groups.get(band) else GROUP_GAP + GROUP_HEAD)
+
+    def _last(self, pile: int) -> Key | None:
+        return next((band for band in reversed(self.bands) if self.pile_of(band) == pile), None)
 
     def _put_columns(self, spots: Sequence[Spot], edges: Sequence[Edge], count: int) -> None:
         leaving = [0] * count
         for edge in edges:
             first, last = self.spots[edge.source].column, self.spots[edge.target].column
             leaving[first] += 1
-            leaving[max(last - 1, 0)] += last > first + 1
+            leaving[max(last - 1, 0)] += last > first + 1 or 0 < last <= first
         x = LEFT
         for column in range(count):
             self._lefts.append(x)
-            self._widths.append(max((one.w for one in spots if one.column == column), default=0.0))
+            width = _EMPTY if self._is_empty(column) else 0.0
+            self._widths.append(max((one.w for one in spots if one.column == column), default=width))
             # Not all edges run beside one another: half as many tracks are enough nearly always, else some share one.
-            x += self._widths[column] + LABEL + TRACK * (leaving[column] * 0.5 + 2)
+            x += self._widths[column] + self._before(column + 1) + TRACK * (leaving[column] * 0.5 + 2)
+            if self._is_empty(column) and not leaving[column]:
+                x += _BESIDE - LABEL - TRACK * 2
+
+    def _is_empty(self, column: int) -> bool:
+        """Whether a column lies between two piles."""
+        return any(column == first - 1 for first, _ in self._spans[1:])
+
+    def _before(self, column: int) -> float:
+        """The room between the edges that run down before a column, and its boxes."""
+        return _BESIDE - TRACK * 2 if self._is_empty(column) else LABEL
 
     def _order(self, cells: dict[tuple[Key, int], list[Spot]], edges: Sequence[Edge]) -> None:
         """Put each box near its neighbours: by the mean place of those before it, then of those after it, and again."""
@@ -226,24 +277,34 @@ class Layout:
         old = self.spots.get(spot.key)
         self.remove(spot.key)
         if spot.band not in self.bands:
-            last = next(reversed(self.bands), None)
-            if last is not None and group in self.groups.values() and self.groups[last] != group:
-                return False
+            is_new = group not in self.groups.values()
             self.groups[spot.band] = group
+            last = self._last(self.pile_of(spot.band))
+            if last is not None and not is_new and self.groups[last] != group:
+                return False
             self.bands[spot.band] = Band(self._begin(spot.band), BAND_HEAD + spot.h + BAND_FOOT)
-        sources, targets = ([self.spots[one] for one in side if one in self.spots] for side in (before, after))
+        pile = self.pile_of(spot.band)
+        first, end = self._spans[pile]
+        sources, targets = (
+            [one for key in side if (one := self.spots.get(key)) is not None and first <= one.column < end]
+            for side in (before, after)
+        )
         wish = [one.y for one in (*sources, *targets)]
         if old is not None and old.band == spot.band:
             spot.column, wish = old.column, [old.y]
         elif sources:
             spot.column = max(one.column for one in sources) + 1
         elif targets:
-            spot.column = max(0, min(one.column for one in targets) - 1)
+            spot.column = max(first, min(one.column for one in targets) - 1)
+        else:
+            spot.column = first
         band = self.bands[spot.band]
         wish = wish or [band.top + BAND_HEAD]
         y = None
         while y is None:  # the next column where this one is full; behind the last there is always room
-            if spot.column >= len(self._lefts):
+            if spot.column >= self._spans[pile][1]:
+                if pile + 1 < len(self._spans):
+                    return False  # another pile stands there
                 spot.column = len(self._lefts)
                 self._begin_column(spot.w)
             if spot.w <= self._widths[spot.column] + _WIDER:
@@ -259,36 +320,44 @@ class Layout:
         return True
 
     def _begin_column(self, width: float) -> None:
-        """Add a column at the right."""
+        """Add a column at the right: one more of the last pile."""
         self._lefts.append(self._lefts[-1] + self._widths[-1] + LABEL + TRACK * 8 if self._lefts else LEFT)
         self._widths.append(width)
+        self._spans[-1] = self._spans[-1][0], len(self._lefts)
 
     def move(self, key: Key, x: float, y: float) -> None:
-        """Put a box where there is room in its band, next to a place: `x` and `y` of its corner at the top left."""
+        """Put a box at a place, `x` and `y` of its corner at the top left, or where its band has room next to it."""
         spot = self.spots[key]
         self.remove(key)
         self.moved[key] = x, y
-        band = self.bands[spot.band]
-        low, high = band.top + BAND_HEAD, band.top + band.height - _FOOT
-        if x >= self._lefts[-1] + self._widths[-1]:
-            self._begin_column(spot.w)
-        found = [
-            (abs(left - x) + abs(free - y), column, left, free)
-            for column in range(len(self._lefts))
-            if spot.w <= self._widths[column] + _WIDER
-            and (free := self._free(column, y, spot.h, low, high)) is not None
-            and (left := self._lefts[column] + max(0.0, (self._widths[column] - spot.w) / 2)) is not None
-        ]
-        if found:
-            _, spot.column, spot.x, spot.y = min(found)
+        band, (left, right) = self.bands[spot.band], self.room_of(self.pile_of(spot.band))
+        within = (left + _EMPTY, band.top + BAND_HEAD, right - _BESIDE, band.top + band.height - _FOOT)
+        place = room((spot.w, spot.h), (x, y), within, map(_rect, self.spots.values()))
+        if place is not None:
+            spot.x, spot.y = place
         self.spots[key] = spot
-        insort(self._taken.setdefault(spot.column, []), (spot.y, spot.y + spot.h))
+        self._loose[key] = self._covered(spot)
+        for column in self._loose[key]:
+            insort(self._taken.setdefault(column, []), (spot.y, spot.y + spot.h))
+
+    def _covered(self, spot: Spot) -> tuple[int, ...]:
+        """The columns in which, or beside which, a box stands: no edge runs across there at its height."""
+        first, end = self._spans[self.pile_of(spot.band)]
+        rights = [self._lefts[column] + self._widths[column] for column in range(first, end)]
+        begins, ends = [float("-inf"), *rights[:-1]], [*self._lefts[first + 1 : end], float("inf")]
+        return tuple(
+            column
+            for column, begin, finish in zip(range(first, end), begins, ends, strict=True)
+            if spot.x < finish and spot.x + spot.w > begin
+        )
 
     def remove(self, key: Key) -> None:
         """Forget a box; its room is free again."""
         spot = self.spots.pop(key, None)
-        if spot is not None and (spot.y, spot.y + spot.h) in self._taken.get(spot.column, ()):
-            self._taken[spot.column].remove((spot.y, spot.y + spot.h))
+        if spot is not None:
+            for column in self._loose.pop(key, (spot.column,)):
+                if (spot.y, spot.y + spot.h) in self._taken.get(column, ()):
+                    self._taken[column].remove((spot.y, spot.y + spot.h))
 
     def _free(self, column: int, wanted: float, size: float, low: float, high: float) -> float | None:
         """The place nearest to `wanted` for a box of this height; None where there is none."""
@@ -303,6 +372,17 @@ class Layout:
 
     def route(self, edge: Edge) -> Route:
         """The way of an edge. Each has its own: connectors of one out-port have rates and losses of their own."""
+        route = self._along(edge)
+        ends = {edge.source, edge.target} & self._loose.keys()
+        in_the_way = self.spots.values() if ends else (self.spots[key] for key in self._loose)
+        if not any(meets(route, spot) for spot in in_the_way):
+            return route
+        self.forget(edge.key)
+        points = around(route.points[0], route.points[-1], map(_rect, self.spots.values()))
+        return route if points is None else Route(points, route.label)
+
+    def _along(self, edge: Edge) -> Route:
+        """The way through the channels between columns."""
         source, target = self.spots[edge.source], self.spots[edge.target]
         x1, y1 = source.x + source.w, source.y + source.port_y(edge.out, out=True)
         x2, y2 = target.x - 7, target.y + target.port_y(edge.into, out=False)
@@ -331,7 +411,8 @@ class Layout:
         if channel < 0:
             return self._lefts[0] - LABEL - TRACK * (track + 1)
         right = self._lefts[channel] + self._widths[channel]
-        room = self._lefts[channel + 1] - right - LABEL - _CLEAR if channel + 1 < len(self._lefts) else 1e6
+        after = channel + 1
+        room = self._lefts[after] - right - self._before(after) - _CLEAR if after < len(self._lefts) else 1e6
         return right + _CLEAR + (track * TRACK) % max(room, TRACK)  # more than there is room for: over one another
 
     def _run(self, over: tuple[int, int], key: Key, y1: float, y2: float) -> float:
@@ -365,6 +446,10 @@ class Layout:
             tracks.pop((*key, "end"), None)
         if (height := self._heights.pop(key, None)) is not None:
             self._runs[height].pop(key, None)
+
+
+def _rect(spot: Spot) -> Rect:
+    return spot.x, spot.y, spot.x + spot.w, spot.y + spot.h
 
 
 def meets(route: Route, spot: Spot) -> bool:

@@ -12,9 +12,11 @@ from itertools import count
 from typing import Any, Final, TypeAlias
 
 from aiorts.errors import AbsentError
+from aiorts_studio.watching.detour import Point
 from aiorts_studio.watching.frames import Thing, frames_of
 from aiorts_studio.watching.graph import FOLDED, IN_COMPOSITE, Graph, side_of
-from aiorts_studio.watching.layout import Band, Edge, Key, Layout, Point, Route, Spot, meets
+from aiorts_studio.watching.layout import Band, Edge, Key, Layout, Route, Spot, meets
+from aiorts_studio.watching.piles import placed
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import class_of, error_of, link_state, policy_of, said_of, state_of
 
@@ -52,7 +54,10 @@ class Scene:
         self._folded: set[Key] = set()
         self._moved: dict[Key, tuple[float, float]] = {}
         """Places that boxes were given by hand."""
+        self._again = True
+        """Whether all is to be placed again."""
         self._tidy = True
+        """Whether kernels, too, may come to stand elsewhere then."""
 
     def number(self, *key: str) -> int:
         """The number of a thing; the same for the same thing."""
@@ -63,8 +68,13 @@ class Scene:
     # -- what pages do with it -------------------------------------------------------------------------------------
 
     def tidy(self) -> None:
-        """Place everything again when it is drawn next."""
-        self._tidy = True
+        """Place everything anew when it is drawn next, also what was moved by hand."""
+        self._again = self._tidy = True
+        self._moved.clear()
+
+    def lay_out(self) -> None:
+        """Place everything again when it is drawn next, kernels beside those that they stood beside."""
+        self._again = True
 
     def move(self, number: int, x: float, y: float) -> None:
         """Put a box where there is room next to a place, when it is drawn next."""
@@ -77,7 +87,7 @@ class Scene:
         for key, known in self.numbers.items():
             if known == number and key[0] == "frame":
                 (self._folded.add if on else self._folded.discard)(key)
-                self._tidy = True
+                self._again = True
 
     def check_port(self, kernel: str, path: str) -> None:
         """Take the path of a data port; AbsentError: no kernel of this address has it."""
@@ -104,10 +114,13 @@ class Scene:
         What is laid out anew is laid out in a thread: 1,000 boxes take some tenths of a second.
         """
         graph = Graph(self.views, self._folded)
-        tidy, self._tidy = self._tidy, False
-        if tidy or not self._adapt(graph):
-            spots, edges, bands = list(graph.spots.values()), list(graph.edges.values()), graph.bands()
-            made = await asyncio.to_thread(_laid_out, spots, edges, bands, dict(self._moved))
+        tidy, again = self._tidy, self._again
+        self._tidy = self._again = False
+        if again or not self._adapt(graph):
+            before = self._layout
+            kept = {} if tidy else {group: before.pile_of(band) for band, group in before.groups.items()}
+            spots, edges, moved = list(graph.spots.values()), list(graph.edges.values()), dict(self._moved)
+            made = await asyncio.to_thread(_laid_out, spots, edges, graph.bands(), graph.units(), kept, moved)
             self._layout, self._routes = made
         self._graph = graph
         self.folds = {key: {} for key in self.views}
@@ -231,10 +244,14 @@ class Scene:
 
 
 def _laid_out(
-    spots: list[Spot], edges: list[Edge], bands: Mapping[Key, str], moved: Mapping[Key, Point]
+    spots: list[Spot],
+    edges: list[Edge],
+    bands: Mapping[Key, str],
+    units: Mapping[str, str],
+    kept: Mapping[str, int],
+    moved: Mapping[Key, Point],
 ) -> tuple[Layout, dict[Key, Route]]:
-    layout = Layout()
-    layout.place(spots, edges, bands)
+    layout = placed(spots, edges, bands, units, kept)
     for key, (x, y) in moved.items():
         if key in layout.spots:
             layout.move(key, x, y)

@@ -92,7 +92,6 @@ class Studio:
             self._coming -= 1
         self.pages.add(page)
         page.put(self.scene.picture())
-        page.put({"t": "history", "items": self._of_the_last_minute()})
         page.put(self.recorder.state())
         page.look(self.scene.things)
 
@@ -266,7 +265,8 @@ class Studio:
             if view.size == count and view.components:
                 break
         view.settled = True
-        self.tidy()
+        self.scene.lay_out()
+        self.changed()
 
     def _end(self, there: Collection[str]) -> None:
         """Say of kernels that they have ended, where that was while no page was open."""
@@ -309,8 +309,9 @@ class Studio:
         now = time.time_ns()
         self._history.append(happening(watch.view.address, item["kind"], item["event"], now))
 
-    def _of_the_last_minute(self) -> list[dict[str, Any]]:
-        since = time.time_ns() - _MINUTE
+    def changes_since(self, time_ns: int) -> list[dict[str, Any]]:
+        """The changes of profiles since a time, and within the last minute."""
+        since = max(time_ns, time.time_ns() - _MINUTE)
         return [one for one in self._history if one["at_ns"] >= since]
 
     def counted(self, watch: Watch) -> None:

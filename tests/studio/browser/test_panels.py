@@ -198,6 +198,31 @@ def test_one_change_of_a_parameter_is_one_readable_event(page: Opened, site: Ser
     site.call("lossy", "configure", component="wave", values={"": {"gain": 3.0}})
 
 
+def test_events_are_asked_for_while_they_are_shown_and_those_between_are_there(page: Opened, site: Served) -> None:
+    page.show("Events")
+    lines = page.page.locator(".log .line", has_text="made")
+    page.page.evaluate("""() => import('/store.js').then((store) => {
+      window.heard = []; window.unhear = store.on('event', (message) => heard.push(...message.items)); })""")
+    page.show("Log")
+    page.page.wait_for_timeout(300)  # for what was on its way
+    page.page.evaluate("() => { heard.length = 0; }")
+    site.call("lossy", "create", type="FlexiDump", name="made0", params={"inputs": ["TimedDouble"]})
+    page.wait_for("() => [...store.boxes.value.values()].some((box) => box.name === 'made0')")
+    page.page.wait_for_timeout(500)
+    assert page.page.evaluate("() => { unhear(); return heard; }") == []
+    page.show("Events")
+    page.page.get_by_role("button", name="What changed in the last minute").click()
+    lines.first.wait_for()
+    before = lines.count()
+    page.show("Log")
+    page.show("Events")
+    page.page.wait_for_timeout(500)
+    assert lines.count() == before
+    page.page.get_by_role("button", name="What changed in the last minute").click()
+    site.call("lossy", "remove", components=["made0"])
+    until(lambda: "made0" not in page.names())
+
+
 def test_the_state_chart_is_drawn_and_its_state_is_lit(page: Opened) -> None:
     page.choose("door")
     page.page.locator("aside .chart li.lit > b", has_text="opening").wait_for()
@@ -255,6 +280,7 @@ def test_plotted_ports_are_recorded_by_the_server(page: Opened, files: Path) -> 
     page.page.locator(".values tr", has_text="wave.out").wait_for()
     page.page.get_by_role("button", name="Record").click()
     page.page.get_by_role("button", name="Stop recording").wait_for()
+    until(lambda: list(files.iterdir()))  # its process has begun
     page.page.wait_for_timeout(1000)
     page.page.get_by_role("button", name="Stop recording").click()
     page.page.locator("#record-why", has_text="Open it in Foxglove").wait_for()
@@ -302,5 +328,6 @@ def test_a_page_that_only_looks_says_why_it_cannot_record_and_has_an_age_measure
         page.show("Plots")
         assert "--files FOLDER" in page.page.locator("#record-why").inner_text()
         page.choose_edge("wave.out-slow.in")
+        page.page.locator("aside tr", has_text="not measured").wait_for()
         page.page.get_by_role("button", name="Measure").click()
         page.page.locator("aside tr", has_text=re.compile(r"age when read\s*[\d.]+ ms")).wait_for()

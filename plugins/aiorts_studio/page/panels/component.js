@@ -1,7 +1,7 @@
 /** A component in full: profile, connectors, ports, parameters, services, state chart, last error and last lines. */
 import { commandsOf, copy, named, quoted } from "../commands.js";
-import { boxFigures, boxes, choose, edges, figures, kernels } from "../store.js";
-import { count, endsOf, kernelTrouble, number, portSpoken, reasonsOf } from "../words.js";
+import { boxFigures, boxes, choose, edges, figures, kernels, portId } from "../store.js";
+import { count, endsOf, kernelTrouble, number, portKind, reasonsOf } from "../words.js";
 import { useAnswer } from "./asked.js";
 import { StateChart } from "./chart.js";
 import { Commands, CopyIcon } from "./as_commands.js";
@@ -62,9 +62,14 @@ function LastError({ box, text }) {
 /** @param {{box: Box}} props */
 function Connectors({ box }) {
   const own = [...edges.value.values()].filter((edge) => edge.from[0] === box.id || edge.to[0] === box.id);
-  if (!own.length) return html`<section><h3 class="over">Connectors</h3><p class="quiet">None of its ports is connected.</p></section>`;
   own.sort((a, b) => Number(a.from[0] === box.id) - Number(b.from[0] === box.id));
-  return html`<section><h3 class="over">Connectors</h3><table><thead><tr><th scope="col">to, from</th><th scope="col" class="figure">rate</th><th scope="col" class="figure">lost</th></tr></thead>
+  return html`<${ConnectorTable} box=${box} own=${own} none="None of its ports is connected." />`;
+}
+
+/** Connectors as one end of them sees them. @param {{box: Box, own: Edge[], none: string}} props none: what is said where there are none */
+export function ConnectorTable({ box, own, none }) {
+  if (!own.length) return html`<section><h3 class="over">Connectors</h3><p class="quiet">${none}</p></section>`;
+  return html`<section><h3 class="over">Connectors</h3><table class="connectors"><thead><tr><th scope="col">to, from</th><th scope="col" class="figure">rate</th><th scope="col" class="figure">lost</th></tr></thead>
     <tbody>${own.map((edge) => html`<${ConnectorRow} key=${edge.id} edge=${edge} box=${box} />`)}</tbody></table></section>`;
 }
 
@@ -86,8 +91,9 @@ function Ports({ box, ports }) {
   if (!box.ports.length) return null;
   return html`<section><h3 class="over">Ports</h3><table class="ports"><tbody>${box.ports.map((port) => {
     const report = ports[port.name], shape = report?.shape ? ` ${said(report.shape)}` : "", path = `${box.name}.${port.name}`;
-    return html`<tr key=${port.name}><td><span class=${`mark ${port.kind} ${port.side}`} aria-hidden="true"></span><${Cut} text=${port.name} class="name" />
-        <small>${report?.doc || portSpoken(port).split(", ")[1]}</small></td>
+    return html`<tr key=${port.name}><td><span class=${`mark ${port.kind} ${port.side}`} aria-hidden="true"></span>${box.kind === "folded" ? html`<${Cut} text=${port.name} class="name" />`
+        : html`<button class="lead" onClick=${() => choose("port", portId(box.id, port.name))}><${Cut} text=${port.name} class="name" /></button>`}
+        <small>${report?.doc || portKind(port)}</small></td>
       <td class="figure"><${Cut} text=${`${port.type}${shape}`} /><small>${port.unit}${report?.interfaces?.length ? report.interfaces.map((/** @type {any} */ one) => one.name).join(", ") : ""}</small></td>
       <td class="does">${canPlot(port) && html`<button onClick=${() => plot(box.kernel, path, port.type)} aria-label=${`Plot ${path}`}>Plot</button>`}</td></tr>`;
   })}</tbody></table></section>`;

@@ -1,6 +1,7 @@
 /** A connector in full: what passes, what is lost and why, and what helps. */
+import { signal } from "../vendor/preact-signals.js";
 import { commandsOf } from "../commands.js";
-import { boxes, choose, edges, figures, say, tell } from "../store.js";
+import { boxes, choose, edges, figures, on, say, tell } from "../store.js";
 import { capacityOf, count, endsOf, number, reasonsOf, toneOf } from "../words.js";
 import { useAnswer } from "./asked.js";
 import { Commands } from "./as_commands.js";
@@ -60,13 +61,25 @@ export function Figure({ name, value, unit = "", whole = false, bad = false }) {
   return html`<tr><td>${name}</td><td class=${`figure ${bad ? "bad" : ""}`}>${value === null || value === undefined ? "–" : html`${whole ? count(value) : number(value)} <span class="unit">${unit}</span>`}</td></tr>`;
 }
 
+/** The edges whose ages this page has asked for. */
+const asked = signal(/** @type {Set<number>} */ (new Set()));
+on("hello", () => { asked.value = new Set(); });
+
 /** The age of samples when they are read: known where it is measured. @param {{edge: Edge, row: EdgeFigures | undefined, measured: boolean}} props */
 function Age({ edge, row, measured }) {
-  const known = row?.age !== null && row?.age !== undefined;
+  const known = row?.age !== null && row?.age !== undefined, [why, can] = unaged(edge, measured || asked.value.has(edge.id));
   const measure = () => {
-    say({ t: "measure", edges: [edge.id], on: true });
+    if (!say({ t: "measure", edges: [edge.id], on: true })) return;
+    asked.value = new Set([...asked.value, edge.id]);
     tell("The age is measured as long as this page is open");
   };
   return html`<tr><td>age when read</td><td class="figure">${known ? html`${number(row.age ?? 0)} <span class="unit">ms</span>` : "–"}
-    ${!known && !measured && !edge.link && html` <button onClick=${measure}>Measure</button>`}</td></tr>`;
+    ${!known && can && html` <button onClick=${measure}>Measure</button>`}${!known && html`<small>${why}</small>`}</td></tr>`;
+}
+
+/** Why the age of what passes is not known, and whether it can be measured. @param {Edge} edge @param {boolean} measured @returns {[string, boolean]} */
+function unaged(edge, measured) {
+  if (edge.link) return ["samples are read in another kernel: what is measured here ends at the link", false];
+  if (edge.policy === "service") return ["calls have no age", false];
+  return measured ? ["no sample has been read yet", false] : ["not measured", true];
 }

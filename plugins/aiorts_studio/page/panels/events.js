@@ -1,4 +1,5 @@
 /** What has happened in the kernels, the newest last, as in the log; each line leads to its component. */
+import { useEffect } from "../vendor/preact-hooks.js";
 import { signal } from "../vendor/preact-signals.js";
 import { kernels, on, say } from "../store.js";
 import { number } from "../words.js";
@@ -21,6 +22,7 @@ let timer = 0;
 
 /** Of each kernel, until when the history goes: it may have what also comes as an event. @type {Record<string, bigint>} */
 let told = {};
+let open = false;
 
 /** @param {Happenings} message */
 function take(message) {
@@ -33,13 +35,14 @@ function take(message) {
 }
 on("event", take);
 on("history", (/** @type {Happenings} */ message) => {
-  items = [];
-  told = {};
   take(message);
   for (const { kernel, at_ns } of message.items) told[kernel] = BigInt(at_ns);
 });
-// What happens while the panel is closed is there when it is opened: events are few.
-on("hello", () => say({ t: "events", on: true }));
+on("hello", () => {
+  items = [];
+  told = {};
+  if (open) say({ t: "events", on: true });
+});
 
 /** Those of the last minute; in simulated time, before the newest one of their kernel. @param {Happening[]} all */
 function ofLastMinute(all) {
@@ -50,6 +53,15 @@ function ofLastMinute(all) {
 }
 
 export function Events() {
+  // What changed within a minute before, and was not seen here, comes first, as history.
+  useEffect(() => {
+    open = true;
+    say({ t: "events", on: true });
+    return () => {
+      open = false;
+      say({ t: "events", on: false });
+    };
+  }, []);
   const shown = minute.value ? ofLastMinute(drawn.value) : drawn.value;
   return html`<div class="log">
     <div class="bar">
@@ -58,7 +70,7 @@ export function Events() {
       <span class="quiet" role="status">${counted(shown.length, "event")}</span>
     </div>
     ${shown.length ? html`<${Rows} count=${shown.length} height=${HEIGHT} role="table" label="Events" follow=${true} row=${(/** @type {number} */ index) => html`<${Line} key=${index} item=${shown[index]} index=${index} />`} />`
-      : html`<p class="none">Nothing has changed ${minute.value ? "in the last minute" : "since this page was opened"}.</p>`}
+      : html`<p class="none">Nothing has changed ${minute.value ? "in the last minute" : "within a minute before this was opened, or since"}.</p>`}
   </div>`;
 }
 

@@ -1,8 +1,9 @@
 /** What is selected, in full; and where nothing is, what needs a look. */
-import { boxes, choose, frames, selection } from "../store.js";
+import { boxes, choose, frames, selected, selection } from "../store.js";
 import { ComponentPart } from "./component.js";
 import { ConnectorPart } from "./connector.js";
 import { Cut, html } from "./parts.js";
+import { PortPart } from "./port.js";
 import { FramePart, KernelPart } from "./surroundings.js";
 import { late, troubles } from "./troubles.js";
 
@@ -18,6 +19,7 @@ export function Inspector() {
   if (one.kind === "box") return html`<${ComponentPart} key=${`b${/** @type {Box} */ (one.thing).id}`} box=${one.thing} />`;
   if (one.kind === "edge") return html`<${ConnectorPart} key=${`e${/** @type {Edge} */ (one.thing).id}`} edge=${one.thing} />`;
   if (one.kind === "frame") return html`<${FramePart} key=${`f${/** @type {Frame} */ (one.thing).id}`} frame=${one.thing} />`;
+  if (one.kind === "port") return html`<${PortPart} key=${`p${selected.value?.id}`} ...${one.thing} />`;
   return html`<${KernelPart} key=${`k${/** @type {Kernel} */ (one.thing).address}`} kernel=${one.thing} />`;
 }
 
