@@ -280,6 +280,7 @@ def test_plotted_ports_are_recorded_by_the_server(page: Opened, files: Path) -> 
     page.page.locator(".values tr", has_text="wave.out").wait_for()
     page.page.get_by_role("button", name="Record").click()
     page.page.get_by_role("button", name="Stop recording").wait_for()
+    until(lambda: list(files.iterdir()))  # its process has begun
     page.page.wait_for_timeout(1000)
     page.page.get_by_role("button", name="Stop recording").click()
     page.page.locator("#record-why", has_text="Open it in Foxglove").wait_for()
