@@ -327,6 +327,8 @@ def test_a_frame_folds_into_one_box_and_unfolds(page: Opened) -> None:
 
 def test_a_box_stays_where_it_is_dropped_and_its_edges_follow(page: Opened) -> None:
     box = page.page.locator(".box[aria-label^='metres,'] .body")
+    page.page.keyboard.press("t")  # what came before may have left it elsewhere
+    page.page.wait_for_timeout(1500)
     (before,) = [one for one in page.things("boxes") if one["name"] == "metres"]
     ways = {one["name"]: one["points"] for one in page.things("edges")}
     place = box.bounding_box()
