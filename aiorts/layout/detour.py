@@ -64,14 +64,14 @@ def around(start: Point, end: Point, boxes: Iterable[Rect]) -> tuple[Point, ...]
     return None
 
 
-def room(size: Point, wish: Point, within: Rect, boxes: Iterable[Rect]) -> Point | None:
-    """The place next to a wish where a box overlaps no other, within a rectangle; None where there is none."""
+def room(size: Point, wanted: Point, within: Rect, boxes: Iterable[Rect]) -> Point | None:
+    """The place next to a wanted one where a box overlaps no other, within a rectangle; None where there is none."""
     width, height = size
     across, down = _GAPS
     left, top, right, bottom = within[0], within[1], within[2] - width, within[3] - height
     if right < left or bottom < top:
         return None
-    x, y = min(max(wish[0], left), right), min(max(wish[1], top), bottom)
+    x, y = min(max(wanted[0], left), right), min(max(wanted[1], top), bottom)
     near = _within((x - _NEAR, y - _NEAR, x + _NEAR, y + _NEAR), boxes)
     xs = {x, *(at for one in near for at in (one[0] - width - across, one[2] + across) if left <= at <= right)}
     ys = {y, *(at for one in near for at in (one[1] - height - down, one[3] + down) if top <= at <= bottom)}

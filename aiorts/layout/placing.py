@@ -144,7 +144,7 @@ class Layout:
         groups: of each band, the key of the group that it stands in.
         piles: of each group, the number of the pile that it stands in, from the left; one that is not here is in the
             last.
-        moved: the places that boxes were wished to by `move`.
+        moved: the places that `move` was asked for.
         label: the room for the figures of an edge before its in-port.
     """
 
@@ -310,9 +310,9 @@ class Layout:
             [one for key in side if (one := self.spots.get(key)) is not None and first <= one.column < end]
             for side in (before, after)
         )
-        wish = [one.y for one in (*sources, *targets)]
+        wanted = [one.y for one in (*sources, *targets)]
         if old is not None and old.band == spot.band:
-            spot.column, wish = old.column, [old.y]
+            spot.column, wanted = old.column, [old.y]
         elif sources:
             spot.column = max(one.column for one in sources) + 1
         elif targets:
@@ -320,7 +320,7 @@ class Layout:
         else:
             spot.column = first
         band = self.bands[spot.band]
-        wish = wish or [band.top + BAND_HEAD]
+        wanted = wanted or [band.top + BAND_HEAD]
         y = None
         while y is None:  # the next column where this one is full; behind the last there is always room
             if spot.column >= self._spans[pile][1]:
@@ -330,7 +330,7 @@ class Layout:
                 self._begin_column(spot.w)
             if spot.w <= self._widths[spot.column] + _WIDER:
                 low, high = band.top + BAND_HEAD, band.top + band.height - _FOOT
-                y = self._free(spot.column, sum(wish) / len(wish), spot.h, low, high)
+                y = self._free(spot.column, sum(wanted) / len(wanted), spot.h, low, high)
             if y is None:
                 if spot.column == len(self._lefts) - 1 and band.height < BAND_HEAD + spot.h + _FOOT:
                     return False  # higher than its band
