@@ -11,6 +11,8 @@ from typing import ClassVar, Final, NamedTuple, TypeVar
 
 __all__ = (
     "SLOW_READER",
+    "SLOW_READER_BURSTS",
+    "SLOW_READER_CURES",
     "AbsentError",
     "AiortsError",
     "AmbiguousError",
@@ -61,10 +63,19 @@ __all__ = (
 
 _E = TypeVar("_E", bound="AiortsError")
 
-SLOW_READER: Final = (
-    'take all (drain()), read oftener, send less (subscription = "new"), or full = "block": length helps only bursts'
+SLOW_READER_CURES: Final = (
+    ("take all", "drain()"),
+    ("read oftener", ""),
+    ("send less", 'subscription = "new"'),
+    ("", 'full = "block"'),
 )
-"""What to do about a reader that is slower than its writer: one text for whatever finds that samples are lost."""
+"""What helps a reader that is slower than its writer, the best first: in words, and as it is written."""
+SLOW_READER_BURSTS: Final = "length helps only bursts"
+SLOW_READER: Final = (
+    ", ".join(f"{says} ({how})" if says and how else says for says, how in SLOW_READER_CURES if says)
+    + f", or {SLOW_READER_CURES[-1][1]}: {SLOW_READER_BURSTS}"
+)
+"""The same in one text, for whatever finds that samples are lost."""
 
 
 class Place(NamedTuple):

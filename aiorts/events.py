@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.loop.bus import (
         Assembled,
         CallFailed,
+        Closing,
         ComponentAdded,
         ComponentRemoved,
         Connected,
@@ -68,6 +69,7 @@ __all__ = (
     "CallFailed",
     "Change",
     "Assembled",
+    "Closing",
     "ComponentAdded",
     "ComponentBeat",
     "ComponentReloaded",
@@ -123,7 +125,7 @@ _late(
     globals(),
     {
         "aiorts.kernel.loop.bus": (
-            "Assembled CallFailed ComponentAdded ComponentRemoved Connected ConnectorChanged ContextStarted "
+            "Assembled CallFailed Closing ComponentAdded ComponentRemoved Connected ConnectorChanged ContextStarted "
             "ContextStopped ConversionFailed Disconnected Event HookAfter HookBefore HookFailed MemberAdded "
             "MemberRemoved Overrun ParametersChanged PortAdded PortRemoved RateChanged ServiceCalled "
             "StateChanged ThreadsExhausted"

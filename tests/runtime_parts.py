@@ -13,7 +13,10 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """The folder that takes the place of XDG_RUNTIME_DIR; its path is short, as those of sockets have to be."""
+    """The folder that takes the place of XDG_RUNTIME_DIR and holds that of XDG_STATE_HOME; its path is short, as those
+    of sockets have to be.
+    """
     with TemporaryDirectory(prefix="al") as folder:
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        monkeypatch.setenv("XDG_STATE_HOME", f"{folder}/state")
         yield folder

@@ -10,6 +10,7 @@ import time
 from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
@@ -17,6 +18,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from aiorts.control import Right
 from aiorts_studio.api import Api
 from aiorts_studio.serving import HOST, bound, served
+from aiorts_studio.watching.places import PlaceFiles
+from aiorts_studio.watching.studio import Studio
 from control_parts import WAIT
 
 
@@ -121,12 +124,14 @@ def chunks(body: bytes) -> Iterator[bytes]:
 
 
 @asynccontextmanager
-async def site(right: Right = Right.VIEW, *, enters: bool = True) -> AsyncIterator[Site]:
+async def site(
+    right: Right = Right.VIEW, *, enters: bool = True, places: PlaceFiles | None = None
+) -> AsyncIterator[Site]:
     """A server of this process; its client has a token."""
     listening = bound(HOST, 0)
     found = Site(listening.getsockname()[1])
     ours = (found.host, f"localhost:{found.port}")
-    found.api = api = Api("http", ours, right, found.said.append)
+    found.api = api = Api("http", ours, right, found.said.append, {}, Studio(places=places))
     async with served(listening, api.app):
         found.code = api.codes.issue(time.monotonic())
         if enters:
@@ -156,3 +161,8 @@ def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], Site]]:
     finally:
         process.kill()
         process.communicate(timeout=WAIT)
+
+
+def resident(pid: int) -> int:
+    """Bytes of the memory of a process."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096

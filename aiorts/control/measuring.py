@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 SPANS: Final = 1000
 """Sends and reads over which latency and age are taken, unless a client says another number."""
 _MEASURED: Final = 16
-"""Connectors that a stream may have measured."""
+"""Connectors that all streams of one client may have measured."""
 _MEASURED_IN_ALL: Final = 64
 """Connectors that all streams of a kernel may have measured."""
 _HELD: Final[dict[Connector, int]] = {}
@@ -58,28 +58,31 @@ def _wire(session: Session, name: str) -> Connector:
     return known[name]
 
 
-_STREAMED: Final[WeakKeyDictionary[Microkernel, int]] = WeakKeyDictionary()
-"""By kernel, how many connectors its streams measure; one that several streams measure counts several times."""
+_STREAMED: Final[WeakKeyDictionary[Session | Microkernel, int]] = WeakKeyDictionary()
+"""How many connectors streams measure, by client and by kernel; one that several measure counts several times."""
 
 
 def measure_for(session: Session, connectors: tuple[str, ...], stream: Stream) -> tuple[str, ...]:
     """Measure connectors as long as a stream lasts; returns those that are measured for sessions and streams only.
 
     Raises:
-        ConfigurationError: they are more than a stream may have measured. BusyError: more than all streams may have.
-        WiringError: there is no such connector.
+        ConfigurationError: they are more than a client may have measured. BusyError: they are so with those of other
+            streams, of this client or of all. WiringError: there is no such connector.
     """
-    kernel, count = session.kernel, len(connectors)
+    count = len(connectors)
     if count > _MEASURED:
-        raise ConfigurationError(f"counters: {count} connectors to be measured; at most {_MEASURED} for a stream")
-    if (held := _STREAMED.get(kernel, 0)) + count > _MEASURED_IN_ALL:
-        raise BusyError(
-            f"counters: {held} connectors are measured for streams, {count} more asked for; at most {_MEASURED_IN_ALL}"
-        )
-    _STREAMED[kernel] = held + count
+        raise ConfigurationError(f"counters: {count} connectors to be measured; at most {_MEASURED} for a client")
+    bounds = ((session, _MEASURED, "this client"), (session.kernel, _MEASURED_IN_ALL, "all clients"))
+    for one, most, who in bounds:
+        if (held := _STREAMED.get(one, 0)) + count > most:
+            raise BusyError(
+                f"counters: {held} connectors are measured for streams of {who}, {count} more asked for; at most {most}"
+            )
 
-    def release() -> None:
-        _STREAMED[kernel] -= count
+    def count_for(more: int) -> None:
+        for one, _, _ in bounds:
+            _STREAMED[one] = _STREAMED.get(one, 0) + more
 
-    stream.on_close(release)
+    count_for(count)
+    stream.on_close(partial(count_for, -count))
     return measure(session, connectors, SPANS, stream.on_close)

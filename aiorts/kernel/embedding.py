@@ -12,6 +12,7 @@ failed with, as any other exception is.
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Coroutine
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,9 +24,12 @@ from aiorts.kernel.loop.tasks import current_task, owner_of, throw
 
 if TYPE_CHECKING:
     from aiorts.kernel.execution.cell import ComponentSide, KernelSide
+    from aiorts.kernel.loop.guarded import KernelLine
 
 UNCLAIMED_AFTER: Final = 0.5
 """Seconds in which a failed task of a component may still be awaited."""
+_LINES: Final = 100
+"""Lines that can still be read."""
 
 
 class Guest:
@@ -34,6 +38,8 @@ class Guest:
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self.loop = loop
         self.kernels: list[KernelSide] = []
+        self.last_lines: deque[KernelLine] = deque(maxlen=_LINES)
+        """Of the kernels' own log."""
         self._unclaimed: dict[asyncio.Task[Any], asyncio.TimerHandle] = {}
         self._factory = loop.get_task_factory()
         self._handler = loop.get_exception_handler()
@@ -193,6 +199,12 @@ def settle(kernel: KernelSide, loop: asyncio.AbstractEventLoop) -> None:
     guest: Guest | None = getattr(loop, GUEST, None)
     if guest is not None:
         guest.settle(kernel)
+
+
+def last_lines(loop: asyncio.AbstractEventLoop) -> tuple[KernelLine, ...]:
+    """The last lines of the own log of the kernels on this loop."""
+    guest: Guest | None = getattr(loop, GUEST, None)
+    return () if guest is None else tuple(guest.last_lines)
 
 
 def creator_of(task: Any) -> Any:

@@ -25,7 +25,7 @@ from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.loop import calls
-from aiorts.kernel.loop.bus import Bus
+from aiorts.kernel.loop.bus import Bus, Closing
 from aiorts.kernel.loop.deadlines import StopBudget, StopRequest
 from aiorts.kernel.loop.guarded import guarded
 from aiorts.kernel.loop.log import SharedBudget
@@ -183,10 +183,10 @@ class Microkernel:
 
     async def _close(self) -> None:
         """Give everything up, in reverse order, within one budget of time."""
-        budget = StopBudget(self.loop)
+        budget, contexts = StopBudget(self.loop), tuple(self.contexts.values())
         self._await_stop()
         self.closing.set_result(budget)
-        contexts = tuple(self.contexts.values())
+        self.bus.publish(Closing())
         for driver in filter(None, (context.runner.driver for context in contexts)):
             driver.hurry(budget)
         try:

@@ -85,6 +85,8 @@ class Registry:
         """Whether all that the run was to begin with is there; None: the program that makes it does not say."""
         self.lasting = ""
         """The name by which clients know the kernel again after a restart, as its profile has it."""
+        self.runs = ""
+        """What it runs, as the setting `runs` of control says: the path of a system file; "" is not known."""
         self.composing = asyncio.Lock()
         """Held while a composite changes: one at a time."""
 

@@ -168,6 +168,12 @@ class KernelService:
     def closed(self) -> None:
         """All was given up, the bus too."""
 
+    def linger(self, status: int) -> None:
+        """A run of `aiorts run` has ended by itself with this exit status, and its process ends when this returns.
+
+        It may wait, for as long as its user likes: Ctrl-C raises KeyboardInterrupt.
+        """
+
 
 def stand_in_reason(services: Iterable[KernelService], name: str) -> str:
     """Why one of these has given another component in the place of the one of this name; "" where none has."""
@@ -248,6 +254,15 @@ def notify(services: Iterable[KernelService], hook: Hook, *args: object) -> None
             getattr(service, hook)(*args)
         except Exception as error:  # noqa: BLE001 - the border round a plugin's service
             report_fault(service, hook, error)
+
+
+def linger(services: Iterable[KernelService], status: int) -> None:
+    """Call `KernelService.linger` of each, one after the other; what one raises is logged."""
+    for service in services:
+        try:
+            service.linger(status)
+        except Exception as error:  # noqa: BLE001 - the border round a plugin's service
+            report_fault(service, "linger", error)
 
 
 def report_fault(service: KernelService, hook: str, error: BaseException) -> None:

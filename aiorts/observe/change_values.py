@@ -24,8 +24,11 @@ SECTIONS: Final[Mapping[str, type]] = {
     "contexts": ContextReport,
 }
 
-_ASSEMBLED: Final = "Assembled"  # the name of the event: who reads changes imports no kernel
-"""The kind of event that changes the profile itself, and no part of it."""
+_OF_PROFILE: Final[Mapping[str, Mapping[str, Any]]] = {
+    "Assembled": {"assembled": True},  # names of events: who reads changes imports no kernel
+    "Closing": {"state": "closing"},
+}
+"""The kinds of events that change the profile itself, and no part of it: its fields after them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +75,7 @@ class Change:
             else:
                 section[part.name] = part.now
         frozen: dict[str, Any] = {name: MappingProxyType(section) for name, section in sections.items()}
-        if self.kind == _ASSEMBLED:
-            frozen["assembled"] = True
-        return replace(profile, sequence=self.sequence, **frozen)
+        return replace(profile, sequence=self.sequence, **frozen, **_OF_PROFILE.get(self.kind, {}))
 
     @property
     def kind(self) -> str:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import BusyError
 from aiorts.kernel.execution.cell import cell
-from aiorts.kernel.loop.bus import Assembled, Event
+from aiorts.kernel.loop.bus import Assembled, Closing, Event
 from aiorts.kernel.loop.turns import in_turns
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.service_profile import ServiceConnectorProfile
@@ -115,7 +115,7 @@ class Changes:
         if self._stale:
             self._missed += 1
             return
-        if not (parts or isinstance(event, Assembled)):
+        if not (parts or isinstance(event, (Assembled, Closing))):
             return
         if self._sink is not None:
             self._sink(Change(event.sequence, event, parts))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import cache, partial
 from pathlib import Path
@@ -22,6 +23,7 @@ from aiorts_studio.guard import (
     EXCHANGE,
     LARGE_BODY,
     STRANGERS_BODY,
+    Admission,
     App,
     Guard,
     Receive,
@@ -32,7 +34,7 @@ from aiorts_studio.guard import (
 from aiorts_studio.kernels import Visitor, entry_of, lines_of, running
 from aiorts_studio.offered import LARGE, check_names, operation_of, patience
 from aiorts_studio.openapi import document, page
-from aiorts_studio.plain.limits import UnderWay
+from aiorts_studio.plain.limits import Open, UnderWay
 from aiorts_studio.plain.problems import HttpError, problem_of, status_of
 from aiorts_studio.plain.values import json_in, json_out
 from aiorts_studio.watching.studio import Studio
@@ -76,6 +78,7 @@ class Api:
 
     Attributes:
         exchanged: called when a code was exchanged.
+        ends: why the server ends; "" while it does not.
     """
 
     def __init__(
@@ -91,13 +94,15 @@ class Api:
         self._pages = pages
         self.codes = Codes(self._ended)
         self.under_way = UnderWay()
+        self._open = Open()
         self.exchanged: Callable[[], object] = _ignore
+        self.ends = ""
         self._say = say
         self.studio = studio or Studio()
         self._visitors: dict[Holder, Visitor] = {}
         self._endings: set[asyncio.Task[None]] = set()
         self._described = document(right, f"{scheme}://{ours[0]}")
-        self.app: App = Guard(self._routed(), scheme, ours, self._most)
+        self.app: App = Guard(self._routed(), scheme, ours, self._admit)
 
     def _routed(self) -> App:
         from starlette.applications import Starlette
@@ -157,27 +162,26 @@ class Api:
     def visitor(self, token: str) -> Visitor:
         """The client with this token; HttpError: it is none, or asks too often."""
         now = time.monotonic()
-        holder = self._holder(token, now)
-        visitor = self._visitors.setdefault(holder, Visitor(holder, self.right))
-        visitor.requests.fill(now)
-        return visitor
-
-    def _holder(self, token: str, now: float) -> Holder:
         holder = self.codes.holder(token, now) if token else None
         if holder is None:
             text = "the token is none, or has ended" if token else "the header `Authorization: Bearer TOKEN` is missing"
             raise HttpError(401, "E-DENIED", text, {"www-authenticate": "Bearer"})
-        return holder
+        visitor = self._visitors.setdefault(holder, Visitor(holder, self.right))
+        visitor.requests.fill(now)
+        return visitor
 
-    def _most(self, scope: Scope) -> int:
-        """Bytes that a request may have; HttpError: it needs a token, and has none."""
+    @contextmanager
+    def _admit(self, scope: Scope) -> Iterator[Admission]:
+        """Admit a request, with its client in `scope`; HttpError: it needs a token, and has none, or asks too much."""
         from starlette.datastructures import Headers
 
         path: str = scope["path"]
         if not path.startswith("/api/") or (path == EXCHANGE and scope["method"] == "POST"):
-            return STRANGERS_BODY
-        self._holder(_token(Headers(scope=scope)), time.monotonic())
-        return LARGE_BODY if path.rpartition("/")[2] in LARGE else BODY
+            yield Admission(STRANGERS_BODY, _ignore)
+            return
+        scope["visitor"] = visitor = self.visitor(_token(Headers(scope=scope)))
+        with self._open.one(visitor.holder.number) as take:
+            yield Admission(LARGE_BODY if path.rpartition("/")[2] in LARGE else BODY, take)
 
     async def _exchange(self, request: Request) -> Response:
         given = await _object(request)
@@ -190,7 +194,7 @@ class Api:
     async def _end_token(self, request: Request) -> Response:
         from starlette.responses import Response
 
-        self.codes.end(self.visitor(_token(request.headers)).holder)
+        self.codes.end(_visitor(request).holder)
         return Response(status_code=204)
 
     def _ended(self, holder: Holder, why: str) -> None:
@@ -202,8 +206,9 @@ class Api:
             self._endings.add(ending)
             ending.add_done_callback(self._endings.discard)
 
-    async def close(self) -> None:
-        """End all tokens, and what their clients have under way."""
+    async def close(self, why: str = "") -> None:
+        """End all tokens, and what their clients have under way, who are told why."""
+        self.ends = why
         self.codes.end_all()
         await self.studio.close()
         if self._endings:
@@ -212,11 +217,10 @@ class Api:
     # -- kernels ---------------------------------------------------------------------------------------------------
 
     async def _kernels(self, request: Request) -> Response:
-        self.visitor(_token(request.headers))
         return _json([asdict(one) for one in await running()])
 
     async def _operate(self, request: Request) -> Answer:
-        visitor = self.visitor(_token(request.headers))
+        visitor = _visitor(request)
         operation = operation_of(request.path_params["operation"], self.right)
         arguments = await _object(request)
         check_names(operation, arguments)
@@ -332,5 +336,11 @@ async def _http_problem(request: Request, error: Exception) -> Response:
     return await _problem(request, HttpError(error.status_code, code, text, error.headers or {}))
 
 
-def _ignore() -> None:
-    """Do nothing: the default of `Api.exchanged`."""
+def _visitor(request: Request) -> Visitor:
+    """The client that was admitted with this request."""
+    visitor: Visitor = request.scope["visitor"]
+    return visitor
+
+
+def _ignore(*_: object) -> None:
+    """Do nothing."""

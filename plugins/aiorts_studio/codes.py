@@ -75,6 +75,9 @@ class Codes:
 
     Args:
         ended: called with the holder of each token that has ended, and why; "" where its end was asked for.
+
+    Attributes:
+        count: tokens that were given.
     """
 
     def __init__(self, ended: Callable[[Holder, str], None]) -> None:
@@ -84,7 +87,7 @@ class Codes:
         self._until = 0.0
         self._tries = 0
         self._holders: list[Holder] = []
-        self._count = 0
+        self.count = 0
 
     @property
     def holders(self) -> tuple[Holder, ...]:
@@ -117,9 +120,9 @@ class Codes:
             raise CodeError(Fault.LATE)
         if len(self._holders) >= TOKENS:
             self.end(min(self._holders, key=lambda one: one.used_at), f"{TOKENS} clients came after it")
-        self._count += 1
+        self.count += 1
         token = secrets.token_urlsafe(_BYTES)
-        self._holders.append(Holder(self._count, token, code, now))
+        self._holders.append(Holder(self.count, token, code, now))
         return token
 
     def holder(self, token: str, now: float) -> Holder | None:

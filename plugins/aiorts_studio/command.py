@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
@@ -20,17 +21,22 @@ from aiorts_studio.entrance import Entrance, Invitation, invitations
 if TYPE_CHECKING:
     from ssl import SSLContext
 
+    from aiorts_studio.api import Api
     from aiorts_studio.watching.studio import Studio
 
 _NO_FILES: Final = "start `aiorts studio` with --files FOLDER, where recordings are to go"
 _NO_FILES_BEYOND: Final = "pages beyond the machine record nothing"
+_UNSEEN: Final = 600.0
+"""Seconds for which the page of a run that has ended stays without being open."""
+_CLOSED: Final = 10.0
+"""Seconds for which it stays after its last page was closed: a page that is loaded again is back by then."""
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @click.command(short_help="Show what runs in a browser.")
 @click.argument("kernels", metavar="[KERNEL]...", nargs=-1)
 @click.option("--api", is_flag=True, help="For programs: print no more than the address and the code.")
-@click.option("--url", is_flag=True, help="Print the address of the server that runs, and a new code.")
+@click.option("--url", is_flag=True, help="Print a new address of the server that runs; with --api address and code.")
 @click.option("--port", type=click.IntRange(0, 65_535), default=0, help="Listen there; 0 is any that is free.")
 @click.option("--edit", is_flag=True, help="Clients may change what runs; else they only look.")
 @click.option("--open", "opens", is_flag=True, help="Open the browser.")
@@ -46,7 +52,8 @@ _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     metavar="FOLDER",
     help="Where recordings go that are begun on the page.",
 )
-@click.option("--beside", is_flag=True, hidden=True, help="End when standard input ends.")
+@click.option("--beside", is_flag=True, hidden=True, help="Begun by a run, whose end standard input says.")
+@click.option("--layout", type=click.Path(path_type=Path), hidden=True, help="The file for places that a user chose.")
 @click.option("--bind", metavar="ADDRESS", help="Listen at this address, for other machines; needs --certs.")
 @click.option(
     "--certs",
@@ -66,19 +73,20 @@ def studio(
     pages: Path | None,
     files: Path | None,
     beside: bool,
+    layout: Path | None,
     bind: str | None,
     certificates: Path | None,
     name: str,
 ) -> int:
     """Show what runs in a browser, and serve it to programs over HTTP.
 
-    Without KERNEL it shows all systems of this user, also those that start later. It prints its address, and on a
-    second line a code, which the page asks for; the code is good once and for 60 s, and --url prints a new one. It ends
-    with Ctrl-C. /docs has the HTTP API.
+    Without KERNEL it shows all systems of this user, also those that start later. It prints an address, which is good
+    once and for 60 s: it ends with a code, which the page asks for where it was left out. --url prints a new one. It
+    ends with Ctrl-C. /docs has the HTTP API.
     """
     if url:
         for one in invitations():
-            _print(one)
+            _print(one, bare=api)
         return exits.DONE
     for word in kernels:
         if word.endswith((".toml", ".xml")) or Path(word).is_file():
@@ -94,13 +102,16 @@ def studio(
             raise MissingExtra("aiorts studio", needed, "studio")
     from aiorts_studio.api import PAGES
     from aiorts_studio.serving import HOST, secured
+    from aiorts_studio.watching.places import PlaceFiles, state_folder
     from aiorts_studio.watching.studio import Studio
 
     tls, names = (None, (HOST, "localhost")) if certificates is None else secured(certificates, name, bind or HOST)
     right = Right.OPERATE if edit else Right.VIEW
     own = () if pages is None else sorted(pages.iterdir())
     shown = {one.name: one for one in own if one.suffix in PAGES and one.is_file()}
-    watched = Studio(kernels, files, _NO_FILES if bind is None else _NO_FILES_BEYOND)
+    # Pages beyond the machine write nothing.
+    places = PlaceFiles(state_folder(), layout, _say) if bind is None else None
+    watched = Studio(kernels, files, _NO_FILES if bind is None else _NO_FILES_BEYOND, places)
     serving = _Serving(names, port, tls, right, shown, watched, opens=opens, bare=api, beside=beside)
     return asyncio.run(serving.run())
 
@@ -119,7 +130,7 @@ class _Serving:
     bare: bool
     """Whether address and code are printed alone, for programs."""
     beside: bool
-    """Whether it ends with its standard input."""
+    """Whether it is that of a run, which says on its standard input how it has ended, and ends it with that."""
 
     async def run(self) -> int:
         """Serve until a signal comes."""
@@ -127,7 +138,12 @@ class _Serving:
         from aiorts_studio.guard import hosts_of
         from aiorts_studio.serving import bound, served
 
-        listening = bound(self.names[0], self.port)
+        try:
+            listening = bound(self.names[0], self.port)
+        except ConfigurationError:
+            if not self.beside:
+                raise
+            listening = bound(self.names[0], 0)  # another runs the same
         loop, over = asyncio.get_running_loop(), asyncio.Event()
         for number in _SIGNALS:
             loop.add_signal_handler(number, over.set)
@@ -138,23 +154,42 @@ class _Serving:
         api.exchanged = entrance.remove_redirect
         async with entrance.open(), served(listening, api.app, self.tls):
             invitation = entrance.invite()
-            if self.bare:
-                _print(invitation)
-            else:
-                click.echo(f"{invitation.url}/#{invitation.code}")
+            _print(invitation, bare=self.bare)
+            if not self.bare and not self.beside:
                 _say("the address is good once, and for 60 s; `aiorts studio --url` prints another; Ctrl-C ends it")
             if self.opens:
                 await entrance.show(invitation)
             if self.beside:
-                loop.add_reader(0, over.set)
+                outlasting = asyncio.create_task(self._outlast(api, entrance, over), name="studio of a run")
+                outlasting.add_done_callback(lambda _: over.set())
             await over.wait()
-            await api.close()
+            await api.close("the run has ended" if self.beside else "aiorts studio was ended")
         return exits.DONE
 
+    async def _outlast(self, api: Api, entrance: Entrance, over: asyncio.Event) -> None:
+        """Show the run from its begin, and what it was at its end, for as long as a page is open or may yet be."""
+        loop, said = asyncio.get_running_loop(), asyncio.Event()
+        loop.add_reader(0, said.set)
+        async with self.studio.watching():
+            await said.wait()
+            loop.remove_reader(0)
+            if word := os.read(0, 16).decode().strip():
+                self.studio.say_ended(f"has ended with status {word}")
+                if self.studio.pages or not api.codes.count:
+                    where = "" if self.studio.pages else f" at {_address(entrance.invite())}"
+                    _say(f"the run has ended with status {word}; its page stays{where}; Ctrl-C ends it")
+                    loop.add_reader(0, over.set)
+                    await self.studio.unattended(_UNSEEN, _CLOSED)
 
-def _print(invitation: Invitation) -> None:
-    for line in invitation:
+
+def _print(invitation: Invitation, *, bare: bool) -> None:
+    for line in invitation if bare else (_address(invitation),):
         click.echo(line)
+
+
+def _address(invitation: Invitation) -> str:
+    """The address that signs a browser in."""
+    return f"{invitation.url}/#{invitation.code}"
 
 
 def _say(text: str) -> None:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Collection, Mapping, MutableMapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, suppress
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from aiorts_studio.plain.problems import HttpError, problem_of, status_of
 from aiorts_studio.plain.values import json_out
@@ -50,6 +51,15 @@ _USUAL: Final[Mapping[str, int]] = MappingProxyType({"http": 80, "https": 443})
 """The ports that a browser leaves out."""
 
 
+class Admission(NamedTuple):
+    """A request that is to be read."""
+
+    most: int
+    """Bytes that it may have."""
+    take: Callable[[int], object]
+    """Called with the bytes that come, before they are kept; HttpError: they are not."""
+
+
 def hosts_of(scheme: str, names: Sequence[str], port: int) -> tuple[str, ...]:
     """The values of the header `Host` that name a server, that of its own address first."""
     hosts = [f"[{one}]" if ":" in one else one for one in names]
@@ -84,12 +94,18 @@ class Guard:
         app: what is served.
         scheme: "http" or "https".
         ours: the values of the header `Host` that name this server.
-        most: says how many bytes a request may have; HttpError: it is not answered.
+        admit: admits a request by its head until it is answered; HttpError: it is not answered.
     """
 
-    def __init__(self, app: App, scheme: str, ours: Collection[str], most: Callable[[Scope], int]) -> None:
+    def __init__(
+        self,
+        app: App,
+        scheme: str,
+        ours: Collection[str],
+        admit: Callable[[Scope], AbstractContextManager[Admission]],
+    ) -> None:
         self._app = app
-        self._scheme, self._ours, self._most = scheme, ours, most
+        self._scheme, self._ours, self._admit = scheme, ours, admit
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request, or have the application answer it."""
@@ -97,21 +113,19 @@ class Guard:
             await self._attend(scope, receive, send)
             return
         send = _with_headers(send)
-        refused: HttpError | None = None
-        most, body = 0, b""
-        try:
-            self._check(scope, needs_origin=scope["path"] == EXCHANGE and scope["method"] == "POST")
-            most = self._most(scope)
-        except HttpError as error:
-            refused = error
-        try:
-            body = await _body(receive, most)
-        except HttpError as error:
-            refused = refused or error
-        if refused is not None:
-            await answer(send, refused)
-            return
-        await self._app(scope, _again(body, receive), send)
+        coming = _Coming(receive)
+        with ExitStack() as open_:
+            try:
+                self._check(scope, needs_origin=scope["path"] == EXCHANGE and scope["method"] == "POST")
+                body = await coming.whole(open_.enter_context(self._admit(scope)))
+            except HttpError as error:
+                refused = error
+            else:
+                await self._app(scope, _again(body, receive), send)
+                return
+        await answer(send, refused, more=True)
+        await coming.drop()
+        await send({"type": "http.response.body"})
 
     async def _attend(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
@@ -133,48 +147,69 @@ class Guard:
             raise HttpError(400, "E-RECORD", text)
 
 
-async def _body(receive: Receive, most: int) -> bytes:
-    """The whole body of a request. HttpError: it is too large, or does not come.
+class _Coming:
+    """The body of a request, as it comes."""
 
-    The rest of one that is too large is read, up to a limit, and dropped: a client that still sends when the connection
-    is closed may lose the answer.
+    def __init__(self, receive: Receive) -> None:
+        self._receive = receive
+        self._more = True
+        """Whether there may be more of it."""
+
+    async def whole(self, admission: Admission) -> bytes:
+        """All of it. HttpError: it is too large, or does not come."""
+        body = bytearray()
+        try:
+            async with asyncio.timeout(BODY_SECONDS):
+                while self._more:
+                    part = await self._part()
+                    if len(body) + len(part) > admission.most:
+                        raise HttpError(413, "E-TOO-LARGE", f"the request is longer than {admission.most / 1024:g} KiB")
+                    admission.take(len(part))
+                    body += part
+        except TimeoutError:
+            raise HttpError(408, "E-NO-ANSWER", f"the request was not whole after {BODY_SECONDS:.0f} s") from None
+        return bytes(body)
+
+    async def drop(self) -> None:
+        """Take the rest, up to a limit, and keep nothing of it.
+
+        A client that still sends when the connection is closed may lose the answer.
+        """
+        left = 2 * LARGE_BODY
+        with suppress(TimeoutError, HttpError):
+            async with asyncio.timeout(BODY_SECONDS):
+                while self._more and left > 0:
+                    left -= len(await self._part())
+
+    async def _part(self) -> bytes:
+        message = await self._receive()
+        if message["type"] == "http.disconnect":
+            raise HttpError(400, "E-RECORD", "the client has gone before its request was whole")
+        self._more = message.get("more_body", False)
+        part: bytes = message.get("body", b"")
+        return part
+
+
+async def answer(send: Send, error: HttpError, *, more: bool = False) -> None:
+    """Answer a request with an error, and take no other over its connection.
+
+    Args:
+        more: the end of the answer is left to the caller: the connection stays open until then.
     """
-    body, size, more, late = bytearray(), 0, True, False
-    try:
-        async with asyncio.timeout(BODY_SECONDS):
-            while more and size <= most + LARGE_BODY:
-                message = await receive()
-                part = message.get("body", b"")
-                size += len(part)
-                body += part if size <= most else b""
-                more = message.get("more_body", False)
-    except TimeoutError:
-        late = True
-    if size > most:
-        raise HttpError(413, "E-TOO-LARGE", f"the request is longer than {most / 1024:g} KiB")
-    if late:
-        raise HttpError(408, "E-NO-ANSWER", f"the request was not whole after {BODY_SECONDS:.0f} s")
-    return bytes(body)
-
-
-async def answer(send: Send, error: HttpError) -> None:
-    """Answer a request with an error, and take no other over its connection."""
+    body = json_out(problem_of(error))
     headers = {"content-type": "application/problem+json", "connection": "close", **error.headers}
+    headers["content-length"] = str(len(body))  # so that the answer is whole before its end
     encoded = [(name.encode(), value.encode()) for name, value in headers.items()]
     await send({"type": "http.response.start", "status": status_of(error), "headers": encoded})
-    await send({"type": "http.response.body", "body": json_out(problem_of(error))})
+    await send({"type": "http.response.body", "body": body, "more_body": more})
 
 
 def _again(body: bytes, receive: Receive) -> Receive:
     """Gives the body that was taken, then what comes after it."""
-    taken = False
+    taken = [body]
 
     async def again() -> Message:
-        nonlocal taken
-        if taken:
-            return await receive()
-        taken = True
-        return {"type": "http.request", "body": body, "more_body": False}
+        return {"type": "http.request", "body": taken.pop(), "more_body": False} if taken else await receive()
 
     return again
 

@@ -8,7 +8,7 @@ from collections.abc import Coroutine, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.errors import AbsentError, AiortsError, RecordError
+from aiorts.errors import SLOW_READER_BURSTS, SLOW_READER_CURES, AbsentError, AiortsError, RecordError
 from aiorts_studio.kernels import Visitor, entry_of
 from aiorts_studio.offered import check_names, operation_of, patience
 from aiorts_studio.plain.problems import HttpError, problem_of
@@ -63,7 +63,7 @@ class PageSockets:
                 await visitor.work(_PageSocket(self._api, self._studio, socket, visitor).carry(), gone.wait)
             finally:
                 self._open -= 1
-            await close(socket, OVER, "the token has ended" if visitor.closed else "")
+            await close(socket, OVER, self._api.ends or ("the token has ended" if visitor.closed else ""))
 
 
 class _PageSocket:
@@ -75,13 +75,18 @@ class _PageSocket:
         self._calls: set[asyncio.Task[None]] = set()
         self._feeds: dict[str, Feed] = {}
         self._shown: dict[int, tuple[str, str, Shown]] = {}
+        self._events_until = 0
+        """The time until which the page was sent events, in ns."""
 
     async def carry(self) -> None:
         """Do what the page says, and send what it is told, until it goes."""
         page = self._page
         page.put(
-            {"t": "hello", "right": self._api.right.value, "files": self._studio.recorder.can_record, "period": 0.2}
-        )
+            {
+                "t": "hello", "right": self._api.right.value, "files": self._studio.recorder.can_record, "period": 0.2,
+                "cures": SLOW_READER_CURES, "bursts": SLOW_READER_BURSTS,
+            }
+        )  # fmt: skip
         sending = asyncio.create_task(self._send(), name="studio page")
         try:
             await self._studio.join(page)
@@ -137,7 +142,7 @@ class _PageSocket:
                     LogFeed(self._page, *_words(said, "kernel", "level", "component")) if said.get("on") else None,
                 )
             case "events":
-                self._follow("events", EventFeed(self._page) if said.get("on") else None)
+                self._events(on=said.get("on") is True)
             case "measure":
                 self._studio.measure(self._page, _edges(said.get("edges")), on=said.get("on") is True)
             case "watch":
@@ -146,6 +151,16 @@ class _PageSocket:
                 self._unwatch(whole(said, "id"))
             case kind:
                 raise RecordError(f"{kind!s:.40}: nothing that a page says")
+
+    def _events(self, *, on: bool) -> None:
+        """Send the page events, first the changes of the last minute that it has missed; or end it."""
+        if not on:
+            if "events" in self._feeds:
+                self._follow("events", None)
+                self._events_until = time.time_ns()
+        elif "events" not in self._feeds:
+            self._page.put({"t": "history", "items": self._studio.changes_since(self._events_until)})
+            self._follow("events", EventFeed(self._page))
 
     def _record(self, said: Mapping[str, Any]) -> None:
         recorder = self._studio.recorder

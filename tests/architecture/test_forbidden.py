@@ -120,6 +120,7 @@ BROAD_EXCEPT = {
     "aiorts/control/server/listener.py:_guarded",
     "aiorts/control/server/listener.py:_serve",
     "aiorts/control/server/listener.py:_deliver",
+    "aiorts/kernel/service.py:linger",
     "aiorts/kernel/service.py:notify",
     "aiorts/kernel/service.py:reports",
     # What an exception of a plugin says of itself may raise in its turn.

@@ -21,7 +21,7 @@ from trees import many_objects, nodes, parse, statements
 ROOT = Path(__file__).parents[2]
 ORDER = """
 aiorts/errors.py aiorts/exits.py aiorts/late.py aiorts/progress.py aiorts/tiers.py
-aiorts/description.py
+aiorts/description.py aiorts/layout
 aiorts/guide aiorts/processes
 aiorts/timer_heap.py
 aiorts/clock.py
@@ -107,6 +107,7 @@ PUBLIC = (
     "aiorts.errors",
     "aiorts.exits",
     "aiorts.late",
+    "aiorts.layout",
     "aiorts.progress",
     "aiorts.clock",
     "aiorts.wire",

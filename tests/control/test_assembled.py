@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from aiorts import Kernel
+from aiorts import Kernel, PeriodicContext
 from aiorts.events import Change, ProfileSnapshot
 from aiorts.observe import SystemProfile, profile_from_plain
 from aiorts.sessions import Client, Entry, entries
@@ -68,6 +68,22 @@ async def test_the_profile_and_a_change_say_when_all_of_a_system_file_is_there(t
             assert (await asyncio.to_thread(client.call, "names"))["assembled"] is True
         await building
         assert profile.structure() == profile_from_plain(SystemProfile, kernel.profile().to_plain()).structure()
+
+
+@pytest.mark.anyio
+async def test_the_profile_and_a_change_say_that_a_kernel_closes_before_anything_goes() -> None:
+    async with Kernel() as kernel:
+        await kernel.start(PeriodicContext(rate=100.0, name="loop"))
+        seen = kernel.changes()
+        profile = (await anext(seen)).apply()
+    kinds, states = [], []
+    async for change in seen:
+        profile = change.apply(profile)
+        kinds.append(change.kind)
+        states.append(profile.state)
+    first = kinds.index("Closing")
+    assert states == ["open"] * first + ["closing"] * (len(kinds) - first)
+    assert kinds.index("ContextStopped") > first
 
 
 @pytest.mark.slow

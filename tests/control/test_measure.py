@@ -6,6 +6,7 @@ import asyncio
 import json
 import threading
 import time
+from contextlib import AsyncExitStack
 from typing import Any, Protocol
 
 import pytest
@@ -15,7 +16,7 @@ from aiorts.cli.app import run_command
 from aiorts.cli.commands.live.measure.readings import Rates, rate_of
 from aiorts.cli.commands.live.spans import span_text
 from aiorts.errors import BusyError, ConfigurationError, DeniedError, WiringError
-from aiorts.sessions import Client
+from aiorts.sessions import Client, Stream
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble
 from aiorts.wire import MsgpackCodec
@@ -252,20 +253,34 @@ async def test_who_only_looks_has_connectors_measured_as_long_as_its_stream_last
             while not timed:
                 timed = (await asyncio.to_thread(stream.next, WAIT))["timed"]
             assert {"latency"} <= set(timed[wire.name])
-            with pytest.raises(ConfigurationError, match="at most 16 for a stream"):
-                await asyncio.to_thread(lambda: client.stream("counters", measured=[wire.name] * 17))
-            more = [
-                await asyncio.to_thread(lambda: client.stream("counters", measured=[wire.name] * 16)) for _ in range(3)
-            ]
-            with pytest.raises(BusyError, match="at most 64"):
-                await asyncio.to_thread(lambda: client.stream("counters", measured=[wire.name] * 16))
-            for one in more:
-                one.close()
             await asyncio.to_thread(client.call, "names")
             assert wire.profile.measure == 1000
         async with asyncio.timeout(WAIT):
             while wire.profile.measure:
                 await kernel.sleep(0.01)
+
+
+async def test_no_client_that_only_looks_has_all_connectors_measured_that_may_be() -> None:
+    async with controlled("viewing", mode="view") as kernel, AsyncExitStack() as stack:
+        (wire,) = kernel.connectors.values()
+
+        async def measured(client: Client, count: int) -> Stream:
+            return await asyncio.to_thread(lambda: client.stream("counters", measured=[wire.name] * count))
+
+        first, *others = [stack.enter_context(await opened("viewing")) for _ in range(5)]
+        with pytest.raises(ConfigurationError, match="at most 16 for a client"):
+            await measured(first, 17)
+        held = await measured(first, 15)
+        await measured(first, 1)
+        with pytest.raises(BusyError, match="streams of this client, 1 more asked for; at most 16"):
+            await measured(first, 1)
+        for one in others[:3]:
+            await measured(one, 16)
+        with pytest.raises(BusyError, match="streams of all clients, 1 more asked for; at most 64"):
+            await measured(others[3], 1)
+        held.close()
+        await asyncio.to_thread(first.call, "names")
+        await measured(others[3], 15)
 
 
 async def test_bytes_are_the_rate_times_the_size(capsys: pytest.CaptureFixture[str]) -> None:

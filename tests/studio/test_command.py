@@ -68,6 +68,8 @@ def test_the_same_user_gets_a_new_code(runtime: str, capsys: pytest.CaptureFixtu
     assert "aiorts studio --api" in capsys.readouterr().err
     with serving() as (process, client):
         assert run_command(["studio", "--url"]) == 0
+        assert re.fullmatch(rf"{client.origin}/#[\w-]{{20,}}\n", capsys.readouterr().out)
+        assert run_command(["studio", "--url", "--api"]) == 0
         url, code = capsys.readouterr().out.split()
         assert url == client.origin
         assert asyncio.run(client.exchange(client.code)).status == 403

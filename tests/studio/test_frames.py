@@ -244,4 +244,4 @@ async def test_kernels_of_several_hosts_stand_in_frames_of_their_hosts() -> None
             assert around["x"] < one["x"]
             assert one["x"] + one["w"] < around["x"] + around["w"]
     north, south = hosts["north"], hosts["south"]
-    assert north["y"] + north["h"] <= south["y"] or south["y"] + south["h"] <= north["y"]
+    assert north["x"] + north["w"] < south["x"] or south["x"] + south["w"] < north["x"]

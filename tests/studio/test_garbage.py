@@ -16,7 +16,7 @@ import pytest
 import studio_garbage
 from campaign import CAMPAIGN, time_limit
 from control_parts import WAIT, entry_of, running
-from studio_parts import Site, serving
+from studio_parts import Site, resident, serving
 
 COUNTER = """
 from aiorts import Component, OutPort
@@ -54,10 +54,6 @@ def garbage(port: int) -> Iterator[None]:
             yield
         finally:
             process.kill()
-
-
-def resident(pid: int) -> int:
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from itertools import combinations, pairwise
+from dataclasses import replace
+from itertools import combinations, count, pairwise
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts_studio.watching.layout import Edge, Key, Layout, Spot, meets
+from aiorts.layout import Edge, Key, Layout, Spot, columns, meets
+from aiorts_studio.watching.frames import frames_of
+from aiorts_studio.watching.piles import placed
+from aiorts_studio.watching.view import View
 
 pytestmark = pytest.mark.row(120)
 PORTS = 3
@@ -45,8 +49,9 @@ def check(layout: Layout, edges: list[Edge]) -> None:
         band = layout.bands[spot.band]
         assert band.top <= spot.y
         assert spot.y + spot.h <= band.top + band.height
-    for above, below in pairwise(layout.bands.values()):
-        assert above.top + above.height <= below.top
+    for pile in {layout.pile_of(band) for band in layout.bands}:
+        for above, below in pairwise(one for band, one in layout.bands.items() if layout.pile_of(band) == pile):
+            assert above.top + above.height <= below.top
     for edge in edges:
         route = layout.route(edge)
         assert not [spot for spot in layout.spots.values() if meets(route, spot)], (edge, route)
@@ -90,9 +95,39 @@ def test_a_box_that_is_moved_finds_room(graph: tuple[list[Spot], list[Edge], dic
     layout = Layout()
     layout.place(spots, edges, groups)
     before = {one.key: (one.x, one.y) for one in spots}
-    layout.move(spots[0].key, x, y)
+    layout.move({spots[0].key: (x, y)})
     check(layout, edges)
     assert all((one.x, one.y) == before[one.key] for one in spots[1:])
+
+
+def test_boxes_that_are_moved_together_do_not_stand_in_the_way_of_one_another() -> None:
+    layout, band = Layout(), ("band",)
+    spots = [Spot((str(i),), band, ("in",), ("out",)) for i in range(3)]
+    layout.place(spots, [], {band: "all"})
+    places = {one.key: (one.x, one.y) for one in spots}
+    turned = dict(zip(places, [*list(places.values())[1:], places["0",]], strict=True))
+    layout.move(turned)
+    check(layout, [])
+    assert {one.key: (one.x, one.y) for one in spots} == turned
+
+
+def test_a_box_stays_where_it_is_put_and_edges_go_round_it() -> None:
+    spots, edges, groups = rows_of(1)
+    band: Key = ("band", "0")
+    spots += [Spot((f"more{n}",), band, ("in",), ("out",)) for n in range(4)]
+    layout = Layout()
+    layout.place(spots, edges, groups)
+    writer, reader = spots[:2]
+    between = (writer.x + writer.w + 40, writer.y + 9)
+    layout.move({("more0",): between})  # into the channel that the edge takes
+    moved = layout.spots["more0",]
+    assert (moved.x, moved.y) == between
+    check(layout, edges)
+    layout.move({("more1",): (reader.x + 3, reader.y + 5)})  # upon another
+    check(layout, edges)
+    layout.move({reader.key: (reader.x + 60, reader.y + 37)})
+    assert layout.route(edges[0]).points[-1] == (reader.x - 7, reader.y + reader.port_y("in", out=False))
+    check(layout, edges)
 
 
 def test_room_that_is_given_back_is_used_again() -> None:
@@ -104,3 +139,185 @@ def test_room_that_is_given_back_is_used_again() -> None:
     for _ in range(50):
         layout.forget(edges[0].key)
         assert layout.route(edges[0]) == first
+
+
+def test_a_graph_that_would_be_too_wide_goes_on_below() -> None:
+    layout, band = Layout(), ("band",)
+    spots = [Spot((str(i),), band, ("in",), ("out",)) for i in range(100)]
+    edges = [Edge((f"e{i}",), (str(i),), "out", (str(i + 1),), "in") for i in range(99)]
+    layout.place(spots, edges, {band: "all"})
+    check(layout, edges)
+    assert layout.right < 4_000
+    assert max(one.column for one in spots) == 11
+    assert [one.column for one in spots[:13]] == [*range(12), 0]
+    assert spots[11].y < spots[12].y
+
+
+def test_a_high_stack_of_a_wide_graph_takes_several_columns() -> None:
+    layout, band = Layout(), ("band",)
+    spots = [Spot((str(i),), band, ("in",), ("out",)) for i in range(60)]
+    chain = [Edge((f"e{i}",), (str(i),), "out", (str(i + 1),), "in") for i in range(19)]
+    edges = [*chain, *(Edge((f"s{i}",), ("0",), "out", (str(i),), "in") for i in range(20, 60))]
+    layout.place(spots, edges, {band: "all"})
+    check(layout, edges)
+    stacked: dict[tuple[int, float], int] = {}
+    for one in spots:
+        stacked[one.column, one.x] = stacked.get((one.column, one.x), 0) + 1
+    assert max(stacked.values()) < 12
+
+
+def test_what_nothing_leads_to_stands_right_before_what_it_leads_to() -> None:
+    assert columns(
+        [("a",), ("b",), ("c",), ("late",)],
+        [
+            Edge(("1",), ("a",), "out", ("b",), "in"),
+            Edge(("2",), ("b",), "out", ("c",), "in"),
+            Edge(("3",), ("late",), "out", ("c",), "in"),
+        ],
+    ) == {("a",): 0, ("b",): 1, ("c",): 2, ("late",): 1}
+
+
+def test_edges_side_by_side_have_tracks_of_their_own() -> None:
+    layout, band = Layout(), ("band",)
+    source = Spot(("s",), band, (), tuple(f"o{i}" for i in range(30)))
+    sinks = [Spot((f"t{i}",), band, ("in",), ()) for i in range(30)]
+    edges = [Edge((f"e{i}",), ("s",), f"o{i}", (f"t{29 - i}",), "in") for i in range(30)]
+    layout.place([source, *sinks], edges, {band: "all"})
+    check(layout, edges)
+    downs = [
+        (x, *sorted((y, v)))
+        for route in map(layout.route, edges)
+        for (x, y), (u, v) in pairwise(route.points)
+        if x == u
+    ]
+    assert not [
+        (one, other)
+        for one, other in combinations(downs, 2)
+        if one[0] == other[0] and one[1] < other[2] and other[1] < one[2]
+    ]
+
+
+@given(drawn())
+@settings(max_examples=60, deadline=None)
+def test_groups_stand_beside_one_another_and_nothing_overlaps(
+    graph: tuple[list[Spot], list[Edge], dict[Key, str]],
+) -> None:
+    spots, edges, groups = graph
+    layout = placed(spots, edges, groups, {group: group for group in groups.values()})
+    check(layout, edges)
+    for pile in range(max(layout.piles.values(), default=0)):
+        assert max(right_of(one, layout) for one in spots if layout.pile_of(one.band) == pile) < min(
+            one.x for one in spots if layout.pile_of(one.band) == pile + 1
+        )
+
+
+def right_of(spot: Spot, layout: Layout) -> float:
+    assert spot.x + spot.w < layout.room_of(layout.pile_of(spot.band))[1]
+    return spot.x + spot.w
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 5, 9, 20])
+def test_many_groups_have_about_the_proportions_of_a_screen(number: int) -> None:
+    spots, edges, groups = rows_of(number)
+    layout = placed(spots, edges, groups, {group: group for group in groups.values()})
+    wide = max(one.x + one.w for one in spots)
+    high = max(band.top + band.height for band in layout.bands.values())
+    if number > 2:
+        assert 0.6 < wide / high < 4
+    check(layout, edges)
+
+
+def test_what_belongs_together_stays_in_one_pile() -> None:
+    spots, edges, groups = rows_of(6)
+    units = {group: "this" if int(group) < 4 else "that" for group in groups.values()}
+    layout = placed(spots, edges, groups, units)
+    assert {layout.piles[group] for group, unit in units.items() if unit == "this"} == {0}
+    assert {layout.piles[group] for group, unit in units.items() if unit == "that"} == {1}
+
+
+def test_groups_stay_in_their_piles_unless_others_show_far_more() -> None:
+    spots, edges, groups = rows_of(6)
+    units = {group: group for group in groups.values()}
+    before = placed(spots, edges, groups, units).piles
+    assert len({*before.values()}) > 1
+    spots, edges, groups = rows_of(7)
+    units = {group: group for group in groups.values()}
+    after = placed(spots, edges, groups, units, before).piles
+    assert {group: after[group] for group in before} == before
+    one = dict.fromkeys(before, 0)
+    assert len({*placed(spots, edges, groups, units, one).piles.values()}) > 1
+    few = {group: pile for group, pile in before.items() if pile}  # those of the first pile have gone
+    spots = [spot for spot in spots if groups[spot.band] in few]
+    edges = [edge for edge in edges if edge.key[0].removeprefix("e") in few]
+    groups = {band: group for band, group in groups.items() if group in few}
+    assert min(placed(spots, edges, groups, {group: group for group in few}, before).piles.values(), default=0) == 0
+
+
+def test_edges_between_groups_lead_from_pile_to_pile() -> None:
+    spots, edges, groups = rows_of(4)
+    order = ("3", "1", "0", "2")
+    edges += [Edge(("link", a, b), (f"reader{a}",), "out", (f"writer{b}",), "in") for a, b in pairwise(order)]
+    layout = placed(spots, edges, groups, {group: group for group in groups.values()})
+    piles = [layout.piles.get(group, 0) for group in order]
+    assert piles == sorted(piles)
+    check(layout, edges)
+
+
+def test_a_box_more_in_a_pile_stays_left_of_the_next() -> None:
+    spots, edges, groups = rows_of(6)
+    layout = placed(spots, edges, groups, {group: group for group in groups.values()})
+    band = next(one for one in groups if layout.pile_of(one) == 0)
+    for number in range(9):
+        spot = Spot((f"more{number}",), band, ("in",), ("out",))
+        if not layout.add(spot, groups[band]):
+            break
+        assert right_of(spot, layout)
+        check(layout, edges)
+
+
+def rows_of(total: int) -> tuple[list[Spot], list[Edge], dict[Key, str]]:
+    """As many groups, each of a writer and a reader."""
+    spots, edges, groups = [], [], dict[Key, str]()
+    for number in range(total):
+        band: Key = ("band", str(number))
+        groups[band] = str(number)
+        spots += [Spot((f"{name}{number}",), band, ("in",), ("out",)) for name in ("writer", "reader")]
+        edges.append(Edge((f"e{number}",), (f"writer{number}",), "out", (f"reader{number}",), "in"))
+    return spots, edges, groups
+
+
+def test_frames_of_kernels_beside_one_another_do_not_overlap() -> None:
+    spots, edges, groups = rows_of(5)
+    edges += [Edge((f"back{n}",), (f"reader{n}",), "out", (f"writer{n}",), "in") for n in range(5)]
+    views = {str(n): View(str(n), f"host/k{n}", {"name": f"k{n}", "pid": n, "host": "host"}) for n in range(5)}
+    spots = [replace(one, band=("band", *one.band[1:], "")) for one in spots]
+    groups = {("band", group, ""): group for group in groups.values()}
+    layout = placed(spots, edges, groups, {group: group for group in groups.values()})
+    assert len({*layout.piles.values()}) > 1
+    numbers = count()
+    frames = frames_of(views, layout, [layout.route(one) for one in edges], lambda *_: next(numbers), ())
+    kernels = [one for one in frames.values() if one["kind"] == "kernel"]
+    assert len(kernels) == 5
+    for one, other in combinations(kernels, 2):
+        beside = one["x"] + one["w"] < other["x"] or other["x"] + other["w"] < one["x"]
+        assert beside or one["y"] + one["h"] < other["y"] or other["y"] + other["h"] < one["y"]
+
+
+@pytest.mark.parametrize("pile", [0, 1])
+def test_boxes_of_a_pile_without_room_where_they_are_wished_stay(pile: int) -> None:
+    layout = Layout()
+    bands = [("left",), ("right",)]
+    spots = [Spot((band[0], str(i)), band, ("in",), ("out",)) for band in bands for i in range(3)]
+    layout.place(spots, [], {band: band[0] for band in bands}, {"left": 0, "right": 1})
+    before = {one.key: (one.x, one.y) for one in spots}
+    moved = {
+        one.key: (one.x, layout.bands[one.band].top + 60.0 + i)
+        for i, one in enumerate(spots)
+        if one.band == bands[pile]
+    }
+    layout.move(moved)
+    check(layout, [])
+    assert {one.key: (one.x, one.y) for one in layout.spots.values() if one.band != bands[pile]} == {
+        key: place for key, place in before.items() if key not in moved
+    }
+    assert layout.moved == moved

@@ -15,7 +15,7 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
-from aiorts import Kernel, OutPort
+from aiorts import Component, EventContext, InPort, Kernel, OutPort
 from aiorts.types import TimedDouble
 from aiorts_studio.page_socket import PAGES
 from aiorts_studio.watching.watch import Watch
@@ -105,6 +105,35 @@ async def test_a_kernel_that_ends_while_no_page_is_open_is_not_shown_as_live() -
             await page.until(lambda: page.kernel("robot") is None or page.kernel("robot")["state"] == "ended")
 
 
+async def test_the_end_of_a_run_leaves_its_last_whole_picture_without_rates() -> None:
+    async with site() as client, paging(client) as page:
+        async with controlled("robot"):
+            await page.whole("counter0", "reader0")
+            (edge,) = page.edges
+            await page.until(lambda: edge in page.figures and page.figures[edge][0])
+            frames = {number: (one["name"], one["kind"]) for number, one in page.frames.items()}
+            before, arrived = page.places(), page.figures[edge][1]
+        await page.until(lambda: page.kernel("robot")["state"] == "ended")
+        await page.until(lambda: {one["state"] for one in page.boxes.values()} == {"ended"})
+        await page.until(lambda: page.figures[edge][0] is None)
+        assert page.kernel("robot")["why"] == "has ended"
+        assert page.places() == before
+        assert {number: (one["name"], one["kind"]) for number, one in page.frames.items()} == frames
+        async with paging(client) as another:  # that comes later
+            await another.until(lambda: edge in another.figures)
+            assert another.figures[edge][:2] == [None, arrived]
+
+
+@pytest.mark.slow
+async def test_a_process_that_is_killed_is_said_to_be() -> None:
+    async with site() as client, paging(client) as page:
+        with running("killed", ROOMBA) as process:
+            await page.until(lambda: page.is_live("killed"))
+            process.kill()
+            await page.until(lambda: page.kernel("killed")["state"] == "ended")
+            assert "killed" in page.kernel("killed")["why"]
+
+
 @pytest.mark.slow
 async def test_a_process_that_is_stopped_is_silent_and_the_others_are_live() -> None:
     with running("stopped", ROOMBA) as process:
@@ -116,6 +145,7 @@ async def test_a_process_that_is_stopped_is_silent_and_the_others_are_live() -> 
                 began = time.monotonic()
                 await page.until(lambda: page.kernel("stopped")["state"] == "silent")
                 assert time.monotonic() - began < 6.0
+                await page.until(lambda: page.box("odometry")["state"] == "silent")
                 seen = len(page.at)
                 await kernel.create(Counter, "counter1")
                 await page.until(lambda: page.box("counter1"), 5.0)
@@ -124,6 +154,7 @@ async def test_a_process_that_is_stopped_is_silent_and_the_others_are_live() -> 
             finally:
                 os.kill(process.pid, signal.SIGCONT)
             await page.until(lambda: page.is_live("stopped"))
+            await page.until(lambda: page.box("odometry")["state"] == "active")
 
 
 async def test_frames_fold_and_unfold_and_boxes_are_moved() -> None:
@@ -199,6 +230,23 @@ async def test_the_log_is_told_by_level_and_a_burst_is_counted() -> None:
         assert told + missed <= 5_000 + marked
 
 
+class Deaf(Component):
+    in_ = InPort(TimedDouble, name="in")
+
+
+async def test_losses_that_the_kernel_warned_of_before_are_in_the_log() -> None:
+    async with controlled("robot") as kernel, site() as client, paging(client) as page:
+        await kernel.connect(kernel.components["counter0"].ports["out"], (await kernel.create(Deaf, "deaf")).in_)
+        await kernel.start(EventContext(name="other"), kernel.components["deaf"], activate=True)
+        async with asyncio.timeout(WAIT):
+            while not kernel.connectors["counter0.out-deaf.in"].statistics.dropped:
+                await asyncio.sleep(0.05)
+        await page.say("log", on=True, level="INFO", component="")
+        (line,) = (await page.heard("log", lambda one: one["lines"]))["lines"]
+        assert (line["level"], line["component"]) == ("WARNING", "")
+        assert line["text"].startswith("counter0.out -> deaf.in: 1 sample lost so far")
+
+
 async def test_events_are_told_and_history_is_there_for_a_page_that_comes() -> None:
     async with controlled("robot") as kernel, site() as client, paging(client) as page:
         await page.whole("counter0")
@@ -209,6 +257,7 @@ async def test_events_are_told_and_history_is_there_for_a_page_that_comes() -> N
         found = await page.heard("event", lambda one: any(item["component"] == "counter0" for item in one["items"]))
         assert all(item["kernel"] == address_of(kernel) for item in found["items"])
         async with paging(client) as other:
+            await other.say("events", on=True)
             history = await other.heard("history")
             assert any(item["component"] == "counter0" for item in history["items"])
 

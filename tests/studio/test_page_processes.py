@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import os
+import pty
 import re
+import select
 import signal
 import subprocess
 import sys
@@ -18,7 +20,7 @@ import pytest
 from aiorts.cli.app import run_command
 from control_parts import WAIT, running, until
 from studio_page import paging
-from studio_parts import serving
+from studio_parts import Site, serving
 
 pytestmark = [pytest.mark.slow, pytest.mark.row(120)]
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -171,6 +173,8 @@ def test_the_page_of_a_run_ends_with_the_run(runtime: str, number: int) -> None:
             pass
         listed = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         (server,) = [one for one in listed if b"--beside" in Path(f"/proc/{one}/cmdline").read_bytes()]
+        given = Path(f"/proc/{server}/cmdline").read_bytes().split(b"\0")
+        assert given[given.index(b"--layout") + 1].decode() == ROOMBA.replace(".toml", ".layout.json")
         os.kill(process.pid, number)
         process.wait(WAIT)
         until(lambda: not is_running(int(server)))
@@ -179,6 +183,42 @@ def test_the_page_of_a_run_ends_with_the_run(runtime: str, number: int) -> None:
         process.wait(WAIT)
         reading.join(WAIT)
         process.stderr.close()
+
+
+def test_at_a_terminal_the_page_of_a_run_outlasts_it_and_its_address_comes_first(runtime: str) -> None:
+    """The page that is opened after the end shows what ran; Ctrl-C ends it, with the status of the run."""
+    master, slave = pty.openpty()
+    words = [sys.executable, "-m", "aiorts", "run", "--name", "robot", "--studio", "--no-status", "--for", "1", ROOMBA]
+    process = subprocess.Popen(words, stdin=slave, stdout=slave, stderr=slave, start_new_session=True)
+    os.close(slave)
+    printed = b""
+    try:
+        end = time.monotonic() + 2 * WAIT
+        while (found := re.search(rb"ended with status (\d+); its page stays at (\S+)/#(\S+);", printed)) is None:
+            assert select.select([master], [], [], max(0.1, end - time.monotonic()))[0], printed
+            printed += os.read(master, 65_536)
+        status, origin, code = (one.decode() for one in found.groups())
+        first = printed.decode().split("aiorts studio: ")
+        assert first[0].strip() == ""
+        assert first[1].startswith(f"{origin}/#")
+        client = Site(int(origin.rpartition(":")[2]), code)
+
+        async def look() -> None:
+            await client.enter()
+            async with paging(client) as page:
+                await page.until(lambda: page.kernel("robot")["why"] == f"has ended with status {status}")
+                await page.until(lambda: {one["state"] for one in page.boxes.values()} == {"ended"})
+                assert any(one["kind"] == "context" for one in page.frames.values())
+                await page.until(lambda: page.figures)
+
+        asyncio.run(look())
+        assert process.poll() is None
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.wait(WAIT) == int(status)
+    finally:
+        process.kill()
+        process.wait(WAIT)
+        os.close(master)
 
 
 def is_running(pid: int) -> bool:

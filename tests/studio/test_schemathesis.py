@@ -108,15 +108,18 @@ def test_whatever_is_asked_the_answer_is_as_described(right: str, tmp_path: Path
     edit = ["--edit"] if right == "operate" else []
     with running("robot", str(tmp_path / "robot.toml")) as run, serving(*edit) as (process, client):
         asyncio.run(client.enter())
+        began = time.monotonic()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of packages that schemathesis brings
             answered = tried(client, (*VIEW, *(OPERATE if edit else ())))
+        took = time.monotonic() - began
         assert process.poll() is None
         assert run.poll() is None
         if edit:
             assert asyncio.run(client.call("robot", LAST)).status == 200
             answered[LAST] += 1
-    assert len(answered) >= (30 if edit else 16), sorted(answered)
+    print(f"{right}: {len(+answered)} operations with 2xx of {len(answered)}, {EXAMPLES} examples, {took:.0f} s")
+    assert len(+answered) >= (30 if edit else 16), sorted(+answered)
 
 
 def tried(client: Site, calls: tuple[tuple[str, Mapping[str, Any]], ...]) -> Counter[str]:

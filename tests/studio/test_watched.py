@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aiorts_studio.beside import PORTS, port_of
 from aiorts_studio.watching.figures import Figures, different
+from aiorts_studio.watching.page import Page
 from aiorts_studio.watching.plots import Columns, field_of
+from aiorts_studio.watching.studio import Studio
+from aiorts_studio.watching.totals import folded_row, total_of
+from aiorts_studio.watching.view import View
+from control_parts import WAIT
 
 pytestmark = pytest.mark.row(120)
 KINDS = ("connectors", "service_connectors", "timed", "contexts", "components")
@@ -55,11 +62,56 @@ def test_what_is_gone_is_forgotten() -> None:
     assert not figures.trips
 
 
+def test_a_kernel_as_a_whole_counts_what_is_folded_and_names_the_worst_first() -> None:
+    figures, view = Figures(), View("k", "host/k", {})
+    names = {"a.out-b.in": 5, "a.out-c.in": 70, "c.out-d.in": 0}
+    ends = {name: dict(zip(("source", "target"), name.split("-"), strict=True)) for name in names}
+    view.profile = {"components": {name: {"last_error": None} for name in "abcd"}, "connectors": ends}
+    view.profile["components"]["c"]["last_error"] = "ValueError: no"
+    states = {"states": {"x": "active"}, "failed": False}
+    for step in (0, 1):
+        counted = {name: [100 * step, 0, 0, {"overwritten": lost}, 0] for name, lost in names.items()}
+        figures.take(item(SECOND * (step + 1), counted, whole=not step))
+        figures.now["components"] = {name: {**states, "failed": name == "c"} for name in "abcd"}
+    folded = {"a.out-b.in": 11, "a.out-c.in": 12, "c.out-d.in": None}
+    total = total_of(view, figures, folded, {"a": 1, "b": 2, "c": 9, "d": 9})
+    assert total == [
+        *(4, 3, 300.0, 75),
+        [["c", "ValueError: no", 9]],
+        [
+            ["a.out", "c.in", 70, ["overwritten"], "edge", 12],
+            ["a.out", "b.in", 5, ["overwritten"], "edge", 11],
+        ],
+    ]
+    inside = total_of(view, figures, dict.fromkeys(folded), {"a": 9, "c": 9})
+    assert inside[:4] == total[:4]
+    assert inside[5][0][4:] == ["box", 9]
+    assert folded_row(figures, "cd", ["a.out-c.in", "c.out-d.in"]) == ["error", "1 failed, 1 loses samples"]
+    assert folded_row(figures, "ab", []) == ["active", ""]
+
+
 def test_only_what_is_different_and_in_view_is_told() -> None:
     told: dict[int, list[Any]] = {}
     assert different({1: [1], 2: [2]}, told, [1, 3]) == {1: [1]}
     assert different({1: [1], 2: [2]}, told, [1, 2]) == {2: [2]}
     assert different({1: [5], 2: [2]}, told, [1, 2]) == {1: [5]}
+
+
+@pytest.mark.anyio
+async def test_a_studio_is_unattended_some_time_after_its_last_page() -> None:
+    studio, page = Studio(["nothing"]), Page()
+    waiting = asyncio.create_task(studio.unattended(WAIT, 0.05))
+    await studio.join(page)
+    await asyncio.sleep(0.1)
+    assert not waiting.done()
+    await studio.leave(page)
+    await asyncio.wait_for(waiting, WAIT / 2)
+    await asyncio.wait_for(studio.unattended(0.01, WAIT), WAIT / 2)  # no page comes
+
+
+def test_the_port_of_a_run_is_the_same_each_time() -> None:
+    assert port_of("host/robot") == port_of("host/robot") != port_of("host/other")
+    assert port_of("host/robot") in PORTS
 
 
 DATA = st.recursive(

@@ -85,6 +85,42 @@ def test_svg_is_well_formed_within_its_frame_and_no_box_covers_another(path: Pat
     assert document == graph(load(path), "svg")
 
 
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.parent.name)
+def test_no_arrow_runs_through_a_box(path: Path) -> None:
+    document = graph(load(path), "svg")
+    boxes = boxes_of(document)
+    ways = re.findall(r'class="wire"[^>]* d="([^"]+)"', document)
+    assert len(ways) == document.count('class="wire"')
+    for way in ways:
+        points = [(float(x), float(y)) for x, y in re.findall(r"([-\d.]+),([-\d.]+)", way)]
+        for (ax, ay), (bx, by) in pairwise(points):
+            for x, y, wide, high in boxes:
+                beside = max(ax, bx) <= x + 0.5 or min(ax, bx) >= x + wide - 0.5
+                assert beside or max(ay, by) <= y + 0.5 or min(ay, by) >= y + high - 0.5, way
+
+
+@pytest.mark.slow(kept_by="studio/test_layout.py::test_a_graph_that_would_be_too_wide_goes_on_below")
+def test_a_thousand_components_make_a_picture_of_bearable_width() -> None:
+    names = [f"c{n:03}" for n in range(1000)]
+    text = "schema = 1\n" + "".join(f'[components.{name}]\ntype = "x.py:X"\n' for name in names)
+    ends = [(one, two) for step in (1, 7) for one, two in zip(names, names[step:], strict=False)]
+    text += "".join(f'[[connections]]\nfrom = "{one}.o"\nto = "{two}.i"\n' for one, two in ends)
+    for first in range(0, 1000, 25):
+        text += f'[contexts.x{first:03}]\nkind = "event"\nmembers = {names[first : first + 25]}\n'.replace("'", '"')
+    root = ElementTree.fromstring(graph(parse(text, Path("s.toml")), "svg", CATALOGUE))
+    assert float(root.get("width", "")) < 10_000
+    assert float(root.get("height", "")) < 20_000
+
+
+def test_several_labels_before_one_port_become_one(write: Callable[..., Path]) -> None:
+    more = '[[connections]]\nfrom = "source.out"\nto = "sink.input"\nfull = "block"\n'
+    document = graph(load(write(CHAIN.replace("[contexts.fast]", f"{more}[contexts.fast]"))), "svg")
+    labels = re.findall(r'class="label"[^>]*>([^<]*)<', document)
+    assert "block" in labels
+    ends = re.findall(r'class="label" x="([\d.-]+)" y="([\d.-]+)"', document)
+    assert len(ends) == len(set(ends))
+
+
 def test_the_roomba_flows_from_left_to_right() -> None:
     document = graph(load(ROOT / "examples" / "roomba" / "system.toml"), "svg")
     names = re.findall(r'class="name" x="([\d.]+)"[^>]*>(\w+)<', document)

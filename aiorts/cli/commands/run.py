@@ -155,10 +155,12 @@ def run(
             watch=watched,
             refused=lambda error: None if summary is None else summary.refused(error),
         )
-        if ends is None:
-            return say(status)
-        ends.report_rest()
-        return say(status or (exits.FAILED if ends.bad else exits.DONE))
+        if ends is not None:
+            ends.report_rest()
+            status = status or (exits.FAILED if ends.bad else exits.DONE)
+        say(status)
+        stopper.linger(status)
+        return status
 
 
 @contextlib.contextmanager

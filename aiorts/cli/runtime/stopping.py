@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts import exits
 from aiorts.cli.runtime.dump import dump, dumping_stacks, where_now
+from aiorts.kernel.service import linger
 
 if TYPE_CHECKING:
     from aiorts import Kernel
@@ -46,7 +47,7 @@ class Stopper:
         self.last_words: list[Callable[[], None]] = []
         self._kernel: Kernel | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._watched = False
+        self._watched = self._lingers = False
         self._over = allocate_lock()
         self._over.acquire()
         self._outcome = exits.FAILED
@@ -107,6 +108,20 @@ class Stopper:
                     stream.flush()
         told.release()
 
+    def linger(self, status: int) -> None:
+        """Let services of the run wait, such as one that still shows it; a signal ends that, and no limit of time."""
+        if self._kernel is None or self.status is not None:
+            return
+        self.over()
+        self._lingers = True
+        try:
+            linger(self._kernel.services, status)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            self._lingers = self._watched = False
+            self.watch(status)
+
     def over(self) -> None:
         """The run has ended: what is left of the process is no affair of it any longer."""
         if self._over.locked():
@@ -133,6 +148,8 @@ class Stopper:
                 signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
     def _handle(self, number: int, frame: object) -> None:
+        if self._lingers:
+            raise KeyboardInterrupt
         # Counted in one step: the second signal may come in the middle of the first one's handler.
         if next(self._signals) or self.status is not None or self._kernel is None:
             self.end_now(exits.of_signal(number))

@@ -10,6 +10,7 @@ from aiorts.control.operations.known import component_named
 from aiorts.control.session import Session, Stream
 from aiorts.control.values import Done
 from aiorts.errors import ConfigurationError
+from aiorts.kernel.embedding import last_lines
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.log import LOGGER_NAME
 from aiorts.late import dataclass
@@ -71,7 +72,7 @@ class Logged:
 
 
 def _lines(session: Session, given: Lines, stream: Stream) -> tuple[Line, ...]:
-    """The last lines of the components; those that come are streamed, where they are asked for."""
+    """The last lines, those of the kernel among them where no component is named; those that come are streamed."""
     kernel, least = session.kernel, _number(given.level)
     chosen = _components(session, given.components)
     behind = kernel.clock.time_ns() - kernel.clock.monotonic_ns()
@@ -82,6 +83,13 @@ def _lines(session: Session, given: Lines, stream: Stream) -> tuple[Line, ...]:
         for line in log.last_lines
         if _number(line.level.lower()) >= least
     ]
+    if not given.components:
+        now_ns = kernel.clock.time_ns()  # it may be simulated, and before any that was logged
+        found += [
+            (line.at_ns - behind, Line(min(line.at_ns, now_ns), _name(line.level), "", "", line.text))
+            for line in last_lines(kernel.loop)
+            if line.level >= least
+        ]
     last = tuple(line for _, line in sorted(found, key=lambda pair: pair[0]))
     if not given.follow:
         stream.finish()

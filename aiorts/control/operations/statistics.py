@@ -255,7 +255,8 @@ class Following(Chosen):
     """Names of components, and paths of ports: only connectors at one of them, and only these components; none is all.
     What is connected later counts, too."""
     measured: tuple[str, ...] = ()
-    """Connectors that are measured as long as the stream lasts, and timed: at most 16, and 64 of all streams."""
+    """Connectors that are measured as long as the stream lasts, and timed: at most 16 for all streams of a client, and
+    64 for those of all clients."""
     rate: float = 2.0
     """Items a second of the kernel's clock, of the real one in simulated time: up to 50."""
 

@@ -88,7 +88,7 @@ class Control(KernelService):
             return
         number = self._claim.entry.address.removeprefix(address)  # of several without a name in one process
         lasting = settings.name or f"{program}{number}:{settings.runs or _file()}"
-        self.kernel.registry.lasting = f"{host}/{lasting}"
+        self.kernel.registry.lasting, self.kernel.registry.runs = f"{host}/{lasting}", settings.runs
         address = self._claim.entry.address
         right = _RIGHTS[settings.mode]
         hello = {
@@ -130,7 +130,8 @@ class Control(KernelService):
         if self._claim is not None:
             self._claim.listener.close()
         self._claim = self._listener = None
-        self.kernel.address, self.kernel.epoch, self.kernel.registry.lasting = "", 0, ""
+        self.kernel.address, self.kernel.epoch = "", 0
+        self.kernel.registry.lasting = self.kernel.registry.runs = ""
 
 
 def _claim(address: str, epoch: str, *, named: bool) -> Claim:

@@ -74,6 +74,11 @@ class Assembled(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class Closing(Event):
+    """The kernel begins to close: its components end from now on, and all that it is made of goes."""
+
+
+@dataclass(frozen=True, slots=True)
 class ComponentAdded(Event):
     """A component was created and initialised."""
 

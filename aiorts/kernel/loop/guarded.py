@@ -12,9 +12,9 @@ import logging
 import sys
 import threading
 from collections.abc import Callable, Mapping
-from time import monotonic_ns
+from time import monotonic_ns, time_ns
 from types import TracebackType
-from typing import Any, Final, TypeAlias, cast
+from typing import Any, Final, NamedTuple, TypeAlias, cast
 
 from aiorts.errors import format_error
 from aiorts.kernel.loop.exceptions import presentable, trace_of
@@ -88,6 +88,15 @@ class _LastResort:
 _LAST_RESORT: Final = _LastResort()
 
 
+class KernelLine(NamedTuple):
+    """A line of the kernel's own log."""
+
+    at_ns: int
+    """When, in nanoseconds since the epoch."""
+    level: int
+    text: str
+
+
 class KernelLog:
     """The kernel's own logger: writes to the log, or else to standard error, and never raises."""
 
@@ -130,9 +139,17 @@ class KernelLog:
             if self._logger.isEnabledFor(level):
                 told = tuple(presentable(arg) if issubclass(type(arg), BaseException) else arg for arg in args)
                 trace = safe_exc_info(error_of(exc_info))
+                _keep(level, msg, told)
                 self._logger.log(level, msg, *told, exc_info=trace, extra=extra, stacklevel=3)
         except BaseException as error:  # noqa: BLE001 - the border round the application's handlers and filters
             contain(f"could not log {line_of(msg, args)!r}", error)
+
+
+def _keep(level: int, msg: str, args: tuple[object, ...]) -> None:
+    """Keep the line with the loop that it belongs to, for who begins to look at its log later."""
+    guest: Any = getattr(asyncio._get_running_loop(), GUEST, None)
+    if guest is not None:
+        guest.last_lines.append(KernelLine(time_ns(), level, line_of(msg, args)[:_LONGEST]))
 
 
 def error_of(exc_info: object) -> BaseException | None:

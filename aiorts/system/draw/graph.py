@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 from aiorts.kernel.extensions.catalogue import Catalogue
-from aiorts.system.draw.layout import Box, Group, Picture, names_of, picture
+from aiorts.system.draw.picture import Box, Group, Picture, names_of, picture
 from aiorts.system.draw.svg import svg
 from aiorts.system.file.values import SystemFile
 

@@ -8,7 +8,7 @@ from aiorts.model.lifecycle import state_text
 from aiorts.model.plain import plain
 from aiorts.observe import ComponentReport, ConnectorReport, ContextReport, SystemProfile
 from aiorts.system.draw.graph import drawn
-from aiorts.system.draw.layout import Arrow, Box, Group, Picture, Pin, composite_title, elsewhere, end_of, label
+from aiorts.system.draw.picture import Arrow, Box, Group, Picture, Pin, composite_title, elsewhere, end_of, label
 
 
 def running_graph(profile: SystemProfile, language: str = "mermaid", earlier: SystemProfile | None = None) -> str:

@@ -12,6 +12,7 @@ import click
 
 from aiorts import declaration_of, exits
 from aiorts.errors import AiortsError
+from aiorts.layout import LARGEST_LAYOUT, Places, layout_beside, places_of
 from aiorts.system import Choices, SystemFile, load, prepare
 from aiorts_openrtm.commands.output import check_free, say, say_json, write
 from aiorts_openrtm.errors import OpenRTMError
@@ -55,9 +56,10 @@ def export(
 ) -> int:
     """Make a profile of FILE, a system file or a file of OpenRTM, for RTSystemEditor and rtshell.
 
-    What is not in a system file (layout, ids, comments, properties of others) comes from the file that it was made of,
-    which its table [openrtm] names; only what differs is changed in it. What a profile has no words for is kept in
-    properties that begin with "aiorts.", or listed on standard error. The types of a system file are imported, for
+    What is not in a system file (ids, comments, properties of others) comes from the file that it was made of,
+    which its table [openrtm] names; only what differs is changed in it. Where components stand comes from the layout
+    file beside FILE (system.layout.json beside system.toml), if there is one. What a profile has no words for is kept
+    in properties that begin with "aiorts.", or listed on standard error. The types of a system file are imported, for
     their ports.
     """
     check_free(output, force=force)
@@ -84,7 +86,9 @@ def _text(element: Element, form: str, notes: list[Note]) -> str:
 
 def _element(file: Path, choices: Choices, notes: list[Note]) -> Element:
     from aiorts_openrtm.mapping.exporting import exported
+    from aiorts_openrtm.mapping.importing import imported
     from aiorts_openrtm.mapping.opening import opened
+    from aiorts_openrtm.mapping.places import with_places
     from aiorts_openrtm.mapping.types import Types
     from aiorts_openrtm.markup.shapes import RTS
     from aiorts_openrtm.profiles.rts_profile import RtsProfile
@@ -106,9 +110,25 @@ def _element(file: Path, choices: Choices, notes: list[Note]) -> Element:
         if found.kind != "rtsprofile":
             profile = RtsProfile.of(_dated(indented(profile.element), found.kind))
     root = exported(profile, system, types, lambda: _ports(system, notes), notes).element
+    if (places := _places(file, notes)).boxes:
+        root = with_places(root, imported(RtsProfile.of(root), types).names, places)
     if root != profile.element and origin is not None:
         root = root.with_attribute("rts:updateDate", RTS, _now())
     return root if origin is not None else indented(root)
+
+
+def _places(file: Path, notes: list[Note]) -> Places:
+    """Where the boxes of the system stand, as the layout file beside it states."""
+    path = layout_beside(file)
+    try:
+        if path.is_file():
+            with path.open("rb") as source:
+                return places_of(source.read(LARGEST_LAYOUT + 1))
+    except OSError as error:
+        notes.append(Note(str(path), f"cannot be read: {error.strerror}"))
+    except ValueError as error:
+        notes.append(Note(str(path), f"{error}; not used"))
+    return Places()
 
 
 def _origin(system: SystemFile, notes: list[Note]) -> Path | None:

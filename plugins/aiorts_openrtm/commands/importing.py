@@ -10,6 +10,7 @@ from types import MappingProxyType
 import click
 
 from aiorts import exits
+from aiorts.layout import layout_beside, text_of_places
 from aiorts.system import parse, system_text
 from aiorts_openrtm.commands.output import check_free, say, say_json, write
 from aiorts_openrtm.notes import Note
@@ -43,12 +44,14 @@ def import_(file: Path, output: str, module_paths: tuple[Path, ...], force: bool
     Components, parameters and sets, connections, contexts, composites and the order of starting are carried over. What
     a system file has no words for stays in FILE, from which aiorts export takes it again; what nothing here acts on is
     listed with its line on standard error. Nothing of FILE is loaded or looked up in the environment.
+
+    Where components stand in FILE goes into a layout file beside SYSTEM: system.layout.json beside system.toml.
     """
-    from aiorts_openrtm.mapping.opening import read_system
+    from aiorts_openrtm.mapping.opening import read_placed_system
 
     check_free(output, force=force)
     folder = Path(os.path.realpath(".")) if output == "-" else Path(os.path.realpath(output)).parent
-    wanted, found = read_system(file, module_paths=module_paths, folder=folder)
+    wanted, found, places = read_placed_system(file, module_paths=module_paths, folder=folder)
     origin = os.path.relpath(os.path.realpath(file), folder)
     table = {"openrtm": MappingProxyType({"profile": Path(origin).as_posix()})}
     wanted = replace(wanted, services=MappingProxyType({**wanted.services, **table}))
@@ -58,6 +61,12 @@ def import_(file: Path, output: str, module_paths: tuple[Path, ...], force: bool
     notes = [*found, *(Note(str(file), one) for one in said)]
     if output != "-":
         write(text, output, force=force)
+        if places.boxes:
+            beside = str(layout_beside(Path(output)))
+            if force or not os.path.lexists(beside):
+                write(text_of_places("", places), beside, force=force)
+            else:
+                notes.append(Note(str(file), f"{beside} is there already and stays; --force overwrites it"))
     if as_json:
         say_json(text, notes)
         return exits.DONE

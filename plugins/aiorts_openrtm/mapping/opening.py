@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from aiorts.layout import Places
 from aiorts.system import Wanted
 from aiorts_openrtm.conf.properties import Conf
 from aiorts_openrtm.mapping.conf_system import system_of_conf
 from aiorts_openrtm.mapping.importing import imported
+from aiorts_openrtm.mapping.places import located
 from aiorts_openrtm.mapping.rtc_system import system_of_type
 from aiorts_openrtm.mapping.types import Types
 from aiorts_openrtm.markup.source import decoded, read_bytes
@@ -66,10 +68,18 @@ def read_system(
     Raises:
         OpenRTMError, MissingExtra: as `opened`.
     """
+    wanted, notes, _ = read_placed_system(path, module_paths=module_paths, folder=folder)
+    return wanted, notes
+
+
+def read_placed_system(
+    path: Path, *, module_paths: Sequence[Path] = (), folder: Path | None = None
+) -> tuple[Wanted, tuple[Note, ...], Places]:
+    """As `read_system`, and where the components stand in the tools that wrote the file."""
     types = Types((path.parent, *module_paths), folder or Path.cwd())
     found = opened(path, types)
     made = imported(found.profile, types, found.files)
-    return made.wanted, (*found.notes, *made.notes)
+    return made.wanted, (*found.notes, *made.notes), located(found.profile.element, made.names, made.wanted)
 
 
 def _kind(path: Path) -> Kind:

@@ -3,7 +3,7 @@
  * with it.
  */
 import { effect } from "./vendor/preact-signals.js";
-import { boxes, choose, edges, frames, kernels, on, selected } from "./store.js";
+import { boxes, choose, edges, frames, kernels, on, portId, portOf, selected } from "./store.js";
 
 /** @import {Selection} from "./types.js" */
 
@@ -19,6 +19,10 @@ export function addressOf(selection) {
     const frame = frames.peek().get(Number(id));
     return frame ? joined(frame.kind === "kernel" ? "frame" : frame.kind, kernelOf(frame.kernel), frame.name) : "";
   }
+  if (kind === "port") {
+    const found = portOf(id, boxes.peek());
+    return found ? joined(kind, kernelOf(found.box.kernel), `${found.box.name}.${found.port.name}`) : "";
+  }
   const thing = (kind === "box" ? boxes : edges).peek().get(Number(id));
   return thing ? joined(kind, kernelOf(thing.kernel), thing.name) : "";
 }
@@ -26,6 +30,10 @@ export function addressOf(selection) {
 /** What an address leads to; null: nothing that is there now. @param {string} address @returns {Selection | null} */
 export function selectionOf(address) {
   for (const [id] of boxes.peek()) if (addressOf({ kind: "box", id }) === address) return { kind: "box", id };
+  for (const box of boxes.peek().values()) for (const { name } of address.startsWith("#/port/") ? box.ports : []) {
+    const id = portId(box.id, name);
+    if (addressOf({ kind: "port", id }) === address) return { kind: "port", id };
+  }
   for (const [id] of edges.peek()) if (addressOf({ kind: "edge", id }) === address) return { kind: "edge", id };
   for (const [id] of frames.peek()) if (addressOf({ kind: "frame", id }) === address) return { kind: "frame", id };
   for (const [id] of kernels.peek()) if (addressOf({ kind: "kernel", id }) === address) return { kind: "kernel", id };

@@ -24,28 +24,29 @@ import { walk } from "./walk.js";
 const html = htm.bind(h);
 const LOOKS_PER_SECOND = 10;
 const NOTICE_MS = 5000;
-/** The width from which on the legend has room beside the buttons, in px. */
-const WIDE = 1000;
+/** A pointer that goes further has dragged what it was on, in px. */
+const DRAGGED = 4;
+/** The width of a window from which on the legend has room beside the buttons, in px. */
+const WIDE = 1800;
 
 followTheme();
 render(html`<${Header} />`, room("header", ""));
 render(html`<${Tree} />`, room("nav", "What runs"));
 const main = room("main", "The system");
-const scene = new Scene(main), view = moving(main, scene);
+const scene = new Scene(main), view = kept(moving(main, scene));
+const under = room("footer", "View and legend");
+render(html`<${Legend} first=${window.innerWidth > WIDE} /><${Tools} view=${view} />`, under);
 render(html`<${Inspector} />`, room("aside", "What is selected"));
 const below = room("section", "Log, events and plots", "below");
 render(html`<${Below} tabs=${{ Log, Events, Plots }} />`, below.appendChild(document.createElement("div")));
 splitters(main, below);
-const upon = main.appendChild(document.createElement("div"));
-upon.className = "upon";
-render(html`<${Legend} first=${main.clientWidth > WIDE} /><${Tools} view=${view} />`, upon);
 render(html`<${Empty} />`, main.appendChild(document.createElement("div")));
 const over = document.body.appendChild(document.createElement("div"));
 const heard = document.body.appendChild(document.createElement("p"));
 heard.className = "heard";
 heard.setAttribute("aria-live", "polite");
 
-pointing(scene, view);
+const reveal = pointing(scene, view);
 outline(scene);
 walk(scene, view, (text) => { heard.textContent = text; });
 
@@ -62,21 +63,45 @@ function sayView() {
 }
 scene.onView = sayView;
 
-// -- the first picture is fitted; and as long as no hand has moved the view, so is a layout that comes later -----------
+// -- all is kept in view, until a hand pans, zooms or moves a box; a fit takes that back ------------------------------
 
-let touched = false, fitted = false;
-for (const kind of ["wheel", "pointerdown", "keydown"]) main.addEventListener(kind, () => { touched = true; }, { capture: true, passive: true });
+let held = false, before = "";
+const placeOf = () => JSON.stringify(scene.view);
+main.addEventListener("wheel", () => { held = true; }, { capture: true, passive: true });
+main.addEventListener("pointerdown", ({ clientX, clientY }) => {
+  const view = placeOf();
+  window.addEventListener("pointerup", (event) => {
+    const dragged = event.target instanceof Element && event.target.closest(".box") && Math.hypot(event.clientX - clientX, event.clientY - clientY) > DRAGGED;
+    if (dragged || placeOf() !== view) held = true;
+  }, { once: true, capture: true });
+}, { capture: true });
+
+/** The moves, which say whether a hand holds the view. @param {import("./scene/view.js").Moves} moves @returns {import("./scene/view.js").Moves} */
+function kept(moves) {
+  return {
+    fit() {
+      held = false;
+      moves.fit();
+    },
+    by(factor) {
+      held = true;
+      moves.by(factor);
+    },
+    reveal: moves.reveal,
+  };
+}
 store.on("picture", () => {
   looked = "";
   sayView();
-  if (!touched || !fitted) view.fit();
-  fitted ||= store.boxes.peek().size > 0;
+  if (!held) view.fit();
 });
-store.on("change", ({ boxes = [], frames = [] }) => {
-  if (!touched && boxes.length + frames.length) view.fit();
+store.on("change", (change) => {
+  const size = [...store.frames.peek().values()].map(({ x, y, w, h }) => [x, y, w, h]).join();
+  if (!held && size !== before && (change.frames || change.boxes || change.gone)) view.fit();
+  before = size;
 });
-store.on("choose", () => { touched = true; });
-new ResizeObserver(() => { if (!touched) view.fit(); }).observe(main);
+// The panel of what is selected may have opened upon it.
+new ResizeObserver(() => { if (held) reveal(); else view.fit(); }).observe(main);
 
 // -- signs of life -----------------------------------------------------------------------------------------------------
 

@@ -1,5 +1,5 @@
 /** The commands that show or change what is selected, to be copied into a terminal. */
-import { boxes, edges, frames, kernels, tell } from "./store.js";
+import { boxFigures, boxes, edges, frames, kernels, portOf, tell } from "./store.js";
 import { endsOf } from "./words.js";
 
 /** @import {Selection} from "./types.js" */
@@ -16,16 +16,22 @@ export function named(kernel, name) {
   return quoted(own && kernels.value.size > 1 ? `${own.name}/${name}` : name);
 }
 
-/** The commands for a thing; the first one shows it. @param {Selection | null} selection @returns {Command[]} */
-export function commandsOf(selection) {
+/**
+ * The commands for a thing; the first one shows it.
+ * @param {Selection | null} selection
+ * @param {string} [change] of a component, the command that changes a parameter; "" where it has none, undefined: that is not known
+ * @returns {Command[]}
+ */
+export function commandsOf(selection, change) {
   if (!selection) return [];
   const { kind, id } = selection;
   if (kind === "box") {
     const box = boxes.value.get(Number(id));
     if (!box) return [];
     const name = named(box.kernel, box.name);
-    return [{ says: "show it", command: `aiorts cat ${name}` }, { says: "its parameters", command: `aiorts conf ${name}` },
-      { says: "its log", command: `aiorts vlog ${name}` }];
+    const { state } = boxFigures.value.get(box.id) ?? box;
+    return [...(state === "error" ? [{ says: "take it out of error", command: `aiorts reset ${name}` }] : []), { says: "show it", command: `aiorts cat ${name}` }, ...(change === "" ? [] : [{ says: "its parameters", command: `aiorts conf ${name}` }]),
+      ...(change ? [{ says: "change a parameter", command: change }] : []), { says: "its log", command: `aiorts vlog ${name}` }];
   }
   if (kind === "edge") {
     const edge = edges.value.get(Number(id));
@@ -34,6 +40,10 @@ export function commandsOf(selection) {
     return [{ says: "show it", command: `aiorts cat ${named(edge.kernel, edge.name)}` },
       { says: "its ledger, from end to end", command: `aiorts con --both-ends ${from} ${to}` },
       { says: "what passes", command: `aiorts print ${from}` }];
+  }
+  if (kind === "port") {
+    const found = portOf(id, boxes.value);
+    return found ? commandsOfPort(found.box.kernel, `${found.box.name}.${found.port.name}`, found.port.side) : [];
   }
   const frame = kind === "frame" ? frames.value.get(Number(id)) : null;
   if (frame && frame.kind !== "kernel" && frame.kind !== "host") return [{ says: "show it", command: `aiorts cat ${named(frame.kernel, frame.name)}` }];

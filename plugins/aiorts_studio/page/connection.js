@@ -15,7 +15,7 @@ let token = sessionStorage.getItem(KEPT) ?? "";
 /** @type {WebSocket | null} */
 let socket = null;
 let tries = 0, lostAt = 0, timer = 0;
-/** Why the last connection ended, as the server said it. */
+/** Why the last connection ended, as the server said it; "" where it was cut. */
 export let why = "";
 
 /** A code in the page's address; it is removed from there at once. @returns {string} */
@@ -28,16 +28,16 @@ export function codeOfAddress() {
 /** Whether there is a token to try. */
 export const hasToken = () => token !== "";
 
-/** Exchange a code for a token, and connect. @param {string} code @returns {Promise<string>} why it was not taken; "" if it was */
+/** Exchange a code for a token, and connect. @param {string} code or the address that ends with it @returns {Promise<string>} why it was not taken; "" if it was */
 export async function signIn(code) {
   let answer;
   try {
-    answer = await fetch(EXCHANGE, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ code: code.trim() }) });
+    answer = await fetch(EXCHANGE, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ code: code.trim().replace(/^.*#/, "") }) });
   } catch {
-    return "The server does not answer. Is `aiorts studio` still running?";
+    return "aiorts studio does not answer. Does it still run?";
   }
   const body = await answer.json().catch(() => ({}));
-  if (!answer.ok) return String(body.detail ?? body.title ?? `The server refused it (${answer.status}).`);
+  if (!answer.ok) return String(body.detail ?? body.title ?? `aiorts studio refused it (${answer.status}).`);
   token = body.token;
   sessionStorage.setItem(KEPT, token);
   connect();
@@ -83,7 +83,8 @@ async function lost() {
     connection.value = "closed";
     return;
   }
-  connection.value = status === 0 && performance.now() - lostAt > ENDED_S * 1000 ? "ended" : "lost";
+  const over = why !== "" || performance.now() - lostAt > ENDED_S * 1000;
+  connection.value = status === 0 && over ? "ended" : "lost";
   timer = window.setTimeout(connect, 1000 * PAUSES_S[Math.min(tries++, PAUSES_S.length - 1)]);
 }
 

@@ -2,7 +2,7 @@
 import { h } from "./vendor/preact.js";
 import { signal } from "./vendor/preact-signals.js";
 import htm from "./vendor/htm.js";
-import { connection, notice } from "./store.js";
+import { connection, notice, theme } from "./store.js";
 import { html as element } from "./scene/svg.js";
 import { why } from "./connection.js";
 
@@ -21,14 +21,18 @@ export function openTab(name) {
   localStorage.setItem("aiorts-tab", name);
 }
 
+/** Show the panel of a tab, or close it. @param {string} name */
+export const turnTab = (name) => openTab(open.peek() === name ? "" : name);
+
+/** Dark instead of light, or light instead of dark; it stays so. */
+export function flipTheme() {
+  theme.value = document.documentElement.dataset.theme = theme.peek() === "dark" ? "light" : "dark";
+  localStorage.setItem("aiorts-theme", theme.peek());
+}
+
 /** @param {{tabs: Record<string, () => any>}} props the panels by the names of their tabs */
 export function Below({ tabs }) {
   const names = Object.keys(tabs), shown = open.value in tabs ? open.value : "";
-  const choose = (/** @type {string} */ name) => {
-    open.value = open.value === name ? "" : name;
-    localStorage.setItem("aiorts-tab", open.value);
-    document.body.classList.toggle("low", !open.value);
-  };
   document.body.classList.toggle("low", !shown);
   const Panel = tabs[shown];
   const turn = (/** @type {KeyboardEvent} */ event) => {
@@ -37,7 +41,7 @@ export function Below({ tabs }) {
   };
   return html`<div class="tabs" role="tablist" aria-label="Below" onKeyDown=${turn}>${names.map((name) => html`
       <button key=${name} role="tab" id=${`tab-${name}`} aria-selected=${shown === name} aria-controls="below" tabindex=${(shown || names[0]) === name ? 0 : -1}
-        onClick=${() => choose(name)}>${name}</button>`)}</div>
+        title=${`${name} (${name[0].toLowerCase()})`} onClick=${() => turnTab(name)}>${name}</button>`)}</div>
     <div class="panel" id="below" role="tabpanel" aria-labelledby=${shown ? `tab-${shown}` : null} aria-label=${shown ? null : "closed"} hidden=${!shown}>${shown && html`<${Panel} />`}</div>`;
 }
 
@@ -46,12 +50,13 @@ export function Toast() {
   return html`<p class=${`toast ${notice.value ? "shown" : ""}`} role="status" aria-live="polite">${notice.value}</p>`;
 }
 
-/** Says across the page that what is shown is old. */
+/** Says across the page that what is shown is old, and what to do. */
 export function Banner() {
-  const said = { lost: "The connection to the server was lost. What is shown is old; trying again…",
-    ended: "The server has ended. What is shown is what was last known; the page goes on as soon as it runs again." };
+  const again = "What is shown is what was last. When it is started again, open the address that it prints.";
+  const said = { lost: "The connection to aiorts studio was lost. What is shown is old; trying again…",
+    ended: why ? `${why[0].toUpperCase()}${why.slice(1)}. ${again}` : `aiorts studio does not answer any more. ${again}` };
   const text = said[/** @type {"lost"} */ (connection.value)];
-  return text ? html`<p class="banner" role="alert">${text} ${why}</p>` : null;
+  return text ? html`<p class=${`banner ${why ? "over" : ""}`} role="alert">${text}</p>` : null;
 }
 
 /** @typedef {{property: string, sign: 1 | -1, axis: "x" | "y", least: number, most: number, first: number, label: string, kind: string}} Edge */

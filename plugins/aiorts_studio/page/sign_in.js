@@ -15,17 +15,17 @@ export function SignIn({ first }) {
     event.preventDefault();
     const field = /** @type {HTMLInputElement} */ (/** @type {HTMLFormElement} */ (event.target).elements.namedItem("code"));
     busy.value = true;
-    problem.value = field.value.trim() ? await signIn(field.value) : "Type the code first.";
+    problem.value = field.value.trim() ? await signIn(field.value) : "Put the address, or the code, here first.";
     busy.value = false;
     if (problem.value) field.select();
   };
   return html`<div class="veil"><form class="sign-in" onSubmit=${submit} aria-labelledby="sign-in">
     <h2 id="sign-in">Sign in</h2>
-    <p>The server printed a code below its address. It is good once, for a minute.</p>
-    <label for="code">Code</label>
+    <p>Open the address that <code>aiorts studio</code>, or <code>aiorts run FILE --studio</code>, prints; or put it here. It is good once, for a minute, and each start has another.</p>
+    <label for="code">Address, or the code behind its #</label>
     <input id="code" name="code" autocomplete="off" autocapitalize="off" spellcheck=${false} autofocus aria-describedby="code-problem" aria-invalid=${Boolean(problem.value)} />
     <p id="code-problem" class="problem" role="alert">${problem.value}</p>
     <button class="main" disabled=${busy.value}>${busy.value ? "Asking…" : "Sign in"}</button>
-    <p class="hint">A new code: <code>aiorts studio --url</code></p>
+    <p class="hint"><code>aiorts studio --url</code> prints a new address.</p>
   </form></div>`;
 }

@@ -4,7 +4,7 @@
  */
 import { batch, computed, signal } from "./vendor/preact-signals.js";
 
-/** @import {Box, Change, Edge, EdgeFigures, Figures, Frame, FrameFigures, Kernel, Message, Picture, Selection, Answer} from "./types.js" */
+/** @import {Box, Change, Edge, EdgeFigures, Figures, Frame, FrameFigures, Kernel, Message, Picture, Selection, Total, Answer} from "./types.js" */
 /** @template T @typedef {import("./vendor/preact-signals.js").Signal<T>} Signal */
 
 /** The kernels by address. */
@@ -18,6 +18,8 @@ export const figures = signal(/** @type {Map<number, EdgeFigures>} */ (new Map()
 /** State and what is said of it, of boxes by id, where it differs from the box's own. */
 export const boxFigures = signal(/** @type {Map<number, {state: string, said: string}>} */ (new Map()));
 export const frameFigures = signal(/** @type {Map<number, FrameFigures>} */ (new Map()));
+/** Kernels as a whole, by the id of their frame. */
+export const totals = signal(/** @type {Map<number, Total>} */ (new Map()));
 /** The times to which the figures belong, in ns, by the kernel's address. */
 export const at = signal(/** @type {Record<string, number>} */ ({}));
 
@@ -26,6 +28,9 @@ export const selected = signal(/** @type {Selection | null} */ (null));
 export const right = signal("");
 /** Whether the server was given a folder to write recordings to. */
 export const files = signal(false);
+/** What helps a reader that is too slow, the best first, in words and as it is written; and what a longer buffer helps. */
+export const cures = signal(/** @type {[string, string][]} */ ([]));
+export const bursts = signal("");
 /** Messages that this page was too slow for, since it was opened. */
 export const missed = signal(0);
 /** "closed" before sign-in, "opening", "live", "lost" (it tries again), "ended". */
@@ -33,6 +38,8 @@ export const connection = signal("closed");
 export const theme = signal("light");
 /** Whether components of the infrastructure are shown. */
 export const infrastructure = signal(true);
+/** What the search of the tree seeks. */
+export const sought = signal("");
 /** Whether the list of keys is open. */
 export const keysOpen = signal(false);
 /** The last thing that was said to the user; it is shown for some seconds, and read aloud. */
@@ -42,9 +49,23 @@ export const notice = signal("");
 export const selection = computed(() => {
   const one = selected.value;
   if (!one) return null;
+  if (one.kind === "port") {
+    const port = portOf(one.id, boxes.value);
+    return port && { kind: one.kind, thing: port };
+  }
   const found = places[one.kind].value.get(/** @type {never} */ (one.id));
   return found ? { kind: one.kind, thing: found } : null;
 });
+
+/** The id of a port. @param {number} box @param {string} name */
+export const portId = (box, name) => `${box}.${name}`;
+
+/** The box that has a port, and the port; null: it is not there. @param {number | string} id of the port @param {Map<number, Box>} all */
+export function portOf(id, all) {
+  const [, number, name] = /^(\d+)\.(.*)$/s.exec(String(id)) ?? [], box = all.get(Number(number)), port = box?.ports.find((one) => one.name === name);
+  return box && port ? { box, port } : null;
+}
+
 const places = { box: boxes, edge: edges, frame: frames, kernel: kernels };
 
 // -- out ---------------------------------------------------------------------------------------------------------------
@@ -155,6 +176,8 @@ export function take(message) {
     if (kind === "hello") {
       right.value = message.right;
       files.value = message.files;
+      cures.value = message.cures;
+      bursts.value = message.bursts;
     } else if (kind === "picture") takePicture(message);
     else if (kind === "change") takeChange(message);
     else if (kind === "figures") takeFigures(message);
@@ -173,6 +196,7 @@ function takePicture(message) {
   figures.value = new Map();
   boxFigures.value = new Map();
   frameFigures.value = new Map();
+  totals.value = new Map();
 }
 
 /** @param {Change} message */
@@ -185,6 +209,7 @@ function takeChange({ gone = {}, ...news }) {
   merge(edges, gone.edges, (news.edges ?? []).map((one) => [one.id, one]));
   merge(figures, gone.edges, []);
   merge(frameFigures, gone.frames, []);
+  merge(totals, gone.frames, []);
   merge(boxFigures, [...(gone.boxes ?? []), ...(news.boxes ?? []).map((one) => one.id)], []);
 }
 
@@ -201,11 +226,12 @@ function merge(place, gone, news) {
 }
 
 /** @param {Figures} message */
-function takeFigures({ at: times = {}, e = {}, b = {}, f = {} }) {
+function takeFigures({ at: times = {}, e = {}, b = {}, f = {}, k = {} }) {
   at.value = { ...at.value, ...times };
   merge(figures, [], Object.entries(e).map(([id, row]) => [Number(id), edgeFigures(row, figures.value.get(Number(id)))]));
   merge(boxFigures, [], Object.entries(b).map(([id, [state, said = ""]]) => [Number(id), { state, said }]));
   merge(frameFigures, [], Object.entries(f).map(([id, [late, overruns = 0, who = ""]]) => [Number(id), { late, overruns, who }]));
+  merge(totals, [], Object.entries(k).map(([id, [components, connectors, rate, dropped, failed, lossy]]) => [Number(id), { components, connectors, rate, dropped, failed, lossy }]));
 }
 
 const NONE = { rate: null, dropped: 0, backlog: 0, loss: 0, reasons: null, age: null, trip: null, lossy: false };
@@ -216,3 +242,13 @@ function edgeFigures(row, before = NONE) {
   const [rate, dropped, backlog, loss, reasons, age, trip] = row;
   return { rate, dropped, backlog, loss: loss ?? 0, reasons, age: age ?? null, trip: trip ?? null, lossy: dropped > 0 };
 }
+
+/** How often the time is said for which kernels have not answered, in ms: one count for all that say it. */
+const COUNT_MS = 1000;
+let countedAt = performance.now();
+
+setInterval(() => {
+  const now = performance.now(), passed = (now - countedAt) / 1000;
+  countedAt = now;
+  merge(kernels, [], [...kernels.peek().values()].filter((one) => one.state === "silent").map((one) => [one.address, { ...one, since_s: one.since_s + passed }]));
+}, COUNT_MS);

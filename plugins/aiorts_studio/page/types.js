@@ -29,15 +29,21 @@
  * Figures of a frame: lateness (p99) in ms, overruns, and which component caused most of them.
  * @typedef {{late: number | null, overruns: number, who: string}} FrameFigures
  *
- * @typedef {{kind: "box" | "edge" | "frame" | "kernel", id: number | string}} Selection Of a kernel the id is its address.
+ * A kernel as a whole, also what is folded: samples a second, lost samples in all, what has failed, and what loses samples.
+ * @typedef {{components: number, connectors: number, rate: number | null, dropped: number, failed: [string, string, number | null][],
+ *   lossy: [string, string, number, string[], "box" | "edge", number | null][]}} Total
+ *
+ * @typedef {{kind: "box" | "port" | "edge" | "frame" | "kernel", id: number | string}} Selection
+ * Of a kernel the id is its address, of a port what `portId` makes.
  *
  * @typedef {{kernels: Kernel[], frames: Frame[], boxes: Box[], edges: Edge[]}} Things
  * @typedef {{kernels?: string[], frames?: number[], boxes?: number[], edges?: number[]}} Gone
- * @typedef {{t: "hello", right: "view" | "operate", files: boolean, period: number}} Hello
+ * @typedef {{t: "hello", right: "view" | "operate", files: boolean, period: number, cures: [string, string][], bursts: string}} Hello
+ *   cures: what helps a slow reader, in words and as it is written; bursts: what a longer buffer helps
  * @typedef {{t: "picture", missed?: number} & Things} Picture
  * @typedef {{t: "change", gone?: Gone} & Partial<Things>} Change
  * @typedef {{t: "figures", at?: Record<string, number>, e?: Record<string, any[]>, b?: Record<string, any[]>,
- *   f?: Record<string, any[]>}} Figures
+ *   f?: Record<string, any[]>, k?: Record<string, any[]>}} Figures
  * @typedef {{t: "answer", id: number, value?: any, problem?: {code: string, text: string}}} Answer
  * @typedef {{t: "log", lines: LogLine[], missed?: number}} Log
  * @typedef {{kernel: string, at_ns: number | string, level: string, component: string, text: string, file?: string,

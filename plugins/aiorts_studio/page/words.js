@@ -51,19 +51,33 @@ export const capacityOf = (edge) => Number(/(\d+) long/.exec(edge.policy)?.[1] ?
 export const reasonsOf = (row) => Object.entries(row.reasons ?? {}).filter(([, times]) => times > 0);
 
 /**
- * The two parts of an edge's label: what passes, and what does not.
+ * The two parts of an edge's label: what passes, and what does not; in as many words as have room.
  * @param {Edge} edge @param {EdgeFigures | undefined} row @param {boolean} crowded both stand on one line
- * @param {boolean} small there is room for few words
+ * @param {(text: string) => boolean} fits
  * @returns {[string, string]}
  */
-export function labelOf(edge, row, crowded, small) {
+export function labelOf(edge, row, crowded, fits) {
   if (edge.state !== "up") return [edge.state, ""];
   if (!row) return ["", ""];
-  const rate = row.rate === null ? "" : `${number(row.rate)} Hz`, trip = row.trip === null || small ? "" : `${number(row.trip)} ms`;
-  const reasons = reasonsOf(row), why = reasons.length === 1 && !crowded && !small ? lostBy(reasons[0][0]) : "lost";
-  const second = row.dropped ? `${count(row.dropped)} ${why}` : row.backlog && !small ? `${count(row.backlog)} waiting` : "";
-  return [crowded && small && row.dropped ? "" : [rate, trip].filter(Boolean).join(" · "), second];
+  const rate = row.rate === null ? "" : `${number(row.rate)} Hz`, trip = row.trip === null ? "" : `${number(row.trip)} ms`;
+  const reasons = reasonsOf(row), why = reasons.length === 1 && !crowded ? lostBy(reasons[0][0]) : "lost";
+  const firsts = [[rate, trip].filter(Boolean).join(" · "), rate, ""];
+  const seconds = row.dropped ? [`${count(row.dropped)} ${why}`, `${count(row.dropped)} lost`, `${short(row.dropped)} lost`, `-${short(row.dropped)}`]
+    : row.backlog ? [`${count(row.backlog)} waiting`, `${short(row.backlog)} waiting`, ""] : [""];
+  if (!crowded) return [firsts.find(fits) ?? "", seconds.find(fits) ?? ""];
+  const pairs = seconds.flatMap((second) => firsts.map((first) => /** @type {[string, string]} */ ([first, second])));
+  return pairs.find((pair) => fits(pair.filter(Boolean).join("  "))) ?? ["", ""];
 }
+
+/** A count in few digits. @param {number} value @returns {string} */
+const short = (value) => (value < 1000 ? String(value) : value < 1e6 ? `${few(value / 1e3)}k` : `${few(value / 1e6)}M`);
+/** @param {number} value */
+const few = (value) => (value < 9.95 ? value.toFixed(1) : String(Math.round(value)));
+
+const TONES = ["", "idle", "busy", "full", "waiting", "lossy", "down"];
+
+/** How much the label of an edge matters, where there is no room for all: first how it fares, then how much passes. @param {Edge} edge @param {EdgeFigures | undefined} row */
+export const weightOf = (edge, row) => TONES.indexOf(toneOf(edge, row)) * 1e12 + Math.min(1e12, (row?.dropped ?? 0) * 1e3 + (row?.rate ?? 0));
 
 /** Reasons that can be said of samples; "149 inactive" cannot. */
 const PARTICIPLE = /(ed|en)$/;
@@ -97,14 +111,16 @@ export function edgeSpoken(edge, boxes, tone) {
 }
 
 /** @param {Box["ports"][number]} port */
+export const portKind = (port) => (port.kind === "service" ? (port.side === "in" ? "required service" : "provided service") : `${port.side}-port`);
+
+/** @param {Box["ports"][number]} port */
 export function portSpoken(port) {
-  const kind = port.kind === "service" ? (port.side === "in" ? "required service" : "provided service") : `${port.side}-port`;
-  return [port.name, kind, port.type, port.unit].filter(Boolean).join(", ");
+  return [port.name, portKind(port), port.type, port.unit].filter(Boolean).join(", ");
 }
 
 /** What a screen reader says of a box. @param {Box} box @param {string} state @param {string} said @param {Kernel | undefined} kernel */
 export function boxSpoken(box, state, said, kernel) {
-  const silent = kernel && kernel.state !== "live" ? "its kernel does not answer" : "";
+  const silent = !kernel || kernel.state === "live" ? "" : kernel.state === "silent" ? "its kernel does not answer" : `its kernel ${kernel.why}`;
   return [box.name, box.type, state, said, box.error?.message ?? "", silent].filter(Boolean).join(", ");
 }
 
@@ -121,9 +137,11 @@ export function frameSaid(frame, row) {
 /** What is said of a kernel that is not live; "" of one that is. @param {Kernel} kernel @param {number} since seconds */
 export function kernelTrouble(kernel, since) {
   if (kernel.state === "live") return "";
-  if (kernel.state === "silent") return `no answer for ${seconds(since)}`;
-  return kernel.why.includes("ended") ? kernel.why : ["ended", kernel.why].filter(Boolean).join(": ");
+  return kernel.state === "silent" ? `no answer for ${seconds(since)}` : kernel.why;
 }
+
+/** Whether a kernel has ended as a run ends, and nothing is wrong. @param {Kernel} kernel */
+export const hasEnded = (kernel) => kernel.state === "ended" && /^has ended( with status 0)?$/.test(kernel.why);
 
 /** Where a kernel runs. @param {Kernel} kernel */
 export function kernelSaid(kernel) {

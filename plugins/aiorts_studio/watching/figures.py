@@ -25,6 +25,8 @@ class Figures:
     def __init__(self) -> None:
         self.now: dict[str, dict[str, Any]] = {kind: {} for kind in _KINDS}
         self.at_ns = 0
+        self.are_old = False
+        """Whether the kernel does not answer: its counts are those that were last, and it has no rates."""
         self.trips: dict[str, float] = {}
         """The round trips of links in ms, by connector."""
         self.ages: dict[str, float] = {}
@@ -70,8 +72,9 @@ class Figures:
             _digits(sum(row[at] or 0 for row in rows)) if at in (0, 3) else sum(row[at] for row in rows)
             for at in range(4)
         ]
+        rate = None if self.are_old else sums[0]
         largest = [max((row[at] for row in rows if row[at] is not None), default=None) for at in (5, 6)]
-        return [*sums, dict(reasons) or None, *largest]
+        return [rate, *sums[1:], dict(reasons) or None, *largest]
 
     def _connector(self, name: str) -> Row | None:
         """The rate in Hz, drops, samples that wait, drops a second and by reason, the age and the round trip in ms."""
@@ -80,6 +83,8 @@ class Figures:
             return None
         written, _, buffered, dropped, _ = counted
         rate, losing = None, 0.0
+        if self.are_old:
+            return [None, lost(dropped), buffered, 0.0, dropped or None, None, None]
         if (before := self._before(name)) is not None:
             at_ns, (written_then, _, _, dropped_then, _) = before
             seconds = (self.at_ns - at_ns) / 1e9
@@ -89,8 +94,20 @@ class Figures:
 
     def is_lossy(self, name: str) -> bool:
         """Whether the connector has lost samples."""
+        return self.lost(name) > 0
+
+    def lost(self, name: str) -> int:
+        """The samples that the connector has lost."""
         counted = self.now["connectors"].get(name)
-        return counted is not None and lost(counted[3]) > 0
+        return 0 if counted is None or not counted[3] else lost(counted[3])
+
+    def rate(self, names: Iterable[str]) -> float | None:
+        """The samples a second that come to some connectors; None: it is not known, or not now."""
+        if self.are_old or not self._earlier or self.at_ns == self._earlier[0][0]:
+            return None
+        (at_ns, before), now = self._earlier[0], self.now["connectors"]
+        written = sum(now[name][0] - before[name][0] for name in names if name in before and name in now)
+        return _digits(written / ((self.at_ns - at_ns) / 1e9))
 
     def _before(self, name: str) -> tuple[int, Any] | None:
         for at_ns, counted in self._earlier:
@@ -99,9 +116,9 @@ class Figures:
         return None
 
     def box(self, name: str) -> Row | None:
-        """The state of a component, and what is said of it."""
+        """The state of a component, and what is said of it; None: it is not known, or not now."""
         found = self.now["components"].get(name)
-        if found is None:
+        if found is None or self.are_old:
             return None
         states, overdue = found["states"], found.get("overdue") or {}
         return [state_of(states, failed=found["failed"]), said_of(states, overdue)]
@@ -111,7 +128,7 @@ class Figures:
         found = self.now["contexts"].get(context)
         if found is None:
             return None
-        late = round(found["lateness_p99_ns"] / 1e6, 1) if found["rate"] else None
+        late = round(found["lateness_p99_ns"] / 1e6, 1) if found["rate"] and not self.are_old else None
         return [late, found["overruns"], self.late.get(context, "")]
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, Final, TypeAlias
 
+from aiorts.layout import GROUP_HEAD, LEFT, Band, Key, Layout, Route
 from aiorts_studio.watching.graph import HOST, IN_COMPOSITE
-from aiorts_studio.watching.layout import GROUP_HEAD, Band, Key, Layout, Route
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import composite_said, context_said
 
@@ -27,7 +27,9 @@ def frames_of(
     number: Callable[..., int],
     folded: Collection[Key],
 ) -> dict[int, Thing]:
-    """The frames of all kernels, by number. All are as wide as the boxes, and the edges, that reach farthest.
+    """The frames of all kernels, by number.
+
+    Those of a pile are as wide as the boxes, and the edges, that reach farthest.
 
     Args:
         number: the number of a thing, by the words of its key.
@@ -41,9 +43,20 @@ class _Frames:
         self, layout: Layout, routes: Collection[Route], number: Callable[..., int], folded: Collection[Key]
     ) -> None:
         self._layout, self._number, self._folded = layout, number, folded
-        bends = [x for route in routes for x, _ in route.points]
-        self._left = min(0.0, min(bends, default=0.0) - _BEND)
-        self._width = max(layout.right, max(bends, default=0.0) + _BEND) - self._left
+        self._bends = [x for route in routes for x, _ in route.points]
+        self._reaches: dict[int, tuple[float, float]] = {}
+
+    def _reach(self, band: Key) -> tuple[float, float]:
+        """The left end and the width of the frames of contexts in the pile of a band."""
+        pile = self._layout.pile_of(band)
+        if pile not in self._reaches:
+            low, high = self._layout.room_of(pile)
+            spots = [one for one in self._layout.spots.values() if self._layout.pile_of(one.band) == pile]
+            bends = [x for x in self._bends if low < x < high]
+            left = min((*(one.x - LEFT for one in spots), *(x - _BEND for x in bends)), default=0.0)
+            right = max((*(one.x + one.w + LEFT for one in spots), *(x + _BEND for x in bends)), default=left)
+            self._reaches[pile] = left, right - left
+        return self._reaches[pile]
 
     def made(self, views: Mapping[str, View]) -> dict[int, Thing]:
         made: dict[int, Thing] = {}
@@ -55,7 +68,8 @@ class _Frames:
             key: Key = ("frame", view.key)
             number, extent = self._number(*key), _extent(bands.values())
             height = GROUP_HEAD + extent.height + _PAD
-            place = {"x": self._left - _PAD, "y": extent.top - GROUP_HEAD, "w": self._width + 2 * _PAD, "h": height}
+            left, width = self._reach(next(iter(bands)))
+            place = {"x": left - _PAD, "y": extent.top - GROUP_HEAD, "w": width + 2 * _PAD, "h": height}
             said = f"process {view.about['pid']} on {view.about['host']}"
             host = (HOST, view.about["host"])
             parent = self._number("frame", *host) if host in layout.bands else None
@@ -67,12 +81,13 @@ class _Frames:
     def _inner_frame(self, view: View, band: Key, bands: Mapping[Key, Band], parent: int) -> dict[int, Thing]:
         """The frame of a context, or of a composite in one."""
         key, context = ("frame", *band[1:]), band[2]
+        left, width = self._reach(band)
         if len(band) == IN_COMPOSITE:
             extent, report = bands[band], view.components.get(band[3])
             place = {
-                "x": self._left + _INSET,
+                "x": left + _INSET,
                 "y": extent.top,
-                "w": self._width - 2 * _INSET,
+                "w": width - 2 * _INSET,
                 "h": extent.height - _INSET,
             }
             said = "" if report is None else composite_said(report)
@@ -82,7 +97,7 @@ class _Frames:
             report = view.contexts.get(context)
             apart = view.processes_of(() if report is None else report["members"])
             said = context_said(report) + "".join(f" · process {pid}" for pid in apart)
-            place = {"x": self._left, "y": extent.top, "w": self._width, "h": extent.height}
+            place = {"x": left, "y": extent.top, "w": width, "h": extent.height}
             kind = "process" if apart else "context"
             frame = self._frame(key, kind, view, context or "in no context", said, place, parent)
         return {frame["id"]: frame}
@@ -94,7 +109,8 @@ class _Frames:
             number, top = self._number("frame", *key), self._layout.bands[key].top
             if inner := [one for one in kernels.values() if one["parent"] == number]:
                 bottom = max(one["y"] + one["h"] for one in inner)
-                place = {"x": self._left - 2 * _PAD, "y": top, "w": self._width + 4 * _PAD, "h": bottom - top + _PAD}
+                left, width = self._reach(key)
+                place = {"x": left - 2 * _PAD, "y": top, "w": width + 4 * _PAD, "h": bottom - top + _PAD}
                 said = f"{len(inner)} kernel{'s' * (len(inner) > 1)}"
                 about = {"id": number, "kind": HOST, "kernel": inner[0]["kernel"], "name": key[1], "said": said}
                 made[number] = {**about, **place, "parent": None, "folded": False}

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from aiorts_studio.watching.layout import Edge, Key, Spot
+from aiorts.layout import Edge, Key, Spot
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import class_of
 
@@ -29,6 +29,8 @@ class Graph:
             kernel is not watched, ("folded", kernel, context) of a frame that is folded. The band of a box is
             ("band", kernel, context), or ("band", kernel, context, composite) of a composite's member.
         edges: the edges by key.
+        folds: of each folded box, the components that it stands for.
+        inside: by the key of a kernel, the connectors that are inside folded boxes.
         bundles: of each edge, the connectors that it stands for: the view of the writer's end, and the name; a link
             that both ends list has the reader's, too.
     """
@@ -37,6 +39,8 @@ class Graph:
         self._views, self._folded = views, folded
         self.spots: dict[Key, Spot] = {}
         self.edges: dict[Key, Edge] = {}
+        self.folds: dict[Key, list[str]] = {}
+        self.inside: dict[str, list[str]] = {}
         self.bundles: dict[Key, list[tuple[View, str]]] = {}
         self._members = {view.key: view.members() for view in views.values()}
         for view in views.values():
@@ -74,6 +78,13 @@ class Graph:
                         found |= dict.fromkeys((own, *sorted(bands)), view.key)
         return found
 
+    def units(self) -> dict[str, str]:
+        """Of each group of bands, what stays in one pile with it: the kernels of its host, where there are several."""
+        hosts = {view.key: view.about["host"] for view in self._views.values()}
+        if len({*hosts.values()}) < 2:
+            return {key: key for key in hosts}
+        return hosts | {f"{HOST} {host}": host for host in hosts.values()}
+
     # -- boxes -----------------------------------------------------------------------------------------------------
 
     def _band(self, view: View, name: str) -> Key:
@@ -88,6 +99,7 @@ class Graph:
         if frame is None:
             return Spot(("box", view.key, name), band, *_ports(report), name, class_of(report["type"]))
         key = (FOLDED, *frame[1:])
+        self.folds.setdefault(key, []).append(name)
         known = self.spots.get(key)
         count = 1 if known is None else int(known.kind.partition(" ")[0]) + 1
         kind = f"{count} component{'s' * (count > 1)}"
@@ -119,6 +131,7 @@ class Graph:
     def _add(self, view: View, name: str, source: str, target: str) -> None:
         (first, out), (last, into) = self._end(view, source), self._end(view, target)
         if first == last and first[0] == FOLDED:
+            self.inside.setdefault(view.key, []).append(name)
             return
         for key, port, leaves in ((first, out, True), (last, into, False)):
             if key[0] == "far" or (key[0] == FOLDED and key in self.spots):

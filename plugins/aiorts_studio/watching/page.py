@@ -31,7 +31,7 @@ class Page:
     def __init__(self) -> None:
         self.rect: tuple[float, float, float, float] | None = None
         self.scale = 1.0
-        self.told: dict[str, dict[int, Row]] = {"e": {}, "b": {}, "f": {}}
+        self.told: dict[str, dict[int, Row]] = {"e": {}, "b": {}, "f": {}, "k": {}}
         self.seen: dict[str, frozenset[int]] = {"e": frozenset(), "b": frozenset()}
         self.missed = 0
         self._waiting: deque[str] = deque()

@@ -43,6 +43,7 @@ class Recorder:
     def state(self, why: str = "", samples: int = 0) -> dict[str, Any]:
         """The message that says how it stands."""
         on = self._process is not None
+        why = why or ("" if self.can_record else self._why)
         return {"t": "recording", "on": on, "file": self._file or None, "samples": samples, "why": why}
 
     async def begin(self, ports: Sequence[tuple[str, str]]) -> None:

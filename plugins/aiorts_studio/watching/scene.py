@@ -12,9 +12,10 @@ from itertools import count
 from typing import Any, Final, TypeAlias
 
 from aiorts.errors import AbsentError
+from aiorts.layout import Band, Edge, Key, Layout, Place, Places, Point, Route, Spot, meets
 from aiorts_studio.watching.frames import Thing, frames_of
 from aiorts_studio.watching.graph import FOLDED, IN_COMPOSITE, Graph, side_of
-from aiorts_studio.watching.layout import Band, Edge, Key, Layout, Point, Route, Spot, meets
+from aiorts_studio.watching.piles import placed
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import class_of, error_of, link_state, policy_of, said_of, state_of
 
@@ -32,6 +33,8 @@ class Scene:
         views: the kernels by key.
         things: what pages show, by kind and number.
         connectors: by the key of a kernel, the number of the edge of each connector whose figures the edge has.
+        folds: by the key of a kernel, the components of each folded box by its number.
+        inside: by the key of a kernel, its connectors that are inside folded boxes.
         numbers: the number of each thing by key.
     """
 
@@ -39,6 +42,8 @@ class Scene:
         self.views: dict[str, View] = {}
         self.things: dict[str, dict[int, Thing]] = {kind: {} for kind in KINDS}
         self.connectors: dict[str, dict[str, int]] = {}
+        self.folds: dict[str, dict[int, list[str]]] = {}
+        self.inside: dict[str, list[str]] = {}
         self.numbers: dict[Key, int] = {}
         self._next = count(1)
         self._graph = Graph({})
@@ -46,9 +51,13 @@ class Scene:
         self._routes: dict[Key, Route] = {}
         self._told: list[Thing] = []
         self._folded: set[Key] = set()
-        self._moved: dict[Key, tuple[float, float]] = {}
-        """Places that boxes were given by hand."""
+        self._moved: dict[Key, Point] = {}
+        """Places that boxes were given, from the corners of their bands: by hand, or when they were shown before."""
+        self._by_hand: set[Key] = set()
+        self._again = True
+        """Whether all is to be placed again."""
         self._tidy = True
+        """Whether kernels, too, may come to stand elsewhere then."""
 
     def number(self, *key: str) -> int:
         """The number of a thing; the same for the same thing."""
@@ -59,21 +68,51 @@ class Scene:
     # -- what pages do with it -------------------------------------------------------------------------------------
 
     def tidy(self) -> None:
-        """Place everything again when it is drawn next."""
-        self._tidy = True
+        """Place everything again when it is drawn next, also what has been given a place."""
+        self._moved, self._by_hand = {}, set()
+        self._again = self._tidy = True
 
-    def move(self, number: int, x: float, y: float) -> None:
-        """Put a box where there is room next to a place, when it is drawn next."""
-        for key in self._layout.spots:
+    def lay_out(self) -> None:
+        """Place everything again when it is drawn next: what was given a place keeps it, and kernels stay in order."""
+        self._again = True
+
+    def move(self, number: int, x: float, y: float) -> str | None:
+        """Put a box where there is room next to a place, when it is drawn next.
+
+        Returns:
+            The key of its kernel; None: there is no such box.
+        """
+        for key, spot in self._layout.spots.items():
             if self.numbers.get(key) == number:
-                self._moved[key] = x, y
+                left, top = self._layout.corner(spot.band)
+                self._moved[key] = x - left, y - top
+                self._by_hand.add(key)
+                return key[1]
+        return None
+
+    def restore(self, kernel: str, places: Places) -> None:
+        """Give the boxes of a kernel that is not drawn yet the places that they had."""
+        self._moved |= {("box", kernel, name): (one.x, one.y) for name, one in places.boxes.items()}
+        self._by_hand |= {("box", kernel, name) for name in places.by_hand}
+
+    def places(self, kernel: str) -> Places:
+        """The places of a kernel's boxes; of one in a frame that is folded, the place that it is to have."""
+        components, layout = self.views[kernel].components, self._layout
+        first = min((band.top for key, band in layout.bands.items() if key[1] == kernel), default=0.0)
+        boxes = {key[2]: Place(*place, 0.0) for key, place in self._moved.items() if key[:2] == ("box", kernel)}
+        for key, spot in layout.spots.items():
+            if key[:2] == ("box", kernel):
+                left, top = layout.corner(spot.band)
+                boxes[key[2]] = Place(round(spot.x - left, 1), round(spot.y - top, 1), round(top - first, 1))
+        by_hand = {key[2] for key in self._by_hand if key[:2] == ("box", kernel)}
+        return Places({name: one for name, one in boxes.items() if name in components}, by_hand & components.keys())
 
     def fold(self, number: int, *, on: bool) -> None:
         """Fold a frame into one box, or unfold it, when the scene is drawn next."""
         for key, known in self.numbers.items():
             if known == number and key[0] == "frame":
                 (self._folded.add if on else self._folded.discard)(key)
-                self._tidy = True
+                self._again = True
 
     def check_port(self, kernel: str, path: str) -> None:
         """Take the path of a data port; AbsentError: no kernel of this address has it."""
@@ -100,12 +139,19 @@ class Scene:
         What is laid out anew is laid out in a thread: 1,000 boxes take some tenths of a second.
         """
         graph = Graph(self.views, self._folded)
-        tidy, self._tidy = self._tidy, False
-        if tidy or not self._adapt(graph):
-            spots, edges, bands = list(graph.spots.values()), list(graph.edges.values()), graph.bands()
-            made = await asyncio.to_thread(_laid_out, spots, edges, bands, dict(self._moved))
+        tidy, again = self._tidy, self._again
+        self._tidy = self._again = False
+        if again or not self._adapt(graph):
+            before = self._layout
+            kept = {} if tidy else {group: before.pile_of(band) for band, group in before.groups.items()}
+            spots, edges, moved = list(graph.spots.values()), list(graph.edges.values()), dict(self._moved)
+            made = await asyncio.to_thread(_laid_out, spots, edges, graph.bands(), graph.units(), kept, moved)
             self._layout, self._routes = made
         self._graph = graph
+        self.folds = {key: {} for key in self.views}
+        for key, members in graph.folds.items():
+            self.folds[key[1]][self.number(*key)] = members
+        self.inside = graph.inside
         self.connectors = {key: {} for key in self.views}
         for key, bundle in graph.bundles.items():
             writer = bundle[0][0]
@@ -124,6 +170,7 @@ class Scene:
             self.numbers = {key: one for key, one in self.numbers.items() if one in there or key in folded}
             self._folded = folded
             self._moved = {key: place for key, place in self._moved.items() if key in self.numbers}
+            self._by_hand &= self._moved.keys()
 
     def _change(self) -> Message | None:
         message: Message = {"t": "change"}
@@ -159,7 +206,6 @@ class Scene:
             del self._routes[key]
         groups = graph.bands()
         new = [spot for key, spot in graph.spots.items() if not _is_placed(layout.spots.get(key), spot)]
-        placed = [key for key in self._moved if key in layout.spots and self._moved[key] != layout.moved.get(key)]
         if any(_comes_between(spot.band, layout.bands) for spot in new):
             return False
         for spot in new:
@@ -167,8 +213,9 @@ class Scene:
             after = [edge.target for edge in graph.edges.values() if edge.source == spot.key]
             if not layout.add(spot, groups[spot.band], before, after):
                 return False
-        for key in placed:
-            layout.move(key, *self._moved[key])
+        wanted = _wanted(layout, self._moved)
+        placed = {key: place for key, place in wanted.items() if place != layout.moved.get(key)}
+        layout.move(placed)
         moved = {*(spot.key for spot in new), *placed}
         for edge in graph.edges.values():
             if edge.source in moved or edge.target in moved or edge.key not in self._routes:
@@ -195,7 +242,7 @@ class Scene:
             }  # fmt: skip
             box = _box(view, key[2], spot) if key[0] == "box" else _other_box(spot, key[0])
             if len(key) == IN_COMPOSITE and (report := view.components.get(key[3])) is not None:
-                box |= _condition(report)
+                box |= _condition(view, report)
             made[number] = {**place, **box}
         return made
 
@@ -223,14 +270,26 @@ class Scene:
 
 
 def _laid_out(
-    spots: list[Spot], edges: list[Edge], bands: Mapping[Key, str], moved: Mapping[Key, Point]
+    spots: list[Spot],
+    edges: list[Edge],
+    bands: Mapping[Key, str],
+    units: Mapping[str, str],
+    kept: Mapping[str, int],
+    moved: Mapping[Key, Point],
 ) -> tuple[Layout, dict[Key, Route]]:
-    layout = Layout()
-    layout.place(spots, edges, bands)
-    for key, (x, y) in moved.items():
-        if key in layout.spots:
-            layout.move(key, x, y)
+    layout = placed(spots, edges, bands, units, kept)
+    layout.move(_wanted(layout, moved))
     return layout, {edge.key: layout.route(edge) for edge in edges}
+
+
+def _wanted(layout: Layout, moved: Mapping[Key, Point]) -> dict[Key, Point]:
+    """The places that boxes are to have, of those that are there."""
+    found: dict[Key, Point] = {}
+    for key, (x, y) in moved.items():
+        if (spot := layout.spots.get(key)) is not None:
+            left, top = layout.corner(spot.band)
+            found[key] = left + x, top + y
+    return found
 
 
 def _is_placed(old: Spot | None, new: Spot) -> bool:
@@ -264,16 +323,20 @@ def _box(view: View, name: str, spot: Spot) -> Thing:
         for one in report["ports"].values()
     ]  # fmt: skip
     about = {"type": class_of(report["type"]), "kind": "component", "infrastructure": view.is_infrastructure(name)}
-    return {**about, **_condition(report), "ports": ports}
+    return {**about, **_condition(view, report), "ports": ports}
 
 
-def _condition(report: Mapping[str, Any]) -> Thing:
-    """How a component is."""
+def _condition(view: View, report: Mapping[str, Any]) -> Thing:
+    """How a component is; of one that has not failed, the state of a kernel that does not answer."""
     states, failed = report["states"], report["last_error"]
+    error, known = error_of(failed), view.about["state"]
+    if known != "live" and failed is None:
+        return {"state": known, "said": "", "error": error}
     return {
-        "state": state_of(states, failed=failed is not None), "said": said_of(states, report["overdue"]),
-        "error": error_of(failed),
-    }  # fmt: skip
+        "state": state_of(states, failed=failed is not None),
+        "said": said_of(states, report["overdue"]),
+        "error": error,
+    }
 
 
 def _comes_between(band: Key, bands: Mapping[Key, Band]) -> bool:

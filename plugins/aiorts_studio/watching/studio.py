@@ -5,14 +5,16 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from anyio import to_thread
 
 from aiorts.errors import AiortsError, NoAnswerError
+from aiorts.layout import Places
 from aiorts.sessions import AsyncClient, Entry, entries
 from aiorts_studio.plain.problems import problem_of
 from aiorts_studio.plain.values import json_out
@@ -20,11 +22,13 @@ from aiorts_studio.watching.ages import Ages
 from aiorts_studio.watching.feeds import happening
 from aiorts_studio.watching.figures import Row, different
 from aiorts_studio.watching.page import FAR, Page
+from aiorts_studio.watching.places import PlaceFiles
 from aiorts_studio.watching.plots import Shown, Tap
 from aiorts_studio.watching.recording import Recorder
 from aiorts_studio.watching.scene import Scene
+from aiorts_studio.watching.totals import folded_row, total_of
 from aiorts_studio.watching.view import View, about
-from aiorts_studio.watching.watch import Follower, Watch, begun
+from aiorts_studio.watching.watch import ENDED, Follower, Watch, begun
 
 _LOOK: Final = 0.5
 """Seconds between looks for kernels that begin: a folder does not tell what comes into it, and a page is open."""
@@ -34,12 +38,15 @@ _SETTLES: Final = 0.5
 """Seconds without a change after which a kernel that has just begun is laid out again."""
 _SETTLING: Final = 10
 """Looks whether a kernel that has just begun is assembled."""
+_KEEP: Final = 1.0
+"""Seconds after a change until places are written: many come one after the other."""
 _OPEN: Final = 3.0
 _AGAIN: Final = 1.0
 """Seconds until a kernel that refuses is asked once more."""
 _MINUTE: Final = 60 * 10**9
 _KEPT: Final = 500
 """Changes of the last minute that are kept."""
+_NO_FILES: Final = "recordings need a server beside this one: `aiorts studio --files FOLDER`, while the system runs"
 _FORGOTTEN: Final = 60.0
 """Seconds for which a kernel that has ended is shown."""
 
@@ -50,6 +57,7 @@ class Studio:
     Args:
         names: names or addresses of the kernels to watch; none is all of this user, also those that begin later.
         files: the folder where recordings go; None: nothing is recorded, and pages are told why.
+        places: files with the places of boxes; None: they are kept as long as this is.
 
     Attributes:
         scene: what pages show.
@@ -57,7 +65,13 @@ class Studio:
         recorder: records what pages ask for.
     """
 
-    def __init__(self, names: Sequence[str] = (), files: Path | None = None, why_no_files: str = "") -> None:
+    def __init__(
+        self,
+        names: Sequence[str] = (),
+        files: Path | None = None,
+        why_no_files: str = _NO_FILES,
+        places: PlaceFiles | None = None,
+    ) -> None:
         self.scene = Scene()
         self.pages: set[Page] = set()
         self.recorder = Recorder(files, why_no_files, self._tell)
@@ -67,21 +81,28 @@ class Studio:
         self._sessions: dict[str, asyncio.Task[None]] = {}
         """By the epoch of a kernel, its watching; done where it has ended, and its file is still there."""
         self._watches: dict[str, Watch] = {}
-        """By the key of the view."""
+        """By the key of the view; of a kernel that has ended, the one that was last."""
         self._ages = Ages(self._refused)
         self._followers: dict[Follower, None] = {self._ages: None}
         self._taps: dict[tuple[str, str], Tap] = {}
         self._history: deque[dict[str, Any]] = deque(maxlen=_KEPT)
+        self._keeps = False
         self._dirty, self._drawn = asyncio.Event(), asyncio.Event()
+        self._unwritten = asyncio.Event()
+        self._places = places
+        self._written: dict[str, Places] = {}
+        """By the key of the view: the places that were read, or written last."""
+        self._placed: set[str] = set()
+        """The keys of the views whose boxes a user has placed."""
+        self._attended, self._deserted = asyncio.Event(), asyncio.Event()
+        self._deserted.set()
 
     # -- pages -----------------------------------------------------------------------------------------------------
 
     async def join(self, page: Page) -> None:
         """Tell a page all that is there, and each change from then on."""
         self._coming += 1
-        if self._working is None:
-            self._drawn.clear()
-            self._working = begun(self._work(), "studio")
+        self._begin()
         try:
             with suppress(TimeoutError):  # then it begins with what is there
                 async with asyncio.timeout(_LOOK):
@@ -89,8 +110,9 @@ class Studio:
         finally:
             self._coming -= 1
         self.pages.add(page)
+        self._attended.set()
+        self._deserted.clear()
         page.put(self.scene.picture())
-        page.put({"t": "history", "items": self._of_the_last_minute()})
         page.put(self.recorder.state())
         page.look(self.scene.things)
 
@@ -98,8 +120,51 @@ class Studio:
         """Forget a page; with the last one the watching ends."""
         self.pages.discard(page)
         self._ages.leave(page)
+        if not self.pages:
+            self._attended.clear()
+            self._deserted.set()
         if not self.pages and not self._coming:
             await self.close()
+
+    def _begin(self) -> None:
+        if self._working is None:
+            self._drawn.clear()
+            self._working = begun(self._work(), "studio")
+
+    @asynccontextmanager
+    async def watching(self) -> AsyncIterator[None]:
+        """Watch without a page, too, and forget nothing, for as long as the block takes."""
+        self._coming += 1
+        self._keeps = True
+        self._begin()
+        try:
+            yield
+        finally:
+            self._coming -= 1
+            self._keeps = False
+
+    async def unattended(self, first: float, again: float) -> None:
+        """Wait until no page has been open for so many seconds.
+
+        Args:
+            first: where none is.
+            again: after the last was closed.
+        """
+        patience = again if self.pages else first
+        while True:
+            await self._deserted.wait()
+            try:
+                async with asyncio.timeout(patience):
+                    await self._attended.wait()
+            except TimeoutError:
+                return
+            patience = again
+
+    def say_ended(self, why: str) -> None:
+        """Say how what is watched has ended."""
+        for view in self.scene.views.values():
+            if view.say("ended", why):
+                self.changed()
 
     async def close(self) -> None:
         """End the watching."""
@@ -111,6 +176,7 @@ class Studio:
         self._watches = {}
         if tasks:
             await asyncio.wait(tasks)
+        await self._write_places()
         await self.recorder.close()  # takes its time: a page that comes meanwhile begins anew
 
     def see(self, page: Page, rect: tuple[float, float, float, float], scale: float) -> None:
@@ -173,6 +239,7 @@ class Studio:
 
     async def _work(self) -> None:
         looking = begun(self._look(), "studio kernels")
+        keeping = begun(self._keep_places(), "studio places")
         try:
             while True:
                 await self._dirty.wait()
@@ -184,16 +251,20 @@ class Studio:
                 finally:
                     drawing.cancel()
                 if drawing.exception() is not None:
-                    self.scene.tidy()  # with the next change
+                    self.scene.lay_out()  # with the next change
         finally:
             looking.cancel()
+            keeping.cancel()
 
     async def _draw(self) -> None:
         change = await self.scene.draw()
         self._drawn.set()
+        self._unwritten.set()
         if change is not None:
             self._tell(change)
             for page in self.pages:
+                for box in change.get("boxes", ()):
+                    page.told["b"].pop(box["id"], None)  # the box that is new has no row
                 page.look(self.scene.things)
 
     async def _look(self) -> None:
@@ -225,14 +296,13 @@ class Studio:
                 await asyncio.sleep(_AGAIN)
                 return  # it has just ended, or has too many clients: what is still there is tried once more
             view = self._view(entry, client.hello["lasting"])
+            await self._read_places(view)
             watch = self._watches[view.key] = Watch(client, view, self, self._followers)
             settling = asyncio.create_task(self._settle(view), name="studio layout")
             try:
                 await watch.run()
             finally:
                 settling.cancel()
-                if self._watches.get(view.key) is watch:
-                    del self._watches[view.key]
                 await client.aclose()
             return
 
@@ -262,28 +332,62 @@ class Studio:
             if view.size == count and view.components:
                 break
         view.settled = True
-        self.tidy()
+        self.scene.lay_out()
+        self.changed()
 
     def _end(self, there: Collection[str]) -> None:
         """Say of kernels that they have ended, where that was while no page was open."""
         for view in self.scene.views.values():
-            is_known = view.about["state"] == "ended" or view.address in there or view.key in self._watches
-            if not is_known and view.say("ended", "has ended"):
+            watch = self._watches.get(view.key)
+            is_watched = watch is not None and watch.session.is_open
+            is_known = view.about["state"] == "ended" or view.address in there or is_watched
+            if not is_known and view.say("ended", ENDED):
                 self.changed()
 
     def _forget(self) -> None:
         """Forget kernels that ended long ago."""
         now = time.monotonic()
         for key, view in list(self.scene.views.items()):
-            if view.about["state"] == "ended" and now > view.answered + _FORGOTTEN:
+            if not self._keeps and view.about["state"] == "ended" and now > view.answered + _FORGOTTEN:
                 del self.scene.views[key]
+                self._written.pop(key, None)
+                self._placed.discard(key)
+                self._watches.pop(key, None)
                 self.changed()
+
+    # -- places ----------------------------------------------------------------------------------------------------
+
+    async def _read_places(self, view: View) -> None:
+        """Give a kernel that is new here the places that it had when it was shown before."""
+        if self._places is not None and view.lasting and view.key not in self._written:
+            self._written[view.key] = places = await to_thread.run_sync(self._places.read, view.lasting)
+            self.scene.restore(view.key, places)
+
+    async def _keep_places(self) -> None:
+        while True:
+            await self._unwritten.wait()
+            await asyncio.sleep(_KEEP)
+            self._unwritten.clear()
+            await self._write_places()
+
+    async def _write_places(self) -> None:
+        """Write what is other than it was: of kernels that are assembled, or whose boxes a user has placed."""
+        for view in list(self.scene.views.values()):
+            placed = view.key in self._placed
+            if self._places is None or view.key not in self._written or not (placed or view.settled):
+                continue
+            places = self.scene.places(view.key)
+            if places.boxes and places != self._written[view.key]:
+                self._written[view.key] = places
+                write = partial(self._places.write, view.lasting, places, is_of_user=placed)
+                await to_thread.run_sync(write)
 
     # -- what pages are told ---------------------------------------------------------------------------------------
 
     def move(self, number: int, x: float, y: float) -> None:
         """Put a box elsewhere."""
-        self.scene.move(number, x, y)
+        if (kernel := self.scene.move(number, x, y)) is not None:
+            self._placed.add(kernel)
         self.changed()
 
     def fold(self, number: int, *, on: bool) -> None:
@@ -294,6 +398,7 @@ class Studio:
     def tidy(self) -> None:
         """Lay out everything again."""
         self.scene.tidy()
+        self._placed.update(self.scene.views)
         self.changed()
 
     def changed(self) -> None:
@@ -305,8 +410,9 @@ class Studio:
         now = time.time_ns()
         self._history.append(happening(watch.view.address, item["kind"], item["event"], now))
 
-    def _of_the_last_minute(self) -> list[dict[str, Any]]:
-        since = time.time_ns() - _MINUTE
+    def changes_since(self, time_ns: int) -> list[dict[str, Any]]:
+        """The changes of profiles since a time, and within the last minute."""
+        since = max(time_ns, time.time_ns() - _MINUTE)
         return [one for one in self._history if one["at_ns"] >= since]
 
     def counted(self, watch: Watch) -> None:
@@ -330,7 +436,8 @@ class Studio:
         wanted = frozenset[int]().union(*(page.seen["e"] for page in pages if not page.is_far))
         near = {number: row for number in wanted & edges.keys() if (row := figures.edge(edges[number])) is not None}
         far: dict[int, Row] = {number: [int(any(map(figures.is_lossy, names)))] for number, names in edges.items()}
-        boxes = self._rows("box", key, figures.now["components"], figures.box)
+        boxes = self._rows("box", key, figures.now["components"], figures.box) | self._folded(watch)
+        totals = self._total(watch)
         frames = self._rows("frame", key, figures.now["contexts"], figures.frame)
         for page in pages:
             rows, seen = (far, frozenset(far)) if page.is_far else (near, page.seen["e"])
@@ -338,9 +445,30 @@ class Studio:
                 "e": different(rows, page.told["e"], seen),
                 "b": different(boxes, page.told["b"], page.seen["b"]),
                 "f": different(frames, page.told["f"], frames),
+                "k": different(totals, page.told["k"], totals),
             }
             if any(message.values()):
                 page.put({"t": "figures", "at": {watch.view.address: figures.at_ns}, **message})
+
+    def _total(self, watch: Watch) -> dict[int, Row]:
+        """What a kernel comes to, by the number of its frame."""
+        key, numbers = watch.view.key, self.scene.numbers
+        boxes: dict[str, int | None] = {name: numbers.get(("box", key, name)) for name in watch.view.components}
+        for number, members in self.scene.folds.get(key, {}).items():
+            boxes |= dict.fromkeys(members, number)
+        connectors: dict[str, int | None] = dict.fromkeys(self.scene.inside.get(key, ()))
+        total = total_of(watch.view, watch.figures, connectors | self.scene.connectors.get(key, {}), boxes)
+        return {self.scene.number("frame", key): total}
+
+    def _folded(self, watch: Watch) -> dict[int, Row]:
+        """How those are that folded boxes stand for, by the number of the box."""
+        key, found = watch.view.key, dict[int, Row]()
+        names = [*self.scene.connectors.get(key, ()), *self.scene.inside.get(key, ())]
+        for number, members in self.scene.folds.get(key, {}).items():
+            known = set(members)
+            ends = [name for name in names if known.intersection(watch.view.ends_of(name))]
+            found[number] = folded_row(watch.figures, members, ends)
+        return found
 
     def _rows(self, kind: str, key: str, names: Mapping[str, Any], row: Callable[[str], Row | None]) -> dict[int, Row]:
         numbers = self.scene.numbers

@@ -83,6 +83,11 @@ class View:
         writer, reader = before[0].partition(".")[0], after[0].replace(".", "_")
         return component.startswith(f"{writer}_to_{reader}")
 
+    def ends_of(self, connector: str) -> list[str]:
+        """The components at the ends of a connector; none of one that has gone."""
+        report = self.connectors.get(connector)
+        return [] if report is None else [report[end].rpartition(".")[0] for end in ("source", "target")]
+
     def context_of(self, component: str) -> str:
         """The context that runs a component, the first of several; "" is none."""
         return next(iter(self.components[component]["states"]), "")

@@ -18,7 +18,9 @@ RATE: Final = 5.0
 _SILENT: Final = 2.5
 """Seconds without counters after which a kernel is said not to answer: the page says so within 3 s."""
 
-
+ENDED: Final = "has ended"
+KILLED: Final = "was killed, or has crashed"
+"""Why there is no session any more: an orderly end closes its streams."""
 _PAUSE: Final = 1.0
 """Seconds between looks at what no stream tells."""
 _LINKS: Final = 64
@@ -72,12 +74,14 @@ class Watch:
         followers: what follows kernels now.
 
     Attributes:
-        figures: the counters, while the kernel answers.
+        figures: the counters, and those that were last.
+        closes: whether the kernel has begun to close: nothing of what it gives up is taken.
     """
 
     def __init__(self, session: AsyncClient, view: View, told: Told, followers: Iterable[Follower]) -> None:
         self.session, self.view = session, view
         self.figures = Figures()
+        self.closes = False
         self._told, self._followers = told, followers
         self._following: dict[Follower, asyncio.Task[None]] = {}
 
@@ -87,10 +91,11 @@ class Watch:
             async with self.session.stream("changes") as changes:
                 self._take_snapshot(changes.began)
                 await self._follow(changes)
-        except AiortsError as error:
-            self._say("ended", str(error))
+        except AiortsError:
+            self._say("ended", KILLED)
         else:
-            self._say("ended", "has ended")
+            if self.view.about["state"] != "ended":  # the run has not said how
+                self._say("ended", ENDED)
 
     async def _follow(self, changes: AsyncStream) -> None:
         for one in self._followers:
@@ -122,6 +127,9 @@ class Watch:
         if item["kind"] == "ProfileSnapshot":
             self._take_snapshot(item)
             return
+        self.closes = self.closes or item["kind"] == "Closing"
+        if self.closes:
+            return  # what is shown of it last is the whole
         for part in item["parts"]:
             known, name, now = self.view.profile[part["section"]], part["name"], part["now"]
             if now is None:
@@ -133,6 +141,9 @@ class Watch:
 
     def _take_snapshot(self, item: Mapping[str, Any]) -> None:
         profile = item["profile"]
+        self.closes = profile["state"] != "open"
+        if self.closes and self.view.profile:
+            return
         self.view.profile = profile
         self.view.about["simulated"] = profile["clock"]["kind"] == "SimulatedClock"
         self._told.changed()
@@ -143,8 +154,9 @@ class Watch:
     async def _count(self) -> None:
         async with self.session.stream("counters", rate=RATE) as stream:
             while (item := await self._next(stream)) is not END:
-                self.figures.take(item)
-                self._told.counted(self)
+                if not self.closes:
+                    self.figures.take(item)
+                    self._told.counted(self)
 
     async def _next(self, stream: AsyncStream) -> Any:
         """The next item; while there is none the kernel is said not to answer."""
@@ -180,4 +192,6 @@ class Watch:
 
     def _say(self, state: str, why: str) -> None:
         if self.view.say(state, why):
+            self.figures.are_old = state != "live"
             self._told.changed()
+            self._told.counted(self)

@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="module", autouse=True)
 def runtime() -> Iterator[str]:
-    """The folder of sockets of a module: its kernels and servers go on from test to test."""
+    """The folder of sockets and of the state of a module: its kernels and servers go on from test to test."""
     with tempfile.TemporaryDirectory(prefix="aiorts-") as folder, pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", folder)
+        patch.setenv("XDG_STATE_HOME", f"{folder}/state")
         yield folder
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+import browser_checks as checks
 from browser_parts import ROOT, WAIT_MS, Opened, ended, kernel, opened, served
 
 if TYPE_CHECKING:
@@ -39,6 +40,40 @@ members = ["panel"]
 """
 """The Roomba, and a reader that is too slow for it."""
 LOSSY = "metres.output0-panel.late"
+LABELS = """() => {
+  const over = (a, b) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1;
+  const labels = [...document.querySelectorAll('.world .label')].filter((one) => one.textContent).map((one) => {
+    const { left, right, top, bottom } = one.getBoundingClientRect(), lean = (bottom - top) / 6;   // it has no ink
+    return { said: one.textContent, left, right, top: top + lean, bottom: bottom - lean };
+  });
+  const bodies = [...document.querySelectorAll('.world .box .body')].map((one) => one.getBoundingClientRect());
+  return [labels.length, labels.flatMap((one, at) => [
+    ...labels.slice(at + 1).filter((other) => over(one, other)).map((other) => `${one.said} over ${other.said}`),
+    ...bodies.filter((body) => over(one, body)).map(() => `${one.said} over a box`)])]; }"""
+"""How many labels of edges there are, and which lie over another, or over a box."""
+OUTSIDE = """() => {
+  const around = document.querySelector('main').getBoundingClientRect();
+  return [...document.querySelectorAll('.box')].map((one) => one.getBoundingClientRect()).filter((box) =>
+    box.left < around.left || box.top < around.top || box.right > around.right || box.bottom > around.bottom);
+}"""
+"""The boxes that are not wholly in view."""
+OUTSIDE_ANY = """() => {
+  const { scene, store } = studio, { x, y, k } = scene.view;
+  return [...store.boxes.peek().values()].filter((box) => box.x * k + x < 0 || box.y * k + y < 0
+    || (box.x + box.w) * k + x > scene.width || (box.y + box.h) * k + y > scene.height).map((box) => box.name);
+}"""
+"""The same by their places, also in the far view."""
+ROOMS_OVERLAP = """() => {
+  const names = ['nav', 'main', 'footer', 'aside', '.below'];
+  const rooms = names.map((one) => [one, document.querySelector(one).getBoundingClientRect()]);
+  return rooms.flatMap(([one, a], index) => rooms.slice(index + 1).filter(([, b]) =>
+    a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1)
+    .map(([other]) => `${one} ${other}`));
+}"""
+MIDDLE = """() => {
+  const { left, top, width, height } = document.querySelector('main').getBoundingClientRect();
+  return [left + width / 2, top + height / 2];
+}"""
 FOCUSED = "document.activeElement.getAttribute('aria-label')"
 
 
@@ -133,6 +168,68 @@ def test_arrows_walk_along_edges_and_the_address_leads_back(page: Opened) -> Non
     page.page.wait_for_function("() => location.hash === '' && !document.querySelector('.chosen')")
 
 
+def test_a_port_is_selected_by_a_click_and_by_the_keyboard(page: Opened) -> None:
+    keys, aside = page.page.keyboard, page.page.locator("aside")
+    page.page.locator(".box[aria-label^='metres,'] [data-port=output0] .hit").click()
+    aside.locator("h2", has_text="metres.output0").wait_for()
+    assert focused(page.page) == "output0"
+    assert page.page.evaluate("decodeURIComponent(location.hash)") == "#/port/slow/metres.output0"
+    assert page.page.locator(".port-of.chosen").count() == 1
+    aside.get_by_text("output0 → panel.late").wait_for()
+    keys.press("c")
+    assert page.page.evaluate("navigator.clipboard.readText()") == "aiorts cat metres.output0"
+    keys.press("ArrowLeft")  # across the box
+    aside.locator("h2", has_text="metres.input0").wait_for()
+    keys.press("ArrowLeft")  # along the edge
+    aside.locator("h2", has_text="odometry.pose").wait_for()
+    keys.press("Shift+ArrowUp")
+    assert focused(page.page) == "odometry"
+    keys.press("Shift+ArrowDown")
+    assert focused(page.page) == "encoders"
+    keys.press("ArrowDown")
+    assert focused(page.page) == "pose"
+    page.page.reload()
+    page.page.locator("aside h2", has_text="odometry.pose").wait_for()
+    page.page.locator(".port-of.chosen[data-port=pose]").wait_for()
+    assert aside.get_by_role("button", name="Plot odometry.pose").count() == 1
+
+
+def test_the_scene_is_one_tab_stop_and_frames_are_reached_by_arrows(page: Opened) -> None:
+    keys = page.page.keyboard
+    stops = "() => document.querySelectorAll('main svg [tabindex=\"0\"]').length"
+    assert page.page.evaluate(stops) == 1
+    page.choose("odometry")
+    page.page.evaluate("document.querySelector('.box.chosen').focus()")
+    keys.press("Shift+ArrowUp")
+    assert focused(page.page) == "work"
+    keys.press("ArrowDown")
+    assert focused(page.page) == "screen"
+    keys.press("ArrowUp")
+    keys.press("Enter")
+    page.page.locator(".box.folded").wait_for()
+    page.wait_for("() => document.activeElement.matches('.title')")
+    keys.press("Enter")
+    page.wait_for_boxes(7)
+    keys.press("Shift+ArrowUp")
+    assert focused(page.page) == "slow"  # the kernel
+    keys.press("Shift+ArrowDown")
+    keys.press("Shift+ArrowDown")
+    page.wait_for("() => document.activeElement.matches('.box')")
+    assert page.page.evaluate(stops) == 1
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.73, 0.6, 0.5])
+def test_labels_of_edges_do_not_lie_over_one_another_or_over_boxes(page: Opened, scale: float) -> None:
+    page.page.evaluate(
+        """k => { const { scene } = studio; scene.setView({ x: 20, y: 20, k }); scene.drawNow(); }""", scale
+    )
+    page.page.wait_for_timeout(600)
+    count, faults = page.page.evaluate(LABELS)
+    assert count > 2
+    assert faults == []
+    assert page.page.evaluate("() => /lost|-|overwritten/.test(document.querySelector('.label.lossy').textContent)")
+
+
 def test_a_selection_of_a_name_that_is_not_there_selects_nothing(chromium: Browser, site: Served) -> None:
     with opened(chromium, site, address="#/box/slow/nothing") as found:
         found.wait_for_boxes(7)
@@ -183,7 +280,7 @@ def test_a_page_says_that_its_server_has_ended(chromium: Browser) -> None:
         found.wait_for_boxes(2)
         with ended(site.process):
             pass
-        found.page.get_by_role("alert").get_by_text("The server has ended").wait_for()
+        found.page.get_by_role("alert").get_by_text("aiorts studio does not answer any more").wait_for()
         assert found.page.locator("main .box").count() == 2  # what was last known stays
 
 
@@ -228,8 +325,45 @@ def test_a_frame_folds_into_one_box_and_unfolds(page: Opened) -> None:
     page.wait_for_boxes(7)
 
 
+def test_a_box_stays_where_it_is_dropped_and_its_edges_follow(page: Opened) -> None:
+    box = page.page.locator(".box[aria-label^='metres,'] .body")
+    page.page.keyboard.press("t")  # what came before may have left it elsewhere
+    page.page.wait_for_timeout(1500)
+    (before,) = [one for one in page.things("boxes") if one["name"] == "metres"]
+    ways = {one["name"]: one["points"] for one in page.things("edges")}
+    place = box.bounding_box()
+    assert place is not None
+    scale = page.page.evaluate("studio.scene.view.k")
+    mouse = page.page.mouse
+    mouse.move(place["x"] + 40 * scale, place["y"] + 30 * scale)
+    mouse.down()
+    for step in range(1, 6):
+        mouse.move(place["x"] + (40 + 5 * step) * scale, place["y"] + (30 + 7 * step) * scale)
+    page.page.wait_for_timeout(300)
+    held = box.bounding_box()
+    assert held is not None
+    assert abs(held["y"] - place["y"] - 35 * scale) < 3
+    mouse.up()
+    page.page.wait_for_timeout(1500)
+    dropped = box.bounding_box()
+    assert dropped is not None
+    assert abs(dropped["x"] - held["x"]) < 3
+    assert abs(dropped["y"] - held["y"]) < 3
+    (after,) = [one for one in page.things("boxes") if one["name"] == "metres"]
+    assert (after["x"] - before["x"], after["y"] - before["y"]) == pytest.approx((25, 35), abs=2)
+    changed = {one["name"] for one in page.things("edges") if one["points"] != ways[one["name"]]}
+    assert "odometry.pose-metres.input0" in changed
+    assert checks.edges_through_boxes(page) + checks.overlaps(page) == []
+    page.page.keyboard.press("t")
+    page.wait_for(
+        "([id, x, y]) => store.boxes.value.get(id).x === x && store.boxes.value.get(id).y === y",
+        [before["id"], before["x"], before["y"]],
+    )
+
+
 def test_infrastructure_can_be_hidden(page: Opened) -> None:
     shown = page.page.locator(".box")
+    page.page.get_by_role("button", name="Hide infrastructure (2)").wait_for()
     infrastructure = [box["name"] for box in page.things("boxes") if box["infrastructure"]]
     assert infrastructure
     page.page.get_by_role("button", name="Hide infrastructure").click()
@@ -246,9 +380,29 @@ def test_all_is_in_view_at_first(chromium: Browser, site: Served, size: tuple[in
     with opened(chromium, site, size=size, theme="dark") as found:
         found.wait_for_boxes(7)
         found.settle()
-        outside = """() => {
-          const around = document.querySelector('main').getBoundingClientRect();
-          return [...document.querySelectorAll('.box')].map((one) => one.getBoundingClientRect()).filter((box) =>
-            box.left < around.left || box.top < around.top || box.right > around.right || box.bottom > around.bottom);
-        }"""
-        assert found.page.evaluate(outside) == []
+        assert found.page.evaluate(OUTSIDE) == []
+
+
+def test_all_stays_in_view_beside_and_above_the_panels_until_a_hand_pans(chromium: Browser, site: Served) -> None:
+    with opened(chromium, site, size=(1280, 720)) as found:
+        found.wait_for_boxes(7)
+        found.settle()
+        found.page.locator("aside").get_by_text("Needs a look").wait_for()
+        view = "JSON.stringify(studio.scene.view)"
+        for change in (lambda: found.show("Log"), lambda: found.choose("show"), lambda: found.show("Plots")):
+            change()
+            found.page.wait_for_timeout(400)
+            assert found.page.evaluate(ROOMS_OVERLAP) == []
+            assert found.page.evaluate(OUTSIDE_ANY) == []
+        found.page.set_viewport_size({"width": 1500, "height": 900})
+        found.page.wait_for_timeout(400)
+        assert found.page.evaluate(OUTSIDE_ANY) == []
+        found.page.mouse.move(*found.page.evaluate(MIDDLE))
+        found.page.mouse.wheel(0, -200)
+        found.page.wait_for_timeout(400)
+        held = found.page.evaluate(view)
+        found.page.get_by_role("tab", name="Plots").click()
+        found.page.wait_for_timeout(400)
+        assert found.page.evaluate(view) == held
+        found.fit()
+        assert found.page.evaluate(OUTSIDE_ANY) == []

@@ -82,7 +82,7 @@ def test_what_is_selected_is_shown_in_full(page: Opened, pictures: Path) -> None
     page.choose_edge("wave.out-slow.in")
     aside.get_by_text("written = delivered + wait + dropped").wait_for()
     words = aside.inner_text()
-    for part in ("Why samples are lost", "overwritten", "lengthen the buffer", " of 4", "aiorts con --both-ends"):
+    for part in ("Why samples are lost", "overwritten", "length helps only bursts", " of 4", "aiorts con --both-ends"):
         assert part in words, part
     assert checks.at_a_glance(page) == []
     assert checks.small_targets(page) == []
@@ -202,7 +202,7 @@ def test_the_picture_of_the_readme(chromium: Browser, pictures: Path) -> None:
         page.wait_for("() => [...store.figures.value.values()].some((row) => row.dropped > 20)")
         page.page.get_by_role("button", name="Tidy").click()
         page.choose_edge("metres.output0-panel.pose")
-        page.page.locator("aside").get_by_text("lengthen the buffer").wait_for()
+        page.page.locator("aside").get_by_text("length helps only bursts").wait_for()
         page.fit()
         page.page.locator(".toast:not(.shown)").wait_for(state="attached")
         assert checks.at_a_glance(page) == []

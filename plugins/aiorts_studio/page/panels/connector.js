@@ -1,27 +1,16 @@
 /** A connector in full: what passes, what is lost and why, and what helps. */
+import { signal } from "../vendor/preact-signals.js";
 import { commandsOf } from "../commands.js";
-import { boxes, choose, edges, figures, say, tell } from "../store.js";
+import { boxes, choose, edges, figures, on, say, tell } from "../store.js";
 import { capacityOf, count, endsOf, number, reasonsOf, toneOf } from "../words.js";
 import { useAnswer } from "./asked.js";
 import { Commands } from "./as_commands.js";
 import { Cut, counted, html } from "./parts.js";
+import { WhyLost } from "./why_lost.js";
 
 /** @import {Edge, EdgeFigures} from "../types.js" */
 
 const EVERY_MS = 600;
-
-/** Why samples are dropped -> what it means, and what helps. */
-const REASONS = /** @type {Record<string, [string, string]>} */ ({
-  overwritten: ["The buffer was full when a sample came, and the oldest one made room.", "The reader takes fewer than come: let it read all that waits or run more often, lengthen the buffer (length), or let the writer wait (full = \"block\"). Where only the newest counts, this is as it should be."],
-  rejected: ["The buffer was full when a sample came, and the new one was refused.", "The reader takes fewer than come: let it run more often, lengthen the buffer (length), or let the writer wait (full = \"block\")."],
-  superseded: ["A newer sample came before this one was passed on.", "It is what push = \"new\" asks for; push = \"all\" passes on every sample."],
-  timeout: ["The writer waited for room in the buffer, and gave up.", "Find out why the reader stands still; timeout says how long a writer waits."],
-  inactive: ["The reader's component was not active.", "Activate it, or connect it once it is."],
-  expired: ["The sample was older than its lifespan when it was to be read.", "The reader is late: let it run more often, or lengthen lifespan."],
-  unconverted: ["The converter of the connector could not make the reader's type of it.", "The log of the reader says which value; see the option convert."],
-  undecodable: ["The reader's process could not decode it.", "The types of the two ends are not the same: compare the versions that run."],
-  disconnected: ["The link was cut while the sample was on its way.", "See the state of the link; on_link_lost says what becomes of samples then."],
-});
 
 /** @param {{edge: Edge}} props */
 export function ConnectorPart({ edge }) {
@@ -36,8 +25,7 @@ export function ConnectorPart({ edge }) {
     <p class="pills"><span class=${`pill tone-${tone || "idle"}`}>${{ "": "connected", busy: "samples pass", idle: "nothing passes", full: "nearly full", lossy: "drops samples", down: "down", waiting: "waits for the other end" }[tone]}</span></p>
     <section aria-label="Ends"><table><tbody>${/** @type {const} */ (["from", "to"]).map((end) => html`<tr key=${end}><td>${end}</td>
       <td class="figure"><button class="lead" onClick=${() => choose("box", edge[end][0])}><${Cut} text=${end === "from" ? from : to} /></button></td></tr>`)}</tbody></table></section>
-    ${reasons.length > 0 && html`<section class="failure" aria-label="Why samples are lost"><h3 class="over">Why samples are lost</h3>${reasons.map(([why, times]) => html`
-      <p key=${why}><b>${count(times)} ${why.replaceAll("_", " ")}</b>${(REASONS[why] ?? []).map((words, index) => html`<span class=${index ? "remedy" : ""}>${words}</span>`)}</p>`)}</section>`}
+    <${WhyLost} edge=${edge} reasons=${reasons} />
     <section><h3 class="over">Now</h3><table><tbody>
       <${Figure} name="arrive" value=${row?.rate} unit="samples/s" />
       <${Figure} name="lost now" value=${row?.loss} unit="samples/s" bad=${(row?.loss ?? 0) > 0} />
@@ -60,13 +48,25 @@ export function Figure({ name, value, unit = "", whole = false, bad = false }) {
   return html`<tr><td>${name}</td><td class=${`figure ${bad ? "bad" : ""}`}>${value === null || value === undefined ? "–" : html`${whole ? count(value) : number(value)} <span class="unit">${unit}</span>`}</td></tr>`;
 }
 
+/** The edges whose ages this page has asked for. */
+const asked = signal(/** @type {Set<number>} */ (new Set()));
+on("hello", () => { asked.value = new Set(); });
+
 /** The age of samples when they are read: known where it is measured. @param {{edge: Edge, row: EdgeFigures | undefined, measured: boolean}} props */
 function Age({ edge, row, measured }) {
-  const known = row?.age !== null && row?.age !== undefined;
+  const known = row?.age !== null && row?.age !== undefined, [why, can] = unaged(edge, measured || asked.value.has(edge.id));
   const measure = () => {
-    say({ t: "measure", edges: [edge.id], on: true });
+    if (!say({ t: "measure", edges: [edge.id], on: true })) return;
+    asked.value = new Set([...asked.value, edge.id]);
     tell("The age is measured as long as this page is open");
   };
   return html`<tr><td>age when read</td><td class="figure">${known ? html`${number(row.age ?? 0)} <span class="unit">ms</span>` : "–"}
-    ${!known && !measured && !edge.link && html` <button onClick=${measure}>Measure</button>`}</td></tr>`;
+    ${!known && can && html` <button onClick=${measure}>Measure</button>`}${!known && html`<small>${why}</small>`}</td></tr>`;
+}
+
+/** Why the age of what passes is not known, and whether it can be measured. @param {Edge} edge @param {boolean} measured @returns {[string, boolean]} */
+function unaged(edge, measured) {
+  if (edge.link) return ["samples are read in another kernel: what is measured here ends at the link", false];
+  if (edge.policy === "service") return ["calls have no age", false];
+  return measured ? ["no sample has been read yet", false] : ["not measured", true];
 }

@@ -1,9 +1,10 @@
 /** What components log: lines by component and level. What comes faster than it can be read is counted, not shown. */
 import { useEffect } from "../vendor/preact-hooks.js";
 import { signal } from "../vendor/preact-signals.js";
+import { copy } from "../commands.js";
 import { boxes, connection, kernels, on, say } from "../store.js";
 import { count } from "../words.js";
-import { Cut, Lead, Rows, html, moment } from "./parts.js";
+import { Cut, Lead, Rows, html, moment, rowLeads } from "./parts.js";
 
 /** @import {Log as Lines, LogLine} from "../types.js" */
 
@@ -13,6 +14,8 @@ const KEPT = 2000;
 /** How often the list is drawn at most, in ms: nobody reads faster. */
 const EVERY_MS = 150;
 const HEIGHT = 24;
+/** The place in a text that says what has failed. */
+const PLACE = /\(([^()\s]+\.py:\d+)\)/;
 
 const level = signal("INFO"), component = signal(""), kernel = signal(""), paused = signal(false);
 /** Lines that the server did not send, or that came while the list was paused. */
@@ -67,7 +70,7 @@ export function Log() {
       <${Choice} label="Level" value=${level} all=${LEVELS.map((one) => [one, one === "CRITICAL" ? one.toLowerCase() : `${one.toLowerCase()} and above`])} />
       ${kernels.value.size > 1 && html`<${Choice} label="Kernel" value=${kernel} all=${[["", "all kernels"], ...[...kernels.value.values()].map((one) => [one.address, one.name])]} />`}
       <${Choice} label="Component" value=${component} all=${[["", "all components"], ...names.map((one) => [one, one])]} />
-      <button aria-pressed=${paused.value} onClick=${() => { paused.value = !paused.value; }}>Pause</button>
+      <button onClick=${() => { paused.value = !paused.value; }}>${paused.value ? "Resume" : "Pause"}</button>
       <button onClick=${subscribe}>Clear</button>
       <span class="quiet" role="status">${missed.value > 0 && `${count(missed.value)} lines not shown: more than can be read, or paused`}</span>
     </div>
@@ -78,11 +81,11 @@ export function Log() {
 
 /** @param {{line: LogLine, index: number}} props */
 function Line({ line, index }) {
-  const place = line.file ? `${line.file.split("/").pop()}${line.line ? `:${line.line}` : ""}` : "";
-  return html`<div class=${`line ${line.level.toLowerCase()}`} role="row" aria-rowindex=${index + 1}>
+  const place = PLACE.exec(line.text)?.[1] ?? (line.file ? `${line.file}${line.line ? `:${line.line}` : ""}` : "");
+  return html`<div class=${`line ${line.level.toLowerCase()}`} role="row" aria-rowindex=${index + 1} onClick=${rowLeads(line.kernel, line.component)}>
     <span class="when" role="cell">${moment(line.at_ns)}</span><span class="level" role="cell">${line.level}</span>
     <span class="who" role="cell"><${Lead} kernel=${line.kernel} component=${line.component} /></span>
-    <span class="what" role="cell" tabindex="0"><${Cut} text=${line.text} /></span><span class="where" role="cell"><${Cut} text=${place} /></span>
+    <span class="what" role="cell" tabindex="0"><${Cut} text=${line.text} /></span><span class="where" role="cell">${place && html`<button class="lead" title="Copy the place" onClick=${() => void copy(place)}><${Cut} text=${place.split("/").pop() ?? ""} /></button>`}</span>
   </div>`;
 }
 

@@ -65,6 +65,12 @@ export function Lead({ kernel, component }) {
   return html`<button class="lead" onClick=${() => choose("box", box.id)}><${Cut} text=${component} /></button>`;
 }
 
+/** What a click on a row does: it selects the component, where it is there and no text was marked. @param {string} kernel @param {string} component */
+export const rowLeads = (kernel, component) => (/** @type {MouseEvent} */ { target }) => {
+  const box = component ? boxOf(kernel, component) : undefined, marked = String(document.getSelection() ?? "");
+  if (box && !marked && target instanceof Element && !target.closest("button")) choose("box", box.id);
+};
+
 /** A button that leads to a context. @param {{kernel: string, context: string}} props */
 export function LeadToContext({ kernel, context }) {
   const frame = [...frames.value.values()].find((one) => one.kind === "context" && one.kernel === kernel && one.name === context);

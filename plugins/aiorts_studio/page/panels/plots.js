@@ -28,7 +28,7 @@ const seconds = signal("30"), paused = signal(false), chosenPort = signal("");
 /** Fields of the ports that were looked at, by "KERNEL PATH". */
 const fields = signal(/** @type {Record<string, string[]>} */ ({}));
 const recording = signal(/** @type {Recording | null} */ (null));
-on("recording", (/** @type {Recording} */ message) => { recording.value = message; });
+on("recording", (/** @type {Recording} */ message) => { recording.value = { ...message, why: message.why.replaceAll("`", "") }; });
 let last = 0, colours = 0;
 
 // -- what is plotted ---------------------------------------------------------------------------------------------------
@@ -110,14 +110,14 @@ function Bar() {
       <datalist id="ports">${chosenPort.value.length > 0 && ports.filter((one) => named(one).includes(chosenPort.value)).slice(0, 50).map((one) => html`<option key=${named(one)} value=${named(one)}>${one.port.type}</option>`)}</datalist>
       <button>Plot</button></form>
     <${Choice} label="Window" value=${seconds} all=${WINDOWS.map((one) => [one, Number(one) < 60 ? `${one} s` : `${Number(one) / 60} min`])} />
-    <button aria-pressed=${paused.value} onClick=${() => { paused.value = !paused.value; }}>Pause</button>
+    <button onClick=${() => { paused.value = !paused.value; }}>${paused.value ? "Resume" : "Pause"}</button>
     <${Record} />
   </div>`;
 }
 
 /** Why the plotted ports cannot be recorded; "" where they can. */
 function whyNotRecorded() {
-  if (!files.value) return "The server has no folder to write to: aiorts studio --files DIR";
+  if (!files.value) return recording.value?.why || "The server has no folder to write to";
   if (connection.value !== "live") return "The server is not there";
   return plots.value.length ? "" : "Plot the ports that are to be recorded";
 }
@@ -131,7 +131,7 @@ function Record() {
   };
   const live = [...kernels.value.values()][0];
   return html`<button class=${now?.on ? "recording" : ""} aria-disabled=${Boolean(why)} aria-pressed=${now?.on ?? false} aria-describedby="record-why" onClick=${press}>${now?.on ? "Stop recording" : "Record"}</button>
-    <span class="quiet" id="record-why" role="status">${now?.on ? `${now.file ?? ""}${now.samples ? `: ${count(now.samples)} samples` : ""}` : now?.why || (now?.file ? `${now.file}${now.samples ? `: ${count(now.samples)} samples` : ""}. Open it in Foxglove: "Open local file"` : why)}</span>
+    <span class="quiet" id="record-why" role="status" title=${why}>${now?.on ? `${now.file ?? ""}${now.samples ? `: ${count(now.samples)} samples` : ""}` : now?.why || (now?.file ? `${now.file}${now.samples ? `: ${count(now.samples)} samples` : ""}. Open it in Foxglove: "Open local file"` : why)}</span>
     ${live && html`<button class="aside" title="Copies the command that lets Foxglove look at what runs" onClick=${() => void copy(`aiorts foxglove ${quoted(live.name)}`)}>Open in Foxglove</button>`}`;
 }
 
@@ -165,17 +165,17 @@ function Chart({ plot: own }) {
 /** What each line shows, as a table: for eyes the legend, for a screen reader the plot. @param {{plot: Plot}} props */
 function Legend({ plot: own }) {
   void tables.value;
-  return html`<div class="values"><table><thead><tr><th scope="col">field</th><th scope="col" class="figure">now</th><th scope="col" class="figure">least</th><th scope="col" class="figure">most</th><th></th></tr></thead>
+  return html`<div class="values"><table><thead><tr><th scope="col">field</th><th scope="col" class="figure">now</th><th scope="col" class="figure">least</th><th scope="col" class="figure">most</th></tr></thead>
     <tbody>${own.lines.map((one) => {
       const { series } = one, [least, most] = rangeOf(series), now = series.high.at(-1), box = boxOf(series.kernel, series.path.split(".")[0]);
-      return html`<tr key=${series.key}><th scope="row"><span class=${`swatch colour-${one.colour}`} aria-hidden="true"></span>
+      return html`<tr class="line-of"><th scope="row"><span class=${`swatch colour-${one.colour}`} aria-hidden="true"></span>
           <button class="lead" onClick=${() => box && choose("box", box.id)}><${Cut} text=${nameOf(series)} /></button>${series.unit && html` <span class="unit">${series.unit}</span>`}</th>
         ${series.field === "*" ? html`<td colspan="3"><${Cut} text=${series.text || series.problem || "no sample yet"} /></td>`
           : series.problem ? html`<td colspan="3" class="bad"><${Cut} text=${series.problem} /></td>`
             : html`<td class="figure">${shownNumber(now)}</td><td class="figure">${shownNumber(least)}</td><td class="figure">${shownNumber(most)}</td>`}
-        <td class="does">${own.lines.length > 1 || plots.value[0] !== own ? html`<button title=${own.lines.length > 1 ? "Into a plot of its own" : "Into the plot before"} aria-label=${`Move ${nameOf(series)} ${own.lines.length > 1 ? "into a plot of its own" : "into the plot before"}`} onClick=${() => move(own, one)}>${own.lines.length > 1 ? "↧" : "↥"}</button>` : null}
-          ${series.field !== "*" && own.lines.length > 1 && html`<button aria-pressed=${one.axis !== ""} title="An axis of its own" aria-label=${`${nameOf(series)}: an axis of its own`} onClick=${() => put(own, own.lines.map((each) => (each === one ? { ...one, axis: one.axis ? "" : series.key } : each)))}>y</button>`}
-          <button title="Remove" aria-label=${`Remove ${nameOf(series)}`} onClick=${() => remove(own, one)}>×</button></td></tr>`;
+        </tr><tr><td class="does" colspan="4">${own.lines.length > 1 || plots.value[0] !== own ? html`<button title=${own.lines.length > 1 ? "Into a plot of its own" : "Into the plot before"} aria-label=${`Move ${nameOf(series)} ${own.lines.length > 1 ? "into a plot of its own" : "into the plot before"}`} onClick=${() => move(own, one)}>${own.lines.length > 1 ? "Split" : "Join"}</button>` : null}
+          ${series.field !== "*" && own.lines.length > 1 && html`<button aria-pressed=${one.axis !== ""} title="An axis of its own" aria-label=${`${nameOf(series)}: an axis of its own`} onClick=${() => put(own, own.lines.map((each) => (each === one ? { ...one, axis: one.axis ? "" : series.key } : each)))}>Own axis</button>`}
+          <button title="Remove" aria-label=${`Remove ${nameOf(series)}`} onClick=${() => remove(own, one)}>Remove</button></td></tr>`;
     })}</tbody></table><${Fields} plot=${own} /></div>`;
 }
 

@@ -16,12 +16,14 @@ export function FramePart({ frame }) {
   const context = frame.kind === "context" && frame.name !== "", row = frameFigures.value.get(frame.id);
   const { value } = useAnswer(frame.kernel, context ? "part" : "names", context ? { contexts: [frame.name] } : {}, context ? 1500 : 0);
   const report = context ? value?.contexts?.[frame.name]?.statistics : undefined, blame = report?.last_blame;
+  const timed = report?.policy !== "";   // a context without a rate is never late
   const missed = Object.entries(/** @type {Record<string, number>} */ (report?.missed ?? {})).sort((a, b) => b[1] - a[1]);
   return html`<h2><${Cut} text=${frame.name || "in no context"} /></h2><p class="quiet">${frame.kind}${frame.said && `, ${frame.said}`}</p>
-    ${report && html`<section><h3 class="over">How punctual it is</h3><table><tbody>
-      <${Figure} name="cycles" value=${report.cycles} whole=${true} /><${Figure} name="late, half of them" value=${report.lateness_p50_ns / 1e6} unit="ms" />
+    ${report && html`<section><h3 class="over">${timed ? "How punctual it is" : "What it has done"}</h3><table><tbody>
+      <${Figure} name="cycles" value=${report.cycles} whole=${true} />
+      ${timed && html`<${Figure} name="late, half of them" value=${report.lateness_p50_ns / 1e6} unit="ms" />
       <${Figure} name="late, 99 of 100" value=${report.lateness_p99_ns / 1e6} unit="ms" /><${Figure} name="late, the worst" value=${report.lateness_max_ns / 1e6} unit="ms" />
-      <${Figure} name="overruns" value=${report.overruns ?? row?.overruns} whole=${true} bad=${report.overruns > 0} /><${Figure} name="cycles left out" value=${report.skipped} whole=${true} bad=${report.skipped > 0} />
+      <${Figure} name="overruns" value=${report.overruns ?? row?.overruns} whole=${true} bad=${report.overruns > 0} /><${Figure} name="cycles left out" value=${report.skipped} whole=${true} bad=${report.skipped > 0} />`}
       </tbody></table></section>`}
     ${missed.length > 0 && html`<section class="failure"><h3 class="over">Who was late</h3><ul class="plain">${missed.slice(0, 8).map(([who, times]) => html`<li key=${who}>
       <${Late} kernel=${frame.kernel} who=${who} times=${times} /></li>`)}</ul>

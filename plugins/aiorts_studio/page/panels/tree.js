@@ -1,6 +1,6 @@
 /** Hosts, kernels, contexts and components as a tree; the search looks at names, types and ports. */
 import { signal } from "../vendor/preact-signals.js";
-import { boxes, boxFigures, choose, frames, kernels, selected } from "../store.js";
+import { boxes, boxFigures, choose, frames, kernels, selected, sought } from "../store.js";
 import { kernelTrouble } from "../words.js";
 import { Badge, Cut, Rows, counted, html } from "./parts.js";
 
@@ -9,20 +9,19 @@ import { Badge, Cut, Rows, counted, html } from "./parts.js";
  *   bad: boolean, size: number, place: number}} Row open: null where nothing is inside */
 
 const HEIGHT = 28;
-const wanted = signal("");
 const closed = signal(/** @type {Set<string>} */ (new Set()));
 const at = signal("");
 
 export function Tree() {
-  const rows = rowsOf(wanted.value.trim().toLowerCase(), closed.value), found = rows.filter((row) => row.thing?.kind === "box").length;
+  const rows = rowsOf(sought.value.trim().toLowerCase(), closed.value), found = rows.filter((row) => row.thing?.kind === "box").length;
   const chosen = selected.value && `${selected.value.kind}${selected.value.id}`;
   const current = Math.max(0, rows.findIndex((row) => row.key === at.value));
   return html`<div class="tree">
-    <input type="search" id="search" aria-label="Search components, types and ports" placeholder="Search   /" value=${wanted.value} autocomplete="off" spellcheck="false"
-      onInput=${(/** @type {InputEvent} */ { target }) => { wanted.value = /** @type {HTMLInputElement} */ (target).value; }}
+    <input type="search" id="search" aria-label="Search components, types and ports" placeholder="Search   /" value=${sought.value} autocomplete="off" spellcheck="false"
+      onInput=${(/** @type {InputEvent} */ { target }) => { sought.value = /** @type {HTMLInputElement} */ (target).value; }}
       onKeyDown=${(/** @type {KeyboardEvent} */ event) => searchKey(event, rows)} />
-    <p class="heard" role="status">${wanted.value && counted(found, "component")}</p>
-    ${wanted.value && !found && html`<p class="none">No component, type or port has “${wanted.value}” in its name.</p>`}
+    <p class="heard" role="status">${sought.value && counted(found, "component")}</p>
+    ${sought.value && !found && html`<p class="none">No component, type or port has “${sought.value}” in its name.</p>`}
     <${Rows} count=${rows.length} height=${HEIGHT} role="tree" label="Kernels and components" focus=${false} at=${rows.length ? current : -1}
       onKeyDown=${(/** @type {KeyboardEvent} */ event) => treeKey(event, rows, current)} row=${(/** @type {number} */ index) => html`
         <${Item} key=${rows[index].key} row=${rows[index]} chosen=${rows[index].key === chosen} focusable=${index === current} />`} />
@@ -55,7 +54,7 @@ function searchKey(event, rows) {
   const first = rows.find((row) => row.thing?.kind === "box");
   if (event.key === "Enter" && first?.thing) choose(first.thing.kind, first.thing.id, { focus: true });
   else if (event.key === "ArrowDown" && rows.length) go((first ?? rows[0]).key);
-  else if (event.key === "Escape" && wanted.value) wanted.value = "";
+  else if (event.key === "Escape" && sought.value) sought.value = "";
   else return;
   event.preventDefault();
   event.stopPropagation();
@@ -116,7 +115,7 @@ function hosts(word) {
 /** @param {Kernel} kernel @param {Map<string, Branch[]>} under @returns {Branch[]} none where a search finds nothing in it */
 function kernelNode(kernel, under) {
   const inside = under.get(kernel.address) ?? [], trouble = kernelTrouble(kernel, kernel.since_s);
-  if (!inside.length && wanted.value) return [];
+  if (!inside.length && sought.value) return [];
   return [{ key: `kernel${kernel.address}`, name: kernel.name, beside: trouble || (kernel.simulated ? "simulated time" : ""), bad: Boolean(trouble),
     thing: { kind: "kernel", id: kernel.address }, inside }];
 }

@@ -5,8 +5,8 @@ import { font } from "./fonts.js";
 import { make } from "./svg.js";
 
 /** @import {Box, Port} from "../types.js" */
-/** @typedef {{state: string, said: string, silent: boolean, spoken: string, chosen: boolean, first: boolean,
- *   sizes: import("./fonts.js").Sizes}} Look */
+/** @typedef {{state: string, said: string, silent: boolean, spoken: string, chosen: boolean, port: string | null, first: boolean,
+ *   sizes: import("./fonts.js").Sizes}} Look port: the name of the one that is chosen */
 
 const STRIPE = 22, BADGE = 44;
 
@@ -24,11 +24,19 @@ export function makeBox(box, look) {
   text("name", STRIPE, look.sizes.type ? 24 : 34, box.name, room, font(look.sizes.name, true)),
   ...(look.sizes.type ? [text(`type ${look.said ? "trouble" : ""}`, STRIPE, 43, look.said || box.type, room, font(look.sizes.text))] : []),
   ...(look.state ? [badge(box, look.state)] : []),
-  ...box.ports.map((port) => makePort(box, port, look.sizes.text)));
+  ...box.ports.map((port) => makePort(box, port, look)));
+}
+
+/** Bring a box up to date with what changes while it runs. @param {SVGElement} node @param {Box} box @param {Look} look */
+export function updateBox(node, box, look) {
+  node.setAttribute("class", `box ${box.kind} ${box.infrastructure ? "infrastructure" : ""} ${classOf(look)}`);
+  node.setAttribute("aria-label", look.spoken);
+  node.setAttribute("tabindex", look.first ? "0" : "-1");
+  for (const one of node.querySelectorAll("[data-port]")) one.classList.toggle("chosen", one.getAttribute("data-port") === look.port);
 }
 
 /** The classes of a box that change while it runs. @param {Look} look */
-export const classOf = (look) => `is-${look.state || "unknown"} ${look.silent ? "silent" : ""} ${look.chosen ? "chosen" : ""}`;
+const classOf = (look) => `is-${look.state || "unknown"} ${look.silent ? "silent" : ""} ${look.chosen ? "chosen" : ""}`;
 
 /** @param {Box} box @param {string} state */
 function badge(box, state) {
@@ -43,12 +51,15 @@ function text(kind, x, y, said, room, font, more = "") {
   return make("text", { class: `${kind} ${more}`, x, y, "aria-hidden": "true", "data-cut": shown === said ? null : "" }, shown);
 }
 
-/** @param {Box} box @param {Port} port @param {number} size */
-function makePort(box, port, size) {
+/** @param {Box} box @param {Port} port @param {Look} look */
+function makePort(box, port, { port: chosen, sizes: { text: size } }) {
   const left = port.side === "in", x = left ? 0 : box.w;
   const beside = box.ports.filter((one) => one.side !== port.side && Math.abs(one.y - port.y) < 20);
   const taken = Math.max(0, ...beside.map((one) => Math.min(widthOf(one.name, font(size)), box.w / 2 - 16) + 8));
-  return make("g", { class: "port-of", "data-port": port.name, role: "img", "aria-roledescription": "port", "aria-label": portSpoken(port) },
+  return make("g", {
+    class: `port-of ${port.name === chosen ? "chosen" : ""}`, "data-port": port.name, role: "img", "aria-roledescription": "port",
+    "aria-label": portSpoken(port), tabindex: -1,
+  },
     make("rect", { class: "hit", x: left ? -12 : box.w - 26, y: port.y - 12, width: 38, height: 24 }),
     shapeOf(port, x),
     text("port-name", left ? 13 : box.w - 13, port.y + 4.7, port.name, box.w - 26 - taken, font(size), left ? "" : "end"));

@@ -3,13 +3,15 @@
  * pass over the other. Where they join, there is a dot.
  */
 import { edgeSpoken, labelOf, toneOf } from "../words.js";
+import { widthOf } from "./fitting.js";
+import { font } from "./fonts.js";
 import { rounded } from "./paths.js";
 import { make } from "./svg.js";
 
 /** @import {Box, Edge, EdgeFigures, Point} from "../types.js" */
 /** @typedef {{node: SVGElement, label: SVGElement, first: Text, second: Text, tone: string}} Drawn */
-/** @typedef {{chosen: boolean, own: boolean, silent: boolean, crowded: boolean, small: boolean}} Look
- * crowded: another label is right below; small: text takes more room than at scale 1 */
+/** @typedef {{chosen: boolean, own: boolean, silent: boolean, crowded: boolean, muted: boolean, size: number, room: number}} Look
+ * crowded: another label is right below; muted: another label stands where this one would, and matters more; size: of text; room: for a line of it */
 
 /**
  * @param {Edge} edge @param {EdgeFigures | undefined} row @param {Look} look @param {Map<number, Box>} boxes
@@ -36,7 +38,8 @@ export function makeEdge(edge, row, look, boxes, joints, over) {
 
 /** Say of an edge how it fares now; the document is touched only where something is different. @param {Drawn} drawn @param {Edge} edge @param {EdgeFigures | undefined} row @param {Look} look @param {Map<number, Box>} boxes */
 export function updateEdge(drawn, edge, row, look, boxes) {
-  const tone = toneOf(edge, row), [first, second] = labelOf(edge, row, look.crowded, look.small);
+  const tone = toneOf(edge, row), strong = tone === "lossy" || tone === "down" || tone === "full";
+  const [first, second] = look.muted ? ["", ""] : labelOf(edge, row, look.crowded, (text) => widthOf(text, font(look.size, strong)) <= look.room);
   if (drawn.first.data !== first) drawn.first.data = first;
   if (drawn.second.data !== second) drawn.second.data = second;
   const kind = edgeClass(edge, tone, look);

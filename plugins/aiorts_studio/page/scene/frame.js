@@ -42,7 +42,7 @@ export function sayFrame(drawn, frame, said) {
 
 /** @param {Frame} frame */
 function foldButton(frame) {
-  return make("g", { class: "fold", role: "button", tabindex: 0, "aria-label": `${frame.folded ? "Unfold" : "Fold"} ${frame.name}`,
+  return make("g", { class: "fold", role: "button", tabindex: -1, "aria-label": `${frame.folded ? "Unfold" : "Fold"} ${frame.name}`,
     "aria-expanded": String(!frame.folded), "data-fold": frame.id },
     make("rect", { class: "fold-body", x: 8, y: 10, width: 24, height: 24, rx: 6 }),
     make("path", { class: "fold-sign", d: frame.folded ? "M17.5 17l5 5l-5 5" : "M15 19.5l5 5l5 -5" }));

@@ -5,6 +5,9 @@ import { sizesAt } from "./fonts.js";
 
 /** @import {Box, Edge, Frame} from "../types.js" */
 
+/** The height of a line of text, in parts of its size. */
+const LINE = 1.2;
+
 export class Looks {
   /** @param {import("./world.js").World} world */
   constructor(world) {
@@ -19,7 +22,7 @@ export class Looks {
     const { state, said } = this.world.figuresOf(box);
     return {
       state, said: said || (state === "error" ? box.error?.message ?? "" : ""), silent: this.world.silent(box.kernel), spoken: boxSpoken(box, state, said, store.kernels.peek().get(box.kernel)),
-      chosen: this.world.chosen("box", box.id), first: box.id === this.focused, sizes: this.sizes,
+      chosen: this.world.chosen("box", box.id), port: box.ports.find(({ name }) => this.world.chosen("port", store.portId(box.id, name)))?.name ?? null, first: box.id === this.focused, sizes: this.sizes,
     };
   }
 
@@ -28,7 +31,7 @@ export class Looks {
     const chosen = this.world.chosen("edge", edge.id);
     return {
       chosen, own: !chosen && this.world.own(edge), silent: this.world.silent(edge.kernel), crowded: this.world.crowded(edge),
-      small: this.sizes.text > 14,
+      muted: this.world.muted(edge, this.sizes.text * LINE), size: this.sizes.text, room: this.world.roomOf(edge),
     };
   }
 

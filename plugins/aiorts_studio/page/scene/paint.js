@@ -8,6 +8,8 @@ import { FAR_PORT, FAR_TEXT } from "./fonts.js";
 /** @typedef {{frames: Iterable<Frame>, boxes: Iterable<Box>, edges: Iterable<Edge>, row: (id: number) => EdgeFigures | undefined,
  *   state: (box: Box) => string, silent: (kernel: string) => boolean, chosen: (kind: "box" | "edge", id: number) => boolean, own: (edge: Edge) => boolean}} World */
 
+/** Titles nearer to that of the frame around, in px, are left out. */
+const FAR_LINE = 14;
 /** The scale from which on rows of ports are high enough for text, and for how many boxes it is drawn. */
 const PORTS = 0.46, MOST_WITH_PORTS = 150;
 const COLOURS = ["edge", "busy", "lossy", "down", "box", "box-line", "lane", "line", "ink", "quiet", "accent", "on-state",
@@ -50,10 +52,13 @@ export function paint(context, { x, y, k }, world, colours, ratio) {
   if (k >= PORTS && seen.length <= MOST_WITH_PORTS) paintPorts(context, { x, y, k }, seen, world, colours);
   context.font = FAR_TEXT;
   context.textAlign = "left";
-  for (const frame of world.frames) {
-    if (frame.w * k < 60 || frame.h * k < 22) continue;
+  const titles = /** @type {Map<number, number>} */ (new Map());
+  for (const frame of [...world.frames].sort((a, b) => b.w * b.h - a.w * a.h)) {   // the outer ones first
+    const at = y + frame.y * k + Math.max(8, 20 * k), around = titles.get(frame.parent ?? NaN) ?? -Infinity;
+    if (frame.w * k < 60 || frame.h * k < 22 || at - around < FAR_LINE) continue;
+    titles.set(frame.id, at);
     context.fillStyle = colours.quiet;
-    context.fillText(cut(frame.name, frame.w * k - 16, FAR_TEXT), x + frame.x * k + 8, y + frame.y * k + Math.max(8, 20 * k));
+    context.fillText(cut(frame.name, frame.w * k - 16, FAR_TEXT), x + frame.x * k + 8, at);
   }
 }
 

@@ -10,13 +10,16 @@ import { tips } from "./tip.js";
 /** How near an edge has to be to a click, in px. */
 const NEAR_EDGE = 8;
 
-/** @param {Scene} scene @param {import("./view.js").Moves} view */
+/** @param {Scene} scene @param {import("./view.js").Moves} view @returns {() => void} brings what is selected into view */
 export function pointing(scene, view) {
-  dragging(scene, (id) => {
-    const box = store.boxes.peek().get(id);
-    if (box?.kind === "folded" && store.selected.peek()?.id === id) unfold(box);
+  /** @param {Element} target what was clicked @param {number} id of the box that it is in */
+  const tap = (target, id) => {
+    const box = store.boxes.peek().get(id), port = target.closest("[data-port]")?.getAttribute("data-port");
+    if (port && box && box.kind !== "folded") store.choose("port", store.portId(id, port), { focus: true });
+    else if (box?.kind === "folded" && store.selected.peek()?.id === id) unfold(box);
     else store.choose("box", id, { focus: true });
-  });
+  };
+  dragging(scene, tap);
   tips(scene, (x, y) => {
     const found = scene.far ? boxAt(scene, x, y) : null;
     return found === null ? null : { box: found };
@@ -29,20 +32,20 @@ export function pointing(scene, view) {
     if (edge) return store.choose("edge", Number(edge.getAttribute("data-edge")), { focus: true });
     if (frame) return store.choose("frame", Number(frame.getAttribute("data-frame")), { focus: true });
     const tapped = target.closest(".box");
-    if (tapped && /** @type {PointerEvent} */ (event).pointerType === "touch") return store.choose("box", Number(tapped.getAttribute("data-box")), { focus: true });
-    if (tapped || target.closest(".upon, .tip, .splitter")) return undefined;
+    if (tapped && /** @type {PointerEvent} */ (event).pointerType === "touch") return tap(target, Number(tapped.getAttribute("data-box")));
+    if (tapped || target.closest(".tip, .splitter")) return undefined;
     const box = scene.far ? boxAt(scene, event.clientX, event.clientY) : null;
     if (box !== null) return store.choose("box", box);
     const near = scene.far ? edgeAt(scene, event.clientX, event.clientY) : null;
     return near === null ? store.chooseNothing() : store.choose("edge", near);
   });
 
-  store.on("choose", ({ focus = false }) => {
+  const reveal = () => {
     const chosen = store.selected.peek();
     if (!chosen || chosen.kind === "kernel") return;
     const id = Number(chosen.id);
-    if (chosen.kind === "box") {
-      const box = store.boxes.peek().get(id);
+    if (chosen.kind === "box" || chosen.kind === "port") {
+      const box = chosen.kind === "box" ? store.boxes.peek().get(id) : store.portOf(chosen.id, store.boxes.peek())?.box;
       if (box) view.reveal(box.x, box.y, box.w, box.h);
     } else if (chosen.kind === "frame") {
       const frame = store.frames.peek().get(id);
@@ -51,11 +54,15 @@ export function pointing(scene, view) {
       const edge = store.edges.peek().get(id);
       if (edge) view.reveal(edge.label[0] - 110, edge.label[1] - 24, 120, 48);
     }
-    if (!focus) return;
+  };
+  store.on("choose", ({ focus = false }) => {
+    const chosen = store.selected.peek();
+    reveal();
+    if (!focus || !chosen || chosen.kind === "kernel") return;
     scene.drawNow();   // now: focus goes only to what is in the document
-    const node = chosen.kind === "box" ? scene.boxes.get(id) : chosen.kind === "edge" ? scene.edges.get(id)?.node : scene.frames.drawn.get(id)?.title;
-    node?.focus({ preventScroll: true });
+    scene.nodeOf(chosen)?.focus({ preventScroll: true });
   });
+  return reveal;
 }
 
 /** @param {Scene} scene @param {number} x @param {number} y of the window @returns {[number, number]} of the scene */

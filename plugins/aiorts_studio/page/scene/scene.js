@@ -8,7 +8,7 @@
  */
 import { effect } from "../vendor/preact-signals.js";
 import * as store from "../store.js";
-import { classOf, makeBox } from "./box.js";
+import { makeBox, updateBox } from "./box.js";
 import { makeEdge, updateEdge } from "./edge.js";
 import { FAR, farBelow, sizesAt } from "./fonts.js";
 import { Frames } from "./frames.js";
@@ -34,13 +34,15 @@ export class Scene {
     this.view = { x: 0, y: 0, k: 1 };
     this.width = this.height = 0;
     this.grid = new Grid();
-    this.world = new World();
+    this.world = new World(this.grid);
     this.looks = new Looks(this.world);
     /** @type {Map<number, SVGElement>} */
     this.boxes = new Map();
     /** @type {Map<number, import("./edge.js").Drawn>} */
     this.edges = new Map();
     this.shown = { boxes: /** @type {Set<number>} */ (new Set()), edges: /** @type {Set<number>} */ (new Set()) };
+    /** The box that a hand holds, and where. @type {{id: number, x: number, y: number} | null} */
+    this.held = null;
     this.far = false;
     this.seen = "";
     this.due = 0;
@@ -104,15 +106,33 @@ export class Scene {
     this.changed();
   }
 
+  /** Show a box where a hand holds it, whatever the server says meanwhile. @param {{id: number, x: number, y: number}} held */
+  hold(held) {
+    this.held = held;
+    const node = this.boxes.get(held.id);
+    node?.setAttribute("transform", `translate(${held.x} ${held.y})`);
+    node?.classList.add("moving");
+  }
+
+  /** Show a box where the server has it again, unless a hand has taken one since. @param {{id: number, x: number, y: number}} held */
+  letGo(held) {
+    if (this.held !== held) return;
+    this.held = null;
+    const box = store.boxes.peek().get(held.id);
+    if (box) this.putBox(box);
+  }
+
   /** @param {Box} box */
   putBox(box) {
     this.grid.put("boxes", box.id, [[box.x, box.y], [box.x + box.w, box.y + box.h]]);
     const old = this.boxes.get(box.id);
     if (!old) return;
     const node = makeBox(box, this.looks.box(box)), focus = old.contains(document.activeElement);
+    const port = focus && document.activeElement?.getAttribute("data-port");
     this.boxes.set(box.id, node);
     old.replaceWith(node);   // in its place, with the focus where it was
-    if (focus) node.focus({ preventScroll: true });
+    if (focus) ((port && portIn(node, port)) || node).focus({ preventScroll: true });
+    if (this.held?.id === box.id) this.hold(this.held);
   }
 
   /** @param {number} id of an edge */
@@ -127,9 +147,24 @@ export class Scene {
     if (focus) drawn.node.focus({ preventScroll: true });
   }
 
+  /** The node of a thing that is drawn. @param {import("../types.js").Selection} thing @returns {SVGElement | null | undefined} */
+  nodeOf({ kind, id }) {
+    if (kind === "box") return this.boxes.get(Number(id));
+    if (kind === "edge") return this.edges.get(Number(id))?.node;
+    if (kind === "frame") return this.frames.drawn.get(Number(id))?.title;
+    const found = kind === "port" ? store.portOf(id, store.boxes.peek()) : null, node = this.boxes.get(found?.box.id ?? NaN);
+    return found && node ? portIn(node, found.port.name) : null;
+  }
+
   /** @param {import("../types.js").Figures} news */
   takeFigures({ e = {}, b = {}, f = {} }) {
-    for (const id of Object.keys(e).map(Number)) this.freshenEdge(id);
+    const touched = new Set();   // with those whose labels stand beside: which of them gives way may be another now
+    for (const id of Object.keys(e).map(Number)) {
+      const edge = store.edges.peek().get(id);
+      for (const one of edge ? this.world.labelled(edge) : []) touched.add(one.id);
+      touched.add(id);
+    }
+    for (const id of touched) this.freshenEdge(id);
     for (const id of Object.keys(b).map(Number)) if (store.boxes.peek().has(id)) this.putBox(/** @type {Box} */ (store.boxes.peek().get(id)));
     for (const id of Object.keys(f).map(Number)) this.frames.freshen(id);
     if (this.far) this.draw();
@@ -138,6 +173,7 @@ export class Scene {
   takeChoice() {
     const chosen = store.selected.peek();
     if (chosen?.kind === "box") this.focusOn(Number(chosen.id));
+    if (chosen?.kind === "port") this.focusOn(store.portOf(chosen.id, store.boxes.peek())?.box.id ?? this.looks.focused);
     this.freshen();
   }
 
@@ -170,15 +206,12 @@ export class Scene {
     for (const [id, node] of this.boxes) {
       const box = store.boxes.peek().get(id);
       if (!box) continue;
-      const look = this.looks.box(box);
-      node.setAttribute("class", `box ${box.kind} ${box.infrastructure ? "infrastructure" : ""} ${classOf(look)}`);
-      node.setAttribute("aria-label", look.spoken);
-      node.setAttribute("tabindex", look.first ? "0" : "-1");
+      updateBox(node, box, this.looks.box(box));
     }
     if (this.far) this.draw();
   }
 
-  /** @param {number} id of the box that is in the tab order from now on */
+  /** @param {number | null} id of the box that is in the tab order from now on */
   focusOn(id) {
     this.looks.focused = id;
     this.changed();
@@ -311,3 +344,6 @@ export class Scene {
     this[kind].delete(id);
   }
 }
+
+/** @param {SVGElement} box @param {string} name @returns {SVGElement | null} */
+const portIn = (box, name) => box.querySelector(`[data-port="${CSS.escape(name)}"]`);

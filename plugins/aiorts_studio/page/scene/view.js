@@ -6,11 +6,11 @@ import * as store from "../store.js";
 /** @typedef {{fit: () => void, by: (factor: number) => void, reveal: (x: number, y: number, w: number, h: number) => void}} Moves */
 
 const LEAST = 0.02, MOST = 3;
-/** What is around a picture that was fitted: room for the legend and the buttons below. */
-const MARGIN = { side: 24, top: 20, bottom: 68 };
+/** What is around a picture that was fitted. */
+const MARGIN = { side: 24, top: 20, bottom: 20 };
 /** The largest scale of a picture that was fitted: by the width there is, as a large screen is looked at from further away. */
 const mostFitted = (/** @type {number} */ width) => (width > 2200 ? 1.7 : 1.2);
-const OWN_TOUCH = ".box.chosen, .upon, .tip, .fold, .splitter", OWN_POINTER = ".box, .upon, .tip, .fold, .splitter";
+const OWN_TOUCH = ".box.chosen, .tip, .fold, .splitter", OWN_POINTER = ".box, .tip, .fold, .splitter";
 
 /** @param {HTMLElement} host @param {Scene} scene @returns {Moves} */
 export function moving(host, scene) {

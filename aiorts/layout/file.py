@@ -1,0 +1,93 @@
+"""The file `NAME.layout.json` beside a system file: where the boxes of its components stand.
+
+Pure: text and bytes come in and go out. The studio writes it when boxes are moved, `aiorts import` from a profile of
+OpenRTM; the studio and `aiorts export` read it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import field
+from math import isfinite
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from aiorts.late import dataclass
+
+LARGEST_LAYOUT: Final = 1 << 20
+"""Bytes of a file; a larger one is none."""
+_SCHEMA: Final = 1
+_FARTHEST: Final = 1e6
+
+
+class Place(NamedTuple):
+    """The place of the corner of a box at its top left."""
+
+    x: float
+    """From the left of the kernel."""
+    y: float
+    """From the top of the band, that of its context or composite."""
+    top: float
+    """The top of that band, from the top of the kernel."""
+
+
+@dataclass(slots=True)
+class Places:
+    """The places of a kernel's boxes.
+
+    Attributes:
+        boxes: by the names of components.
+        by_hand: the components that a user has moved.
+    """
+
+    boxes: dict[str, Place] = field(default_factory=dict)
+    by_hand: set[str] = field(default_factory=set)
+
+
+def layout_beside(path: Path) -> Path:
+    """The layout file of a system file."""
+    return path.with_suffix(".layout.json")
+
+
+def text_of_places(kernel: str, places: Places) -> str:
+    """The text of a layout file.
+
+    Args:
+        kernel: the name of the kernel that stays over restarts, for readers.
+    """
+    parts = {"schema": _SCHEMA, "kernel": kernel, "by_hand": sorted(places.by_hand)}
+    head = "".join(f"  {_json(name)}: {_json(value)},\n" for name, value in parts.items())
+    # One box a line: a change of one is a change of a line.
+    boxes = ",\n".join(f"    {_json(name)}: {_json(place)}" for name, place in sorted(places.boxes.items()))
+    return f'{{\n{head}  "boxes": {{\n{boxes}\n  }}\n}}\n'
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+def places_of(data: bytes) -> Places:
+    """The places in a layout file; ValueError: it is none."""
+    if len(data) > LARGEST_LAYOUT:
+        raise ValueError(f"expected at most {LARGEST_LAYOUT} bytes")
+    try:
+        document = json.loads(data)
+    except (ValueError, RecursionError):
+        raise ValueError("expected places as JSON") from None
+    if not isinstance(document, dict) or document.get("schema") != _SCHEMA:
+        raise ValueError(f"expected schema = {_SCHEMA}")
+    boxes, by_hand = document.get("boxes"), document.get("by_hand", [])
+    if not isinstance(boxes, Mapping) or not all(map(_is_place, boxes.values())):
+        raise ValueError("boxes: expected three numbers for each component")
+    if not isinstance(by_hand, list) or not all(isinstance(one, str) for one in by_hand):
+        raise ValueError("by_hand: expected names of components")
+    return Places({name: Place(*map(float, place)) for name, place in boxes.items()}, set(by_hand) & boxes.keys())
+
+
+def _is_place(value: Any) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == len(Place._fields)
+        and all(type(one) in (int, float) and isfinite(one) and abs(one) <= _FARTHEST for one in value)
+    )

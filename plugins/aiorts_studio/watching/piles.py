@@ -1,0 +1,109 @@
+"""Groups of bands above one another and beside: the whole has about a screen's proportions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
+from typing import Final
+
+from aiorts.layout import BAND_GAP, GROUP_GAP, GROUP_HEAD, Edge, Key, Layout, Spot, columns
+
+_WIDE: Final = 1.55
+"""Width of the room for the scene, where its height is 1."""
+_MOST: Final = 8
+"""Piles that are tried."""
+_GOOD: Final = 0.7
+"""The part of the largest scale at which the piles of before are good enough: what stands where it stood is found."""
+
+
+def placed(
+    spots: Sequence[Spot],
+    edges: Sequence[Edge],
+    groups: Mapping[Key, str],
+    units: Mapping[str, str],
+    kept: Mapping[str, int] | None = None,
+) -> Layout:
+    """A layout of as many piles as show the whole at the largest scale.
+
+    Args:
+        groups: of each band, its group.
+        units: of each group, what stays together in one pile with it.
+        kept: the piles of groups that were laid out before; they stay, unless others show the whole far larger.
+    """
+    layout = Layout()
+    layout.place(spots, edges, groups)
+    heights: dict[str, float] = {}
+    for band, place in layout.bands.items():
+        unit = units[layout.groups[band]]
+        heights[unit] = heights.get(unit, GROUP_GAP + GROUP_HEAD) + place.height + BAND_GAP
+    linked = _linked(layout, edges, units)
+    tried = {1: _scale(layout)}
+    for count in range(2, min(len(heights), _MOST) + 1):
+        layout.place(spots, edges, groups, _dealt(linked, heights, count, units))
+        tried[count] = _scale(layout)
+    best = max(tried, key=lambda count: (tried[count], -count))
+    if kept:
+        layout.place(spots, edges, groups, _as_before(kept, heights, units))
+        if _scale(layout) >= _GOOD * tried[best]:
+            return layout
+        layout.place(spots, edges, groups, _dealt(linked, heights, best, units))
+    elif best != len(tried):
+        layout.place(spots, edges, groups, _dealt(linked, heights, best, units))
+    return layout
+
+
+def _as_before(kept: Mapping[str, int], heights: Mapping[str, float], units: Mapping[str, str]) -> dict[str, int]:
+    """The piles of before, without those that are empty now; what is new is in the lowest."""
+    before = {units[group]: pile for group, pile in kept.items() if units.get(group) in heights}
+    left = sorted({*before.values()}) or [0]
+    pile = {unit: left.index(one) for unit, one in before.items()}
+    tops = [sum(heights[unit] for unit, at in pile.items() if at == one) for one in range(len(left))]
+    for unit in (one for one in heights if one not in pile):
+        pile[unit] = tops.index(min(tops))
+        tops[pile[unit]] += heights[unit]
+    return {group: pile[unit] for group, unit in units.items() if unit in pile}
+
+
+def _scale(layout: Layout) -> float:
+    """The scale at which a screen shows all of a layout."""
+    right = max((one.x + one.w for one in layout.spots.values()), default=1.0)
+    bottom = max((one.top + one.height for one in layout.bands.values()), default=1.0)
+    return min(_WIDE / right, 1 / bottom)
+
+
+def _linked(layout: Layout, edges: Sequence[Edge], units: Mapping[str, str]) -> list[str]:
+    """The units that edges join to others, in an order in which these lead forwards, where they can."""
+    between = []
+    for edge in edges:
+        source, target = (units[layout.groups[layout.spots[key].band]] for key in (edge.source, edge.target))
+        if source != target:
+            between.append(Edge(edge.key, (source,), "", (target,), ""))
+    ends = dict.fromkeys(key for edge in between for key in (edge.source, edge.target))
+    return [unit for (unit,), _ in sorted(columns(ends, between).items(), key=lambda one: one[1])]
+
+
+def _dealt(linked: Sequence[str], heights: Mapping[str, float], count: int, units: Mapping[str, str]) -> dict[str, int]:
+    """The pile of each group, the highest pile as low as can be: those that are joined follow one another."""
+    pile, tops = dict[str, int](), [0.0] * count
+    if linked:
+        tall, wanted = [heights[unit] for unit in linked], min(count, len(linked))
+        sums = sorted({total for at in range(len(tall)) for total in accumulate(tall[at:])})
+        most = next(one for one in sums if one >= max(tall) and _piles(tall, one, wanted)[-1] < wanted)
+        pile = dict(zip(linked, _piles(tall, most, wanted), strict=True))
+    for unit, at in pile.items():
+        tops[at] += heights[unit]
+    for unit in sorted((one for one in heights if one not in pile), key=lambda one: -heights[one]):
+        pile[unit] = tops.index(min(tops))
+        tops[pile[unit]] += heights[unit]
+    return {group: pile[unit] for group, unit in units.items() if unit in pile}
+
+
+def _piles(tall: Sequence[float], most: float, count: int) -> list[int]:
+    """The pile of each unit where none is higher than `most`, and there are `count` at least."""
+    found, pile, height = list[int](), 0, 0.0
+    for at, one in enumerate(tall):
+        if height and (height + one > most or count - 1 - pile >= len(tall) - at):
+            pile, height = pile + 1, 0.0
+        height += one
+        found.append(pile)
+    return found
