@@ -8,16 +8,16 @@ bytes for.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any, Final, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import msgpack  # type: ignore[import-untyped]
 
 from aiorts.errors import LimitError, RecordError, RecordTypeError, UnknownTypeError, WireError
 from aiorts.types.kinds import shown
-from aiorts.types.registry import all_types, wire_name, wire_type
+from aiorts.types.registry import wire_name, wire_type
 from aiorts.types.samples import PLAIN_TYPES, check_port_type, original
 from aiorts.types.structure import describe, kind_of
-from aiorts.wire.direct import SHORT, Direct, direct_of
+from aiorts.wire.direct import SHORT, direct_of
 from aiorts.wire.forms import Form, form_of
 from aiorts.wire.limits import DATA, Limits
 from aiorts.wire.parts import Buffer, Packed, Positions, Take, flat, layout_of
@@ -91,7 +91,9 @@ class MsgpackCodec:
         # A frame of no more bytes than this cannot break any limit.
         self._unchecked = min(limits.string, limits.length, limits.values, limits.frame, limits.head)
         self._uncounted = min(SHORT, limits.values)
-        self._direct = min(SHORT, self._unchecked)
+        is_roomy = self._unchecked >= SHORT
+        self._encoders = _encoders if is_roomy else {}
+        self._decoders = _decoders if is_roomy else {}
         self._options: dict[str, Any] = {
             "raw": False,
             "strict_map_key": True,
@@ -111,9 +113,8 @@ class MsgpackCodec:
         large.
         """
         cls = type(record)
-        direct = _direct.get(cls)
-        if direct is not None and direct.encode is not None and direct.size <= self._direct:
-            return direct.encode(record)
+        if (encode := self._encoders.get(cls)) is not None:
+            return encode(record)
         name, form = _known.get(cls) or _know(cls)
         content = FORMAT, name, form.put(record)
         try:
@@ -134,9 +135,8 @@ class MsgpackCodec:
             DeclarationError: the class cannot travel. What it gives raises LimitError for a frame that is too large.
         """
         name, form = _known.get(cls) or _know(cls)
-        direct = _direct.get(cls)
-        if direct is not None and direct.encode is not None and direct.size <= self._direct:
-            return direct.encode
+        if (written := self._encoders.get(cls)) is not None:
+            return written
         put, pack, unchecked = form.put, _new_packer().pack, self._unchecked
 
         def encode(record: Any) -> bytes:
@@ -271,14 +271,9 @@ class MsgpackCodec:
         try:
             if type(data) is not bytes:
                 (data,) = flat((data,))
-            if type(data) is bytes and 4 < len(data) <= self._direct:
-                direct = _by_name.get(data[3 : 3 + (data[2] & 0x1F)] if data[2] < 0xD9 else data[4 : 4 + data[3]])
-                if (
-                    direct is not None
-                    and (expected is None or expected is direct.cls)
-                    and _TYPES.get(direct.full_name) is direct.cls  # it was not defined again
-                    and (record := direct.decode(data)) is not None
-                ):
+            if type(data) is bytes and len(data) > 4:
+                decode = self._decoders.get(data[3 : 3 + (data[2] & 0x1F)] if data[2] < 0xD9 else data[4 : 4 + data[3]])
+                if decode is not None and (record := decode(data, expected)) is not None:
                     return record
             content = self._parse(data, self.limits.frame)
             if type(content) is not list or len(content) != 3 or content[0] != FORMAT or type(content[1]) is not str:
@@ -321,10 +316,11 @@ class MsgpackCodec:
         return known_name, form
 
 
-_TYPES: Final = all_types()
 _known: dict[type, tuple[str, Form]] = {}
-_direct: dict[type, Direct] = {}
-_by_name: dict[bytes, Direct] = {}
+_encoders: dict[type, Callable[[Any], bytes]] = {}
+"""Those of records of numbers."""
+_decoders: dict[bytes, Callable[[bytes, type | None], Any]] = {}
+"""By the name that stands in the frame."""
 _packers: list[Any] = []
 """Those that nobody uses at this moment: to make one takes as long as to pack a small record. Who packs takes one out,
 so that threads never share one."""
@@ -349,7 +345,9 @@ def _know(cls: type) -> tuple[str, Form]:
     name = wire_name(target)
     _known[cls] = name, form
     if cls is target and cls not in PLAIN_TYPES and (direct := direct_of(describe(cls), FORMAT, name)) is not None:
-        _direct[cls] = _by_name[name.encode()] = direct
+        _decoders[name.encode()] = direct.decode
+        if direct.encode is not None:
+            _encoders[cls] = direct.encode
     return _known[cls]
 
 

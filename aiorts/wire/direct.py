@@ -19,7 +19,7 @@ from aiorts.types.generated import generate
 from aiorts.types.kinds import STAMP_LIMIT, Kind, OptionalKind
 from aiorts.types.nested import RecordKind
 from aiorts.types.record import setters_of
-from aiorts.types.registry import full_name
+from aiorts.types.registry import all_types, full_name
 from aiorts.types.rows import FixedTupleKind, MapKind, TupleKind
 from aiorts.wire.forms import pair_of
 
@@ -40,15 +40,11 @@ _NUMBERS: Final = {
 class Direct(NamedTuple):
     """How frames of one record type are read at once, and written where it has nothing but numbers."""
 
-    cls: type
-    full_name: str
-    """The name under which the class is registered, as long as no other takes its place."""
-    decode: Callable[[bytes], Any]
-    """The record of a frame of at most `SHORT` bytes; None: the general way reads it, or says what is wrong with it."""
+    decode: Callable[[bytes, type | None], Any]
+    """The record of a frame, if it is of the class that is expected, or none is. None: the general way reads the frame,
+    or says what is wrong with it."""
     encode: Callable[[Any], bytes] | None = None
-    """The frame of a record of numbers."""
-    size: int = 0
-    """The bytes of each frame of a record of numbers."""
+    """The frame of a record, of at most `SHORT` bytes."""
 
 
 def direct_of(structure: Structure, version: int, name: str) -> Direct | None:
@@ -57,7 +53,7 @@ def direct_of(structure: Structure, version: int, name: str) -> Direct | None:
     if not leaves:
         return None
     if all(kind.spelling in _NUMBERS for _, kind in leaves):
-        return _of_numbers(structure, msgpack.packb(version) + msgpack.packb(name))
+        return _of_numbers(structure, version, name)
     if all(_has_no_maps(kind) for _, kind in leaves):
         return _of_pairs(structure, version, name)
     return None
@@ -94,10 +90,10 @@ def _has_no_maps(kind: Kind) -> bool:
 # -- records of numbers ------------------------------------------------------------------------------------------------
 
 
-def _of_numbers(structure: Structure, head: bytes) -> Direct | None:
+def _of_numbers(structure: Structure, version: int, name: str) -> Direct | None:
     texts: list[bytes] = []
     codes: list[str] = []
-    between = bytearray(b"\x93" + head)
+    between = bytearray(b"\x93" + msgpack.packb(version) + msgpack.packb(name))
 
     def walk(structure: Structure) -> None:
         between.append(0x80 | len(structure.fields))
@@ -112,29 +108,33 @@ def _of_numbers(structure: Structure, head: bytes) -> Direct | None:
             between.clear()
 
     walk(structure)
-    if len(texts) > _FIELDS:
-        return None
     layout = struct.Struct(f">{''.join(codes)}")
+    if len(texts) > _FIELDS or layout.size > SHORT:
+        return None
     paths = [path for path, _ in _leaves(structure, "")]
     known: dict[str, Any] = {f"t{i}": text for i, text in enumerate(texts)}
-    known |= {"pack": layout.pack, "unpack": layout.unpack, "build": number_builder(structure), "refused": RecordError}
-    values = ", ".join(f"v{i}" for i in range(len(paths)))
+    known |= {"pack": layout.pack, "unpack": layout.unpack, "refused": RecordError}
+    building = _building(structure, known)
     encode = [f"return pack({', '.join(f't{i}, record.{path}' for i, path in enumerate(paths))})"]
     decode = [
-        f"if len(data) != {layout.size}: return None",
+        *_wanted(structure, f"len(data) != {layout.size}", known),
         f"{', '.join(f'f{i}, v{i}' for i in range(len(paths)))} = unpack(data)",
         f"if {' or '.join(f'f{i} != t{i}' for i in range(len(paths)))}: return None",
         "try:",
-        f" return build({values})",
+        *(f" {line}" for line in building),
         "except refused: return None",
     ]
-    return Direct(
-        structure.cls,
-        full_name(structure.cls),
-        generate("decode(data)", decode, known),
-        generate("encode(record)", encode, known),
-        layout.size,
-    )
+    return Direct(generate("decode(data, expected)", decode, known), generate("encode(record)", encode, known))
+
+
+def _wanted(structure: Structure, too_long: str, known: dict[str, Any]) -> list[str]:
+    """The lines that leave a frame to the general way that is too long, or not of the class that is to be read."""
+    known |= {"cls": structure.cls, "full_name": full_name(structure.cls), "types": all_types()}
+    return [
+        # The class may have been defined again: another one has its name then.
+        f"if {too_long} or (expected is not None and expected is not cls) or types.get(full_name) is not cls:",
+        " return None",
+    ]
 
 
 def number_builder(structure: Structure) -> Callable[..., Any]:
@@ -143,7 +143,15 @@ def number_builder(structure: Structure) -> Callable[..., Any]:
     What it gives raises RecordError where a time stamp is too large, or a record refuses its fields. A record without
     conditions of its own is filled, not constructed: a TimedPose3D takes 0.9 us instead of 1.9 us.
     """
-    known: dict[str, Any] = {"new": object.__new__, "LIMIT": STAMP_LIMIT}
+    known: dict[str, Any] = {}
+    lines = _building(structure, known)
+    count = sum(1 for _ in _leaves(structure, ""))
+    return generate(f"build({', '.join(f'v{i}' for i in range(count))})", lines, known)  # type: ignore[no-any-return]
+
+
+def _building(structure: Structure, known: dict[str, Any]) -> list[str]:
+    """The lines that make a record of the numbers v0, v1 ..."""
+    known |= {"new": object.__new__, "LIMIT": STAMP_LIMIT}
     lines: list[str] = []
     count = 0
 
@@ -174,7 +182,7 @@ def number_builder(structure: Structure) -> Callable[..., Any]:
         return made
 
     lines.append(f"return {walk(structure)}")
-    return generate(f"build({', '.join(f'v{i}' for i in range(count))})", lines, known)  # type: ignore[no-any-return]
+    return lines
 
 
 _CHECKED: Final = {"stamp": "if {0} >= LIMIT: "}
@@ -190,6 +198,7 @@ _REFUSED: Final = (RecordError, ValueError, TypeError, msgpack.UnpackException)
 def _of_pairs(structure: Structure, version: int, name: str) -> Direct:
     known: dict[str, Any] = {"unpackb": msgpack.unpackb, "version": version, "name": name, "refused": _REFUSED}
     lengths = ", ".join(f"max_{kind}_len={SHORT}" for kind in ("str", "bin", "array", "map"))
+    wanted = _wanted(structure, f"len(data) > {SHORT}", known)
     read: list[str] = [
         f"content = unpackb(data, object_pairs_hook=tuple, max_ext_len=0, {lengths})",
         "if type(content) is not list or len(content) != 3: return None",
@@ -217,5 +226,5 @@ def _of_pairs(structure: Structure, version: int, name: str) -> Direct:
         return f"r{pairs}"
 
     read.append(f"return {take(structure, 'm')}")
-    tried = ["try:", *(f" {line}" for line in read), "except refused: return None"]
-    return Direct(structure.cls, full_name(structure.cls), generate("decode(data)", tried, known))
+    tried = [*wanted, "try:", *(f" {line}" for line in read), "except refused: return None"]
+    return Direct(generate("decode(data, expected)", tried, known))
