@@ -57,7 +57,10 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "explanation": (
         "Explanation",
-        ("architecture", "model", "policies", "delivery", "links", "limits", "measured", "compiled", "stability", "releases"),
+        (
+            *("architecture", "model", "policies", "delivery", "links", "limits"),
+            *("measured", "compiled", "stability", "releases"),
+        ),
     ),
     "coming-from": (
         "Coming from",
