@@ -25,7 +25,7 @@ COMPONENTS = {"imu", "odometry", "metres", "turn_rate", "show", "checker", "wave
 def site(chromium: Browser) -> Iterator[Served]:
     """A server that shows two kernels."""
     with (
-        kernel("roomba", "examples/roomba/system.toml", "--set", "imu.speed=0.3"),
+        kernel("roomba", "examples/roomba/system.toml", "--set", "imu.speed=0.06"),
         kernel("lossy", PARTS / "lossy.toml"),
         served("--edit") as found,
     ):
