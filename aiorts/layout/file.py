@@ -88,6 +88,6 @@ def places_of(data: bytes) -> Places:
 def _is_place(value: Any) -> bool:
     return (
         isinstance(value, list)
-        and len(value) == len(Place._fields)
+        and len(value) == 3
         and all(type(one) in (int, float) and isfinite(one) and abs(one) <= _FARTHEST for one in value)
     )

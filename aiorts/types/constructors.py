@@ -87,7 +87,7 @@ def _sort(kind: Kind) -> str:
 
 @functools.cache
 def _maker(sorts: tuple[str, ...]) -> Any:
-    """What makes an `__init__` for parameters of these sorts."""
+    """The maker of an `__init__` for parameters of these sorts."""
     before, body = [], []
     for i, sort in enumerate(sorts):
         before += [f"p = parameters[{i}]", f"check{i}, where{i}, store{i} = p.check, p.where, p.store"]

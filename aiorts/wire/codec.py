@@ -318,7 +318,7 @@ class MsgpackCodec:
 
 _known: dict[type, tuple[str, Form]] = {}
 _encoders: dict[type, Callable[[Any], bytes]] = {}
-"""Those of records of numbers."""
+"""The encoders of records of numbers, by class."""
 _decoders: dict[bytes, Callable[[bytes, type | None], Any]] = {}
 """By the name that stands in the frame."""
 _packers: list[Any] = []

@@ -138,7 +138,7 @@ def _wanted(structure: Structure, too_long: str, known: dict[str, Any]) -> list[
 
 
 def number_builder(structure: Structure) -> Callable[..., Any]:
-    """What makes a record of its numbers, in order, those of records in it too; they are of the class they should be.
+    """The maker of a record of its numbers, in order, those of records in it too; they are of the class they should be.
 
     What it gives raises RecordError where a time stamp is too large, or a record refuses its fields. A record without
     conditions of its own is filled, not constructed: a TimedPose3D takes 0.9 us instead of 1.9 us.

@@ -43,7 +43,7 @@ _WIDEST: Final = 0xFFFF
 _HEAD: Final = struct.Struct("<BBHI")
 _NUMBERED: Final = struct.Struct("<BBHIQQ")
 SOLE: Final = _NUMBERED.size
-"""Where the sample begins in a frame that has one alone."""
+"""The place of the sample in a frame that has one alone."""
 _FATE: Final = struct.Struct("<QB")
 
 
