@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import re
 import signal
@@ -13,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from aiorts import Kernel
+from aiorts.cli.runtime import stopping
 from campaign import CAMPAIGN, time_limit
 from run_parts import begun, folder_of, limited, started
 
@@ -285,3 +288,22 @@ def test_an_interrupt_while_a_plugin_is_imported_ends_it_at_once(folder: Path) -
     _, errors = process.communicate(timeout=20)
     assert time.monotonic() - at < AT_ONCE + SLACK
     assert (process.returncode, errors) == (130, "")
+
+
+def test_a_run_that_lingers_and_is_watched_again_ends_no_process_that_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended: list[str] = []
+    monkeypatch.setattr(stopping, "LONGEST_STOP", 0.3)
+    monkeypatch.setattr(stopping.Stopper, "end_now", lambda _self, _status, text="": ended.append(text))
+    stopper = stopping.Stopper()
+
+    async def attach() -> None:
+        async with Kernel() as kernel:
+            stopper.attach(kernel)
+
+    asyncio.run(attach())
+    for _ in range(50):
+        stopper.watch(0)
+        stopper.linger(0)
+        stopping.watch_no_more()
+    time.sleep(0.6)
+    assert ended == []

@@ -47,9 +47,9 @@ class Stopper:
         self.last_words: list[Callable[[], None]] = []
         self._kernel: Kernel | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._watched = self._lingers = False
-        self._over = allocate_lock()
-        self._over.acquire()
+        self._lingers = False
+        self._over: LockType | None = None
+        """The lock that is released when the end that is watched has come; None: no end is watched."""
         self._outcome = exits.FAILED
         self._signals = count()
 
@@ -74,13 +74,15 @@ class Stopper:
     def watch(self, status: int) -> None:
         """The end has begun: see to it that it comes."""
         self._outcome = status
-        if not self._watched:
-            self._watched = True
+        if self._over is None:
+            self._over = over = allocate_lock()
+            over.acquire()
             _WATCHING.append(self)
-            start_new_thread(self._end_late, ())
+            start_new_thread(self._end_late, (over,))
 
-    def _end_late(self) -> None:
-        if self._over.acquire(timeout=LONGEST_STOP):
+    def _end_late(self, over: LockType) -> None:
+        # Each watch has a lock of its own: one that begins anew would else take the release that is meant for another.
+        if over.acquire(timeout=LONGEST_STOP):
             return  # the run is over, and the process has other things to do
         what = f"not everything ended in {LONGEST_STOP} s{where_now()}; the process ends now"
         self.end_now(self._outcome if self.status is None else self.status, f"aiorts: E-STOP: {what}\n")
@@ -119,13 +121,14 @@ class Stopper:
         except KeyboardInterrupt:
             pass
         finally:
-            self._lingers = self._watched = False
+            self._lingers = False
             self.watch(status)
 
     def over(self) -> None:
         """The run has ended: what is left of the process is no affair of it any longer."""
-        if self._over.locked():
-            self._over.release()
+        over, self._over = self._over, None
+        if over is not None:
+            over.release()
 
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
