@@ -210,7 +210,6 @@ class Life:
         simulated = isinstance(kernel.clock, SimulatedClock)  # there time waits for everybody
         late_ns = _NEVER  # when the cycle before was found late, with no wait since
         held: Held | None = None  # made where the loop turns slowly
-        share_ns = 0  # until when the next cycle begins without a turn of the loop
         while not context._stopping:
             if context._actions:
                 yield from self.act(context.runner.next_action())
@@ -219,19 +218,18 @@ class Life:
             wait = context._next_cause()
             if wait is not None:
                 worked = False
-                late_ns, share_ns = _NEVER, 0
+                late_ns = _NEVER
                 yield wait
             elif worked:
                 worked = False
-                if share_ns and held is None and context._now_ns() < share_ns:
-                    continue
+                if late_ns < _NEVER and held is None and not simulated and context._now_ns() - late_ns < _SHARE_NS:
+                    continue  # within its share of a turn
                 if held is not None:
                     held.end()
                 yield TURN
                 now_ns = context._now_ns()
                 if now_ns - late_ns < LONG_NS or simulated:
                     late_ns, held = now_ns, None
-                    share_ns = 0 if simulated else now_ns + _SHARE_NS
                     if kernel._stop_due:
                         yield from self.rest()
                         late_ns = context._now_ns()
