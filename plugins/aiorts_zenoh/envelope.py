@@ -91,7 +91,7 @@ def size_of(blocks: Sequence[Block]) -> int:
 def read(data: bytes) -> Message:
     """The message in these bytes. ValueError: there is none."""
     size = len(data)
-    length = -1
+    length = size  # of no block: one is shorter than its message
     if size >= _ONE:
         version, kind, count, epoch, first, sent_ns, length = _HEAD_OF_ONE.unpack_from(data)
     elif size >= _HEAD.size:

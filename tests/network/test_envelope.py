@@ -37,6 +37,13 @@ def test_what_is_cut_or_longer_is_no_message(blocks: list[bytes], data: st.DataO
             read(wrong)
 
 
+def test_a_message_of_one_block_that_is_cut_at_any_byte_is_none() -> None:
+    whole = message(FRAME, 1, 2, 3, [b"a"])
+    for cut in range(len(whole)):
+        with pytest.raises(ValueError, match=r"message|block"):
+            read(whole[:cut])
+
+
 @given(st.binary(max_size=200))
 def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     try:

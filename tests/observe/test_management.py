@@ -94,6 +94,7 @@ def test_whoever_manages_the_process_is_told_of_every_step_of_a_component() -> N
             "StateChanged",
             "ContextStopped",
             "ComponentRemoved",
+            "Closing",
         ]
 
     simulate(main)
