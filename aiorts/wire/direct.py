@@ -93,12 +93,12 @@ def _has_no_maps(kind: Kind) -> bool:
 def _of_numbers(structure: Structure, version: int, name: str) -> Direct | None:
     texts: list[bytes] = []
     codes: list[str] = []
-    between = bytearray(b"\x93" + msgpack.packb(version) + msgpack.packb(name))
+    between = bytearray(b"\x93" + _packed(version) + _packed(name))
 
     def walk(structure: Structure) -> None:
         between.append(0x80 | len(structure.fields))
         for field in structure.fields:
-            between.extend(msgpack.packb(field.name))
+            between.extend(_packed(field.name))
             if isinstance(field.kind, RecordKind):
                 walk(field.kind.structure)
                 continue
@@ -125,6 +125,11 @@ def _of_numbers(structure: Structure, version: int, name: str) -> Direct | None:
         "except refused: return None",
     ]
     return Direct(generate("decode(data, expected)", decode, known), generate("encode(record)", encode, known))
+
+
+def _packed(value: int | str) -> bytes:
+    found: Any = msgpack.packb(value)
+    return bytes(found)
 
 
 def _wanted(structure: Structure, too_long: str, known: dict[str, Any]) -> list[str]:
