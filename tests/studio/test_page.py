@@ -62,16 +62,16 @@ async def test_what_comes_and_goes_is_told_and_nothing_else_moves() -> None:
         await page.whole("counter0", "reader0")
         before, number = page.places(), page.box("counter0")["id"]
         kernel.components["counter0"].add_port("extra", OutPort(TimedDouble))
-        await page.until(lambda: len(page.boxes[number]["ports"]) == 2, 1.0)
+        await page.until(lambda: len(page.boxes[number]["ports"]) == 2, 5.0)
         assert {one: place for one, place in page.places().items() if one != number} == {
             one: place for one, place in before.items() if one != number
         }
         before = page.places()
         added = await kernel.create(Counter, "counter1")
-        await page.until(lambda: page.box("counter1"), 2.0)
+        await page.until(lambda: page.box("counter1"), 5.0)
         assert page.places().items() >= before.items()
         await kernel.remove(added)
-        await page.until(lambda: not page.box("counter1"), 2.0)
+        await page.until(lambda: not page.box("counter1"), 5.0)
         assert page.places() == before
 
 
