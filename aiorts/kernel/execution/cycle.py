@@ -35,9 +35,6 @@ _FAULTS: Final = 3
 """Faults of the kernel's own, about no member, after each of which a context goes on; at the next it ends in order."""
 _TURNS: Final = 16
 """What others do takes several turns of the loop one after another: none of them may cost a whole long cycle."""
-_SHARE_NS: Final = 50_000
-"""Nanoseconds of a context's cycles in one turn of the loop: a turn takes as long as a short cycle, and those who wait
-for theirs hardly notice so much."""
 _NEVER: Final = 1 << 63
 """Nanoseconds, later than any time."""
 
@@ -222,8 +219,6 @@ class Life:
                 yield wait
             elif worked:
                 worked = False
-                if late_ns < _NEVER and held is None and not simulated and context._now_ns() - late_ns < _SHARE_NS:
-                    continue  # within its share of a turn
                 if held is not None:
                     held.end()
                 yield TURN
