@@ -16,7 +16,7 @@ from control_parts import commanded
 from isolation.isolated_parts import Aged, Sink, Source
 
 pytestmark = pytest.mark.anyio
-kept = pytest.mark.slow(kept_by="test_what_a_slow_reader_in_a_process_reads_is_as_new_as_its_buffer_is_long")
+kept = pytest.mark.slow(kept_by="test_what_a_reader_in_a_process_loses_is_known_here_by_reason")
 
 
 async def _aged(kernel: Kernel, *, blocks: bool = False, **options: Any) -> tuple[Source, Sink, Any]:
@@ -36,6 +36,7 @@ async def _ledger(kernel: Kernel, connector: Any) -> Any:
     return ledger
 
 
+@kept
 @pytest.mark.parametrize("blocks", [False, True], ids=["waits", "blocks its process"])
 async def test_what_a_slow_reader_in_a_process_reads_is_as_new_as_its_buffer_is_long(blocks: bool) -> None:
     async with Kernel() as kernel:
@@ -101,6 +102,7 @@ async def test_how_late_samples_are_says_where_it_is_measured(capsys: pytest.Cap
         await _ledger(kernel, connector)
 
 
+@pytest.mark.slow
 async def test_how_old_samples_are_as_a_reader_in_a_process_reads_them_is_asked_for_there(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -169,6 +171,7 @@ async def test_commands_say_what_a_reader_in_a_process_has_lost(capsys: pytest.C
         await _ledger(kernel, connector)
 
 
+@kept
 async def test_what_a_reader_loses_that_moved_into_a_process_and_back_is_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -164,6 +164,7 @@ async def stamped(kernel: Kernel, shown: Shown, **options: Any) -> AsyncIterator
     yield wire, edge["id"]
 
 
+@pytest.mark.slow(kept_by="test_a_connector_that_is_measured_by_its_option_has_an_age_unasked")
 async def test_the_age_of_samples_is_measured_while_a_page_asks_for_it() -> None:
     async with controlled() as kernel, site() as client:
         async with page(client) as shown, stamped(kernel, shown) as (wire, edge):

@@ -75,6 +75,7 @@ async def test_what_comes_and_goes_is_told_and_nothing_else_moves() -> None:
         assert page.places() == before
 
 
+@pytest.mark.slow(kept_by="test_a_page_shows_what_runs_and_its_figures_are_those_of_the_kernel")
 async def test_a_kernel_that_ends_and_begins_again_is_the_same() -> None:
     async with site() as client:
         async with controlled("robot"):
@@ -94,6 +95,7 @@ async def test_a_kernel_that_ends_and_begins_again_is_the_same() -> None:
             await page_of.__aexit__(None, None, None)
 
 
+@pytest.mark.slow(kept_by="test_a_page_shows_what_runs_and_its_figures_are_those_of_the_kernel")
 async def test_a_kernel_that_ends_while_no_page_is_open_is_not_shown_as_live() -> None:
     async with site() as client:
         async with controlled("robot"):
@@ -105,6 +107,7 @@ async def test_a_kernel_that_ends_while_no_page_is_open_is_not_shown_as_live() -
             await page.until(lambda: page.kernel("robot") is None or page.kernel("robot")["state"] == "ended")
 
 
+@pytest.mark.slow(kept_by="test_a_page_shows_what_runs_and_its_figures_are_those_of_the_kernel")
 async def test_the_end_of_a_run_leaves_its_last_whole_picture_without_rates() -> None:
     async with site() as client, paging(client) as page:
         async with controlled("robot"):
@@ -157,6 +160,7 @@ async def test_a_process_that_is_stopped_is_silent_and_the_others_are_live() -> 
             await page.until(lambda: page.box("odometry")["state"] == "active")
 
 
+@pytest.mark.slow(kept_by="test_what_comes_and_goes_is_told_and_nothing_else_moves")
 async def test_frames_fold_and_unfold_and_boxes_are_moved() -> None:
     async with controlled("robot"), site() as client, paging(client) as page:
         await page.whole("counter0", "reader0")
@@ -173,6 +177,7 @@ async def test_frames_fold_and_unfold_and_boxes_are_moved() -> None:
         assert page.box("reader0")["id"] != counter["id"]
 
 
+@pytest.mark.slow(kept_by="test_a_page_shows_what_runs_and_its_figures_are_those_of_the_kernel")
 async def test_values_of_a_port_come_to_two_pages_by_one_tap() -> None:
     async with controlled("robot") as kernel, site() as client, paging(client) as one, paging(client) as other:
         out = kernel.components["counter0"].ports["out"]
@@ -201,6 +206,7 @@ async def test_values_of_a_port_come_to_two_pages_by_one_tap() -> None:
                 await asyncio.sleep(0.02)
 
 
+@pytest.mark.slow(kept_by="test_losses_that_the_kernel_warned_of_before_are_in_the_log")
 async def test_the_log_is_told_by_level_and_a_burst_is_counted() -> None:
     async with controlled("robot") as kernel, site() as client, paging(client) as page:
         await page.whole("counter0")
@@ -247,6 +253,7 @@ async def test_losses_that_the_kernel_warned_of_before_are_in_the_log() -> None:
         assert line["text"].startswith("counter0.out -> deaf.in: 1 sample lost so far")
 
 
+@pytest.mark.slow(kept_by="test_what_comes_and_goes_is_told_and_nothing_else_moves")
 async def test_events_are_told_and_history_is_there_for_a_page_that_comes() -> None:
     async with controlled("robot") as kernel, site() as client, paging(client) as page:
         await page.whole("counter0")
@@ -262,6 +269,7 @@ async def test_events_are_told_and_history_is_there_for_a_page_that_comes() -> N
             assert any(item["component"] == "counter0" for item in history["items"])
 
 
+@pytest.mark.slow(kept_by="test_a_page_shows_what_runs_and_its_figures_are_those_of_the_kernel")
 async def test_a_page_that_does_not_read_gets_a_fresh_picture() -> None:
     async with controlled("robot") as kernel, site() as client, paging(client) as page:
         await page.whole("counter0")
@@ -322,6 +330,7 @@ HOSTILE: tuple[str | bytes, ...] = (
 )  # fmt: skip
 
 
+@pytest.mark.slow(kept_by="test_a_page_shows_what_runs_and_its_figures_are_those_of_the_kernel")
 async def test_hostile_messages_end_nothing(caplog: pytest.LogCaptureFixture) -> None:
     async with controlled("robot") as kernel, site() as client, paging(client) as page:
         await page.whole("counter0")
@@ -334,6 +343,7 @@ async def test_hostile_messages_end_nothing(caplog: pytest.LogCaptureFixture) ->
         assert not caplog.records, caplog.records
 
 
+@pytest.mark.slow(kept_by="test_a_page_shows_what_runs_and_its_figures_are_those_of_the_kernel")
 async def test_no_session_stays_without_a_page() -> None:
     async with controlled("robot"), site() as client:
         for _ in range(3):
@@ -356,6 +366,7 @@ class Failing:
         raise KeyError("a defect")
 
 
+@pytest.mark.slow(kept_by="test_a_page_shows_what_runs_and_its_figures_are_those_of_the_kernel")
 async def test_an_error_of_a_follower_is_told_and_ends_nothing_else() -> None:
     async with controlled("robot") as kernel, site() as client, paging(client) as page:
         await page.whole("counter0")

@@ -27,6 +27,7 @@ def place(page: Seen, name: str) -> tuple[float, float]:
     return page.box(name)["x"], page.box(name)["y"]
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_a_box_that_was_moved_stands_there_after_a_restart_of_the_server(tmp_path: Path) -> None:
     said: list[str] = []
@@ -49,6 +50,7 @@ async def test_a_box_that_was_moved_stands_there_after_a_restart_of_the_server(t
     assert said == []
 
 
+@pytest.mark.slow
 @pytest.mark.anyio
 async def test_automatic_places_are_kept_in_the_state_folder_alone(tmp_path: Path) -> None:
     async with controlled("robot"), site(places=files_in(tmp_path, [])) as client, paging(client) as page:

@@ -48,7 +48,8 @@
  * @typedef {{t: "log", lines: LogLine[], missed?: number}} Log
  * @typedef {{kernel: string, at_ns: number | string, level: string, component: string, text: string, file?: string,
  *   line?: number}} LogLine
- * @typedef {{kernel: string, at_ns: number | string, component: string, kind: string, text: string}} Happening
+ * @typedef {{kernel: string, at_ns: number | string, component: string, context: string, kind: string,
+ *   text: string}} Happening
  * @typedef {{t: "event" | "history", items: Happening[]}} Happenings
  * @typedef {{t: "values", id: number, t0: number, columns: number[][], fields: Record<string, number[][]>, unit?: string}} Values
  * @typedef {{t: "text", id: number, value: any}} Text

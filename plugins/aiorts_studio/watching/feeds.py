@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.errors import AiortsError
 from aiorts.sessions import END, AsyncStream
 from aiorts_studio.watching.page import Page
+from aiorts_studio.watching.words import event_said
 
 if TYPE_CHECKING:
     from aiorts_studio.watching.watch import Watch
@@ -125,9 +126,5 @@ async def gathered(stream: AsyncStream) -> AsyncIterator[tuple[list[Any], int]]:
 def happening(address: str, kind: str, event: Mapping[str, Any], time_ns: int) -> dict[str, Any]:
     """An event as the page has it."""
     component = event.get("component") or str(event.get("path") or event.get("port") or "").partition(".")[0]
-    said = [f"{name} {value}" for name, value in event.items() if name != "component" and _is_short(value)]
-    return {"kernel": address, "at_ns": time_ns, "component": component, "kind": kind, "text": ", ".join(said)[:300]}
-
-
-def _is_short(value: Any) -> bool:
-    return value not in (None, "", {}, []) and not isinstance(value, Mapping)
+    where = {"kernel": address, "component": component, "context": event.get("context") or ""}
+    return {**where, "at_ns": time_ns, "kind": kind, "text": event_said(event)[:300]}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
 from aiorts.control import state_text
@@ -68,3 +68,38 @@ def composite_said(report: Mapping[str, Any]) -> str:
 def class_of(type_text: str) -> str:
     """The name of a class without its module."""
     return type_text.rpartition(":")[2].rpartition(".")[2]
+
+
+def event_said(event: Mapping[str, Any]) -> str:
+    """An event in words: "gain: 3.0 → 2.5, set default"; its component, and a context without one, stand apart."""
+    apart = {"component"} if event.get("component") else {"component", "context"}
+    return ", ".join(_event_words({name: value for name, value in event.items() if name not in apart}))
+
+
+def _event_words(fields: Mapping[str, Any]) -> Iterator[str]:
+    """The words of each field that has something to say."""
+    left = dict(fields)
+    if "old" in left and "new" in left:
+        old, new = left.pop("old"), left.pop("new")
+        subject = next((name for name in ("parameter", "set", "context", "path") if left.get(name)), None)
+        before = f"{left.pop(subject)}: " if subject else ""
+        yield before + (_pairs_said(new, old) if _are_pairs(new) else f"{old} → {new}")
+    for name, value in left.items():
+        if value in (None, "", [], ()) or isinstance(value, Mapping):
+            continue
+        if name.endswith("_ns") and isinstance(value, int | float):
+            yield f"{name.removesuffix('_ns')} {value / 1e6:.3g} ms"
+        elif _are_pairs(value):
+            yield _pairs_said(value)
+        else:
+            yield f"{name} {value}"
+
+
+def _are_pairs(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(one, list) and len(one) == 2 for one in value)
+
+
+def _pairs_said(pairs: Iterable[Any], old: Iterable[Any] = ()) -> str:
+    """Names and values, without those that are as they were."""
+    before = list(old)
+    return ", ".join(f"{name} = {value}" for name, value in pairs if [name, value] not in before)

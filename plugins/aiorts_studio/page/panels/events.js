@@ -2,7 +2,6 @@
 import { useEffect } from "../vendor/preact-hooks.js";
 import { signal } from "../vendor/preact-signals.js";
 import { kernels, on, say } from "../store.js";
-import { number } from "../words.js";
 import { Cut, Lead, LeadToContext, Rows, counted, html, moment, rowLeads } from "./parts.js";
 
 /** @import {Happening, Happenings} from "../types.js" */
@@ -94,14 +93,7 @@ export function joined(before, news) {
 }
 
 /** Of which component or context it is. @param {Happening} item */
-const subjectOf = (item) => item.component || (/^context ([\w.-]+)/.exec(item.text)?.[1] ?? "");
-
-/** The text of an event as a person says it. @param {Happening} item */
-export function readable({ component, text }) {
-  const short = text.replace(/(\w+?)_ns (-?\d+)/g, (_all, name, ns) => `${name} ${number(Number(ns) / 1e6)} ms`).replace(/, old \[\[.*$/, "");
-  return short.replace(/^(?:parameter |context )?([^,]+), old (.*?), new (.*?)(?=, set |$)/, (_all, name, old, now) => `${name}: ${old} → ${now}`)
-    .replace(/^values \[(.*)\]$/, (_all, values) => values.replace(/\['([^']+)', (.*?)\]/g, "$1 = $2")).replace(component ? /^$/ : /^context [\w.-]+, /, "");
-}
+const subjectOf = (item) => item.component || item.context;
 
 /** What is bad news. */
 const BAD = /fail|error|lost|drop|overrun|late|silen|ended|overdue|gone/i;
@@ -111,7 +103,7 @@ function Line({ item, index }) {
   return html`<div class=${`line ${BAD.test(item.kind) ? "warning" : ""}`} role="row" aria-rowindex=${index + 1} onClick=${rowLeads(item.kernel, item.component)}>
     <span class="when" role="cell">${moment(item.at_ns)}</span><span class="kind" role="cell"><${Cut} text=${`${item.kind.replace(/(?<=[a-z])(?=[A-Z])/g, " ").toLowerCase()}${item.times ? ` × ${item.times}` : ""}`} /></span>
     <span class="who" role="cell">${item.component ? html`<${Lead} kernel=${item.kernel} component=${item.component} />`
-      : html`<${LeadToContext} kernel=${item.kernel} context=${subjectOf(item)} />`}</span>
-    <span class="what" role="cell" tabindex="0"><${Cut} text=${readable(item)} /></span>
+      : html`<${LeadToContext} kernel=${item.kernel} context=${item.context} />`}</span>
+    <span class="what" role="cell" tabindex="0"><${Cut} text=${item.text} /></span>
   </div>`;
 }
