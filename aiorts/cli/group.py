@@ -15,7 +15,7 @@ from click.shell_completion import CompletionItem
 _SECTIONS: Final = (
     ("Begin", "demo new doctor help", ""),
     ("Systems", "run check graph", "plan apply schema"),
-    ("Look at what runs", "ls cat top print vlog", "find hz bw delay watch fsm"),
+    ("Look at what runs", "ls cat top print studio vlog", "find hz bw delay watch fsm"),
     (
         "Change what runs",
         "conf connect activate stop",
@@ -23,8 +23,8 @@ _SECTIONS: Final = (
     ),
     ("Recordings and figures", "record replay log bench", ""),
     ("What there is", "", "inspect doc types plugins filter completion"),
-    ("Other machines and programs", "", "at router certs foxglove studio import export"),
-    ("Short for others", "", "act con deact dis"),
+    ("Other machines and programs", "", "at router certs foxglove import export"),
+    ("Short for others", "", "act con deact dis ui"),
 )
 """Sections of the help: title, the commands of the first screen, and the others, in their order. The commands are those
 of aiorts and of the plugins that come with it."""

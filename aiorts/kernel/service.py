@@ -92,7 +92,7 @@ class KernelService:
         What it raises ends the start of a run, or `Kernel.open()`.
         """
 
-    def starting(self) -> None:
+    async def starting(self) -> None:
         """A system was made and connected, and its contexts start next; not called where a program makes it by hand.
 
         What it raises ends the start.

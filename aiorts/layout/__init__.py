@@ -6,7 +6,7 @@ Pure: `aiorts graph` and the studio draw what comes out.
 from __future__ import annotations
 
 from aiorts.layout.detour import Point
-from aiorts.layout.file import LARGEST_LAYOUT, Place, Places, layout_beside, places_of, text_of_places
+from aiorts.layout.file import FARTHEST, LARGEST_LAYOUT, Place, Places, layout_beside, places_of, text_of_places
 from aiorts.layout.placing import (
     BAND_FOOT,
     BAND_GAP,
@@ -32,6 +32,7 @@ __all__ = (
     "BAND_HEAD",
     "Band",
     "Edge",
+    "FARTHEST",
     "GROUP_GAP",
     "GROUP_HEAD",
     "HEAD",

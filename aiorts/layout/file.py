@@ -18,7 +18,8 @@ from aiorts.late import dataclass
 LARGEST_LAYOUT: Final = 1 << 20
 """Bytes of a file; a larger one is none."""
 _SCHEMA: Final = 1
-_FARTHEST: Final = 1e6
+FARTHEST: Final = 1e6
+"""Pixels from the origin; a place beyond is none."""
 
 
 class Place(NamedTuple):
@@ -89,5 +90,5 @@ def _is_place(value: Any) -> bool:
     return (
         isinstance(value, list)
         and len(value) == 3
-        and all(type(one) in (int, float) and isfinite(one) and abs(one) <= _FARTHEST for one in value)
+        and all(type(one) in (int, float) and isfinite(one) and abs(one) <= FARTHEST for one in value)
     )

@@ -124,7 +124,7 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
             making.enter_context(attached.making())
         await _make(kernel, plan)
     for attached in kernel.services:
-        attached.starting()
+        await attached.starting()
     await _start(kernel, plan)
     for attached in kernel.services:
         attached.started()

@@ -114,7 +114,7 @@ async def _life(case: _Case, kernel: Kernel) -> KernelService:
     service.configure(settings_of(case.kind.settings, case.given))
     source, sink = await kernel.add(_Source("source")), await kernel.add(_Sink("sink"))
     await kernel.connect(source.out, sink.inp)
-    service.starting()
+    await service.starting()
     context = await kernel.start(PeriodicContext(10.0), source, sink, activate=True)
     await kernel.sleep(1.0)
     newer = _Sink("sink")

@@ -28,14 +28,12 @@ PORTS: Final = range(20_000, 32_000)
 _LAST: Final = 3.0
 """Seconds that the process has to end in."""
 
-_ONCE: Final = "it is good once, and for 60 s; `aiorts studio --url` prints another"
-
 
 @dataclass(frozen=True, slots=True)
 class StudioSettings:
     """Whether the run is shown in a browser."""
 
-    show: bool = setting(False, "Serve a page that shows the run, from a process beside it.", option="")
+    show: bool = setting(False, "Show the run in a browser: print a page's address; it ends with the run.", option="")
 
     def __post_init__(self) -> None:
         if not isinstance(self.show, bool):
@@ -71,9 +69,9 @@ class StudioBeside(KernelService):
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)  # noqa: S603 # our own
         threading.Thread(target=self._say_address, args=(self._process,), name="aiorts studio", daemon=True).start()
 
-    def starting(self) -> None:
+    async def starting(self) -> None:
         self._was_made = True
-        self._addressed.wait(_FIRST)
+        await to_thread.run_sync(self._addressed.wait, _FIRST)
 
     def _say_address(self, process: subprocess.Popen[bytes]) -> None:
         """Set its address apart from what the system prints; no line comes where the process has failed."""
@@ -82,7 +80,9 @@ class StudioBeside(KernelService):
         with process.stdout as said:
             line = said.readline().decode().strip()
         if line and sys.stderr is not None:
-            sys.stderr.write(f"\n    aiorts studio: {line}\n    {_ONCE}\n\n")
+            from aiorts_studio.codes import GOOD_ONCE
+
+            sys.stderr.write(f"\n    aiorts studio: {line}\n    {GOOD_ONCE}\n\n")
             sys.stderr.flush()
         self._addressed.set()
 

@@ -16,6 +16,7 @@ from aiorts import exits
 from aiorts.control import Right
 from aiorts.errors import ConfigurationError, MissingExtra
 from aiorts.late import dataclass
+from aiorts_studio.codes import GOOD_ONCE
 from aiorts_studio.entrance import Entrance, Invitation, invitations
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def studio(
         return exits.DONE
     for word in kernels:
         if word.endswith((".toml", ".xml")) or Path(word).is_file():
-            raise click.UsageError(f"{word}: is a file; `aiorts run {word}` runs it, and its name is given here")
+            raise click.UsageError(f"{word} names a file; `aiorts run {word} --studio` runs it and shows it")
     if (bind is None) != (certificates is None):
         raise ConfigurationError("--bind and --certs: beyond this machine there is TLS only; give both or neither")
     if bind is not None and edit:
@@ -156,7 +157,7 @@ class _Serving:
             invitation = entrance.invite()
             _print(invitation, bare=self.bare)
             if not self.bare and not self.beside:
-                _say("the address is good once, and for 60 s; `aiorts studio --url` prints another; Ctrl-C ends it")
+                _say(f"{GOOD_ONCE}; Ctrl-C ends it")
             if self.opens:
                 await entrance.show(invitation)
             if self.beside:

@@ -27,7 +27,7 @@ from aiorts_studio.watching.words import event_said
                 "old": [["gain", 3.0], ["on", True]],
                 "new": [["gain", 2.5], ["on", True]],
             },
-            "fast: gain = 2",
+            "fast: gain = 2.5",
         ),
         ({"component": "wave", "values": [["gain", 2.5], ["name", "a, b"]]}, "gain = 2.5, name = a, b"),
         ({"component": "wave", "old": "default", "new": "fast"}, "default → fast"),

@@ -44,7 +44,7 @@ class Printing(KernelService):
         """Give the kernel this service, which prints these out-ports."""
         kernel.service(cls).wanted = ports
 
-    def starting(self) -> None:
+    async def starting(self) -> None:
         self._taps: list[tuple[Connector, Callable[[InPort[Any]], None]]] = []
         self._waiting: deque[str] = deque()
         self._some, self._stream = asyncio.Event(), LineStream()

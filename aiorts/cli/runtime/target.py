@@ -304,7 +304,7 @@ def _alone(
                 error.add_note(name)
             raise
         for service in kernel.services:
-            service.starting()
+            await service.starting()
         context = context_for(component, catalogue, rate)
         if shown and (outs := outs_of(component)):
             sink = StandardOutput(_OUTPUT, outs, count=count, done=kernel.request_stop)

@@ -166,7 +166,7 @@ class InPlace(KernelService):
                     "leave it out: name the ports to replay with --replay-port"
                 )
 
-    def starting(self) -> None:
+    async def starting(self) -> None:
         if self._path is None:
             return
         if not self._in_place:

@@ -194,7 +194,7 @@ class Beside(KernelService):
     def _existing(self) -> Literal["refuse", "append", "overwrite"]:
         return "append" if self._settings.append else "overwrite" if self._settings.overwrite else "refuse"
 
-    def starting(self) -> None:
+    async def starting(self) -> None:
         if self._path is None:
             return
         known = sorted({path for component in self.kernel.components.values() for path, _ in _out_ports(component)})

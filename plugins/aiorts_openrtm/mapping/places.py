@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from math import isfinite
-from typing import Final
 
-from aiorts.layout import BAND_HEAD, Place, Places
+from aiorts.layout import BAND_HEAD, FARTHEST, Place, Places
 from aiorts.system import Wanted
 from aiorts_openrtm.markup.element import Element
 from aiorts_openrtm.markup.shapes import RTS, RTS_EXT
-
-_FARTHEST: Final = 1e6
 
 
 def located(root: Element, names: Mapping[str, str], wanted: Wanted) -> Places:
@@ -45,7 +42,7 @@ def _stated(root: Element) -> Iterator[tuple[str, tuple[float, float]]]:
                 x, y = (float(location.get(RTS_EXT, word)) for word in ("x", "y"))
             except ValueError:
                 continue
-            if (x or y) and all(isfinite(one) and abs(one) <= _FARTHEST for one in (x, y)):
+            if (x or y) and all(isfinite(one) and abs(one) <= FARTHEST for one in (x, y)):
                 yield component.get(RTS, "instanceName"), (x, y)
 
 
