@@ -69,13 +69,13 @@ SLOW_READER_CURES: Final = (
     ("send less", 'subscription = "new"'),
     ("", 'full = "block"'),
 )
-"""What helps a reader that is slower than its writer, the best first: in words, and as it is written."""
+"""Remedies for a reader that is slower than its writer, the best first: each in words, and as a file states it."""
 SLOW_READER_BURSTS: Final = "length helps only bursts"
 SLOW_READER: Final = (
     ", ".join(f"{says} ({how})" if says and how else says for says, how in SLOW_READER_CURES if says)
     + f", or {SLOW_READER_CURES[-1][1]}: {SLOW_READER_BURSTS}"
 )
-"""The same in one text, for whatever finds that samples are lost."""
+"""The remedies in one text, for messages about lost samples."""
 
 
 class Place(NamedTuple):

@@ -39,7 +39,7 @@ class Guest:
         self.loop = loop
         self.kernels: list[KernelSide] = []
         self.last_lines: deque[KernelLine] = deque(maxlen=_LINES)
-        """Of the kernels' own log."""
+        """The newest lines of the kernels' own log."""
         self._unclaimed: dict[asyncio.Task[Any], asyncio.TimerHandle] = {}
         self._factory = loop.get_task_factory()
         self._handler = loop.get_exception_handler()

@@ -86,7 +86,7 @@ class Registry:
         self.lasting = ""
         """The name by which clients know the kernel again after a restart, as its profile has it."""
         self.runs = ""
-        """What it runs, as the setting `runs` of control says: the path of a system file; "" is not known."""
+        """The path of the system file that runs, from the setting `runs` of control; "" where it is not known."""
         self.composing = asyncio.Lock()
         """Held while a composite changes: one at a time."""
 

@@ -15,7 +15,7 @@ Rect: TypeAlias = tuple[float, float, float, float]
 _CLEAR: Final = 14.0
 """From a port to the first bend."""
 _BESIDE: Final = 8.0
-"""Between a box and an edge that runs beside it."""
+"""Pixels between a box and an edge along its side."""
 _GAPS: Final = (34.0, 16.0)
 """The least room between two boxes, across and down: edges run through."""
 _TURN: Final = 24.0
@@ -82,7 +82,7 @@ def room(size: Point, wanted: Point, within: Rect, boxes: Iterable[Rect]) -> Poi
 
 
 def _within(rect: Rect, boxes: Iterable[Rect]) -> list[Rect]:
-    """Those that are in a rectangle, or partly."""
+    """The boxes that lie in a rectangle, wholly or in part."""
     left, top, right, bottom = rect
     return [one for one in boxes if one[0] < right and one[2] > left and one[1] < bottom and one[3] > top]
 

@@ -18,7 +18,7 @@ from aiorts.errors import DeniedError
 CODE_SECONDS: Final = 60.0
 """Seconds for which a code is good."""
 GOOD_ONCE: Final = f"it is good once, and for {CODE_SECONDS:.0f} s; `aiorts studio --url` prints another"
-"""What a user is told of an address with a code."""
+"""The message about an address that carries a code."""
 TRIES: Final = 10
 """Wrong codes after which the good one is refused, too."""
 TOKENS: Final = 16

@@ -81,7 +81,7 @@ class Stopper:
             start_new_thread(self._end_late, (over,))
 
     def _end_late(self, over: LockType) -> None:
-        # Each watch has a lock of its own: one that begins anew would else take the release that is meant for another.
+        # Each watch has its own lock: with one for all, a new watch took the release that was meant for another.
         if over.acquire(timeout=LONGEST_STOP):
             return  # the run is over, and the process has other things to do
         what = f"not everything ended in {LONGEST_STOP} s{where_now()}; the process ends now"

@@ -118,7 +118,7 @@ def _element(file: Path, choices: Choices, notes: list[Note]) -> Element:
 
 
 def _places(file: Path, notes: list[Note]) -> Places:
-    """Where the boxes of the system stand, as the layout file beside it states."""
+    """The places of the system's boxes, from the layout file of the system file."""
     path = layout_beside(file)
     try:
         if path.is_file():

@@ -1,4 +1,4 @@
-"""Where boxes stand: the `Location` of a profile's components, and the layout file beside a system file."""
+"""Places of boxes: the `Location` of a profile's components, and the layout file of a system file."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ class Graph:
         return found
 
     def units(self) -> dict[str, str]:
-        """Of each group of bands, what stays in one pile with it: the kernels of its host, where there are several."""
+        """The pile of each group of bands: one for the kernels of a host, where there are several hosts."""
         hosts = {view.key: view.about["host"] for view in self._views.values()}
         if len({*hosts.values()}) < 2:
             return {key: key for key in hosts}

@@ -1,4 +1,4 @@
-"""Where boxes stood, in files: one for each kernel in the user's state folder, and one beside a system file.
+"""Places of boxes in files: one for each kernel in the user's state folder, and one beside a system file.
 
 The names of the files come from the command line and from kernels, never from a page.
 """

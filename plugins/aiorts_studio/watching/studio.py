@@ -451,7 +451,7 @@ class Studio:
                 page.put({"t": "figures", "at": {watch.view.address: figures.at_ns}, **message})
 
     def _total(self, watch: Watch) -> dict[int, Row]:
-        """What a kernel comes to, by the number of its frame."""
+        """The totals of a kernel and of its folded frames, by the number of the frame."""
         key, numbers = watch.view.key, self.scene.numbers
         boxes: dict[str, int | None] = {name: numbers.get(("box", key, name)) for name in watch.view.components}
         for number, members in self.scene.folds.get(key, {}).items():
