@@ -68,6 +68,7 @@ def _with_slots(plain: type, options: dict[str, Any]) -> type:
     given = {name: value for name, value in vars(plain).items() if name not in ("__dict__", "__weakref__")}
     own = [name for name, kind in given.get("__annotations__", {}).items() if not kind.startswith("ClassVar")]
     space = {name: value for name, value in given.items() if name not in own}
+    space["__declared__"] = {name: given[name] for name in own if name in given}
 
     def write() -> None:
         # Twice is as good as once: two threads may be here, or one again that was interrupted. What begins it,

@@ -176,7 +176,7 @@ def default_of(of: Source, value: ast.expr | None) -> tuple[str, str]:
         return "", ""
     if isinstance(value, ast.Call):
         name = of.of(value.func)
-        if name == "setting":
+        if name in ("setting", "option"):
             return _plain(of, value.args[0]), str(getattr(value.args[1], "value", ""))
         if name == "field" and any(one.arg == "default" for one in value.keywords):
             return _plain(of, next(one.value for one in value.keywords if one.arg == "default")), ""

@@ -18,7 +18,7 @@ from aiorts.kernel.ports.losses import Early, Losses, Unconverted
 from aiorts.kernel.ports.tap import Injector, make_injector, make_tap, resize
 from aiorts.kernel.quality import FEATURES, Gaps
 from aiorts.kernel.service import notify, report_fault
-from aiorts.model.numbering import Numbering
+from aiorts.model.naming import Numbering
 from aiorts.model.options import (
     changed_profile,
     connector_profile,
@@ -30,7 +30,7 @@ from aiorts.model.options import (
     without_effect,
 )
 from aiorts.model.ordering import arrange
-from aiorts.model.profile import ConnectorProfile
+from aiorts.model.profile import ConnectorProfile, PortLimits
 
 if TYPE_CHECKING:
     from aiorts.kernel.connection import Connection
@@ -153,7 +153,7 @@ class Connections:
             for port in found:
                 if isinstance(port, Port) and port.elsewhere is not None:
                     # Its kernel knows no limit: there, taps are connectors like others.
-                    wiring.check_limit(port, sum(end.direction != port.direction for end in ends), {})
+                    wiring.check_limit(port, sum(end.direction != port.direction for end in ends), PortLimits())
             return ends, options
         if options.get("on_link_lost") is not None:
             raise WiringError("on_link_lost: both ports are in this kernel; there is no link that could be lost")

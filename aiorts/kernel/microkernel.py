@@ -36,8 +36,7 @@ from aiorts.kernel.ports import Port, PortDeclaration
 from aiorts.kernel.registry import Registry
 from aiorts.kernel.service import KernelService, TimedHook, attach_services, notify, plan_service, report_fault
 from aiorts.model.names import check_name
-from aiorts.model.naming import NamePolicy
-from aiorts.model.numbering import Numbering
+from aiorts.model.naming import NamePolicy, Numbering
 from aiorts.model.values import shown
 
 if TYPE_CHECKING:
@@ -446,30 +445,12 @@ class Microkernel:
         A port is given itself or by its path ("pid0.command", or "station/monitor.inp" in another process). A type
         checker takes two paths for those of data ports.
 
-        Returns the connector, or the `Connection` of them when more than two ports were given. Options
-        (`aiorts.ConnectOptions` has their types; the same keys in system files and profiles; OpenRTM's keys are
-        aliases):
-            dataflow: "push", or "pull": the reader asks, the writer's latest unread sample is taken.
-            subscription: "flush", "new", "periodic". push: "all", "fifo", "skip", "new".
-            push_rate: Hz, for periodic. skip: n, send every (n + 1)-th.
-            length: samples the reader's buffer holds, to 1,000,000; with 0 a write waits until the reader has taken the
-                sample. out_length: the backlog of a periodic connector.
-            full: "overwrite", "reject", "block". timeout: seconds an awaited write waits with block; None forever.
-            stamp: "send", "received", "read": when `tm` is set to the kernel's clock.
-            keep_last: True, offer the reader the sample that the writer wrote last before.
-            lifespan: seconds after which a sample that was not read is dropped.
-            max_gap: seconds between two writes at the most; a longer gap is `WriterSilent`, `WriterBack` on the bus.
-            convert: a plain function that makes a sample of the in-port of one of the out-port, called once for each
-                sample in the write; or a text: "FILE.py:function", "package.module:function" or the name of a converter
-                that a plugin offers with its own text ("map 0>1000>0"). What it fails on is dropped as unconverted.
-            measure: n, time the last n sends (`Connector.timing`) and the last n reads (`statistics.latency`, `.age`).
-            on_link_lost: "wait", "error" or "disconnect", of a connector to another process.
-            name: the connector's. allow_duplicate: a second connector between the same two ports.
-            adapt: True, where types, units or lengths differ, put the FlexiFilter between that `aiorts check` proposes,
-                before the reader in its context, active; returns the connector to the reader. "text": also of texts.
-            openrtm: OpenRTM's keys, whose dots no keyword has: `openrtm={"dataport.subscription_type": "new"}`.
-        Of service ports: mapping: which provided interface answers a required one, by path or name, where its type
-            does not tell. strict: False leaves unbound what no provider answers. name: the connector's.
+        Returns the connector, or the `Connection` of them when more than two ports were given; with the option `adapt`
+        that to the reader.
+
+        Args:
+            options: those of `aiorts.ConnectOptions`, where each is described with its values; system files have the
+                same. OpenRTM's keys are aliases; `openrtm={"dataport.push_policy": "new"}` takes those with dots.
 
         Raises:
             InvalidNameError: a text is no path.

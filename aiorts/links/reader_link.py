@@ -18,8 +18,10 @@ from aiorts.kernel.quality.dated import Dated
 from aiorts.kernel.quality.succession import pass_on
 from aiorts.links.sides import LinkSide, Wakening, report
 from aiorts.model.buffer import FullPolicy
+from aiorts.model.declared import options_of
 from aiorts.model.links import FATES, SOLE, ReaderEnd
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
+from aiorts.model.profile import ConnectorProfile
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -28,10 +30,14 @@ if TYPE_CHECKING:
     from aiorts.links.sides import Owner
     from aiorts.links.transport import Channel
     from aiorts.model.links import Buffer
-    from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
+    from aiorts.model.profile import ConnectorStatistics
 
 _MEASURED: Final = 1_000
 """Reads that are timed for another kernel, at most: putting more in order for each answer takes too long."""
+_KEPT_BY_READER: Final = tuple(
+    key for key, one in options_of(ConnectorProfile).items() if one.end == "reader" and key not in ("length", "full")
+)
+"""Options that the reader's end of a link has as they are; the subscription decides about its buffer."""
 _PATIENCE_NS: Final = 25_000_000
 """How long a sample waits for room before it displaces another one, and at most twice as long. Samples written one
 after the other come together, and a reader that keeps up has room for them a few turns of the loop later."""
@@ -322,9 +328,8 @@ def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
     a moment and then takes the place of the oldest one. Else the window is used up, and the writer's buffer decides.
     With flush the writer waits for the answer, so the policy of the full buffer is the reader's own.
     """
-    options: dict[str, Any] = {"timeout": None, "allow_duplicate": True}
-    options |= {key: getattr(profile, key) for key in ("keep_last", "lifespan", "max_gap")}
-    options["measure"] = min(profile.measure, _MEASURED)
+    options: dict[str, Any] = {key: getattr(profile, key) for key in _KEPT_BY_READER}
+    options |= {"timeout": None, "allow_duplicate": True, "measure": min(profile.measure, _MEASURED)}
     if profile.stamp in (Stamp.RECEIVED, Stamp.READ):
         options["stamp"] = profile.stamp
     if profile.dataflow is Dataflow.PULL:

@@ -6,6 +6,12 @@
 from __future__ import annotations
 
 from enum import Enum, StrEnum
+from typing import Final
+
+DEFAULT_LENGTH: Final = 8
+"""Samples of a buffer where nothing says how many."""
+MAX_LENGTH: Final = 1_000_000
+"""Samples of the longest buffer."""
 
 
 class FullPolicy(StrEnum):

@@ -1,4 +1,7 @@
-"""The keywords of `Kernel.connect` with their types, for editors and type checkers; `options.py` checks what comes."""
+"""The keywords of `Kernel.connect` with their types, for editors and type checkers; `options.py` checks what comes.
+
+Written by tests/connect_options.py from the declarations in `profile.py`: correct them there.
+"""
 
 from __future__ import annotations
 
@@ -22,55 +25,65 @@ class ConnectOptions(TypedDict, total=False):
     time `connect(a, b, **{"dataport.push_policy": "new"})` is accepted as well; no type can say so before Python 3.15.
     """
 
-    dataflow: Literal["push", "pull"] | Dataflow
-    """"push", the default, or "pull": the reader asks, the writer's latest unread sample is taken."""
-    subscription: Literal["flush", "new", "periodic"] | Subscription
-    """When the out-port sends: before a write returns, soon after it (the writer never waits), or at `push_rate`."""
-    push: Literal["all", "fifo", "skip", "new"] | Push
-    """Which samples of the backlog are sent, with "new" and "periodic"."""
-    push_rate: float
-    """Hz, with "periodic"."""
-    skip: int
-    """n: send every (n + 1)-th sample, with push "skip"."""
-    length: int
-    """Samples that the reader's buffer holds, to 1,000,000; 0: a write waits until the reader has taken the sample."""
-    out_length: int
-    """Samples that the backlog of a periodic connector holds, 1 to 1,000,000."""
-    full: Literal["overwrite", "reject", "block"] | FullPolicy
-    """What a write does where the reader's buffer is full: by default it overwrites the oldest."""
-    empty: Literal["readback", "do_nothing", "block"] | EmptyPolicy
-    """What a generic component does where there is nothing to read; OpenRTM's, kept for its tools."""
-    timeout: float | None
-    """Seconds that an awaited write waits with full "block"; None is forever."""
-    stamp: Literal["send", "received", "read"] | Stamp
-    """When `tm` is set to the kernel's clock."""
-    convert: Converter | str | None
-    """What makes a sample of the in-port of one of the out-port: a plain function, or a text that finds one."""
-    measure: int
-    """n: time the last n sends and the last n reads; 0 times nothing."""
-    keep_last: bool
-    """Whether the connector begins with the sample that the writer wrote last before."""
-    lifespan: float | None
-    """Seconds of the kernel's clock after which a sample that was not read is dropped as expired."""
-    max_gap: float | None
-    """Seconds between two writes at the most; a longer gap is an event and a line in the log."""
-    on_link_lost: Literal["wait", "error", "disconnect"] | OnLinkLost
-    """Of a port in another kernel: what happens when the link to that kernel is lost; by default it waits."""
     name: str
-    """The connector's."""
+    """The name of the connector."""
+    dataflow: Literal["push", "pull"] | Dataflow
+    """Who begins a transfer: with push the writer delivers, with pull the reader fetches the writer's latest unread
+    sample."""
+    subscription: Literal["flush", "new", "periodic"] | Subscription
+    """When the out-port sends: before a write returns (flush), soon after it, so that the writer never waits (new), or
+    at push_rate (periodic)."""
+    push: Literal["all", "fifo", "skip", "new"] | Push
+    """Which samples of a backlog are sent, with new and periodic: all, one at a time (fifo), every (skip + 1)-th or the
+    newest (new)."""
+    push_rate: float | None
+    """The rate of a periodic connector. In Hz."""
+    skip: int
+    """How many samples are left out between two that are sent, with push skip."""
+    length: int
+    """How many samples the reader's buffer holds; with 0 a write waits until the reader has taken the sample."""
+    out_length: int
+    """How many samples the backlog of a periodic connector holds."""
+    full: Literal["overwrite", "reject", "block"] | FullPolicy
+    """What a write does when the reader's buffer is full: it overwrites the oldest sample, is rejected, or blocks."""
+    empty: Literal["readback", "do_nothing", "block"] | EmptyPolicy
+    """What a generic component does when there is nothing to read; OpenRTM's empty policy, kept for its tools."""
+    timeout: float | None
+    """How long an awaited write waits with full block; None waits forever. In s."""
+    stamp: Literal["send", "received", "read"] | Stamp
+    """When the connector sets `tm` to the kernel's clock; by default `tm` is what the writer said."""
+    convert: Converter | str | None
+    """What makes a sample of the in-port of one of the out-port: a plain function, FILE.py:function,
+    package.module:function, or a converter's name and its text, such as map 0>1000>0."""
+    measure: int
+    """How many of the last sends (`Connector.timing`) and reads (`latency`, `age` of the statistics) are timed; 0 times
+    nothing and costs nothing."""
+    keep_last: bool
+    """Whether a new connector is offered the sample that the writer wrote last, also before it was made."""
+    lifespan: float | None
+    """How long a sample may wait to be read before it is dropped as expired. Of a link both ends count what a sample
+    waits there, without the time on the way: the clocks of two kernels are not compared. In s."""
+    max_gap: float | None
+    """The longest time between two writes; after it the writer counts as silent while both ends are active, which is an
+    event and a line in the log. In s."""
+    on_link_lost: Literal["wait", "error", "disconnect"] | OnLinkLost
+    """What happens when the link to the other kernel is lost: the connector waits (the default of a link), moves the
+    component to error, or ends. None where both ends are in one kernel."""
     fan_in: int
-    """Connectors that the in-port takes at the most."""
+    """How many connectors the in-port takes at most."""
     fan_out: int
-    """Connectors that the out-port takes at the most."""
+    """How many connectors the out-port takes at most."""
     connection_limit: int
-    """Connectors that each port takes at the most; -1 is any number."""
+    """How many connectors each port takes at most; -1 is any number."""
     allow_duplicate: bool
     """Whether there may be a second connector between the same two ports."""
     adapt: bool | Literal["text"]
-    """Whether a FlexiFilter is put between ports that do not fit."""
+    """Whether a FlexiFilter is inserted between ports that do not fit; with "text" also one that makes numbers of
+    texts."""
     mapping: Mapping[str, str]
-    """Of service ports: which provided interface answers a required one, by path or name."""
+    """Which provided interface answers a required one, by path or name. Of service ports."""
     strict: bool
-    """Of service ports: False leaves unbound what no provider answers."""
+    """Whether every required interface has to find a provider; false leaves unbound what none answers. Of service
+    ports."""
     openrtm: Mapping[str, object]
     """OpenRTM's keys, such as {"dataport.subscription_type": "new"}."""

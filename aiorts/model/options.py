@@ -15,25 +15,25 @@ from difflib import get_close_matches
 from enum import StrEnum
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal, NamedTuple, cast
 
 from aiorts.errors import InvalidNameError, WiringError
-from aiorts.model.buffer import EmptyPolicy, FullPolicy
+from aiorts.model.buffer import DEFAULT_LENGTH, FullPolicy
+from aiorts.model.declared import (
+    Option,
+    OptionError,
+    folded,
+    may_be_none,
+    options_of,
+    read_option,
+    read_yes,
+)
 from aiorts.model.names import check_name
 from aiorts.model.policy import Dataflow, OnLinkLost, Push, Stamp, Subscription, default_push
-from aiorts.model.profile import ConnectorProfile
+from aiorts.model.profile import ConnectorProfile, PortLimits, ServiceOptions
 
-DEFAULT_LENGTH: Final = 8
-MAX_LENGTH: Final = 1_000_000
-MAX_RATE: Final = 1_000_000.0
-SHORTEST_TIME: Final = 1e-6
-SHORTEST_GAP: Final = 0.001
-LONGEST_TIME: Final = 1e9
-"""Seconds."""
 MEASURED_SENDS: Final = 1000
 """Sends over which OpenRTM's keys time a publisher where they do not say how many."""
-
-E = TypeVar("E", bound=StrEnum)
 
 _NO_EXTRA: Final[Mapping[str, str]] = MappingProxyType({})
 
@@ -72,14 +72,6 @@ _ALIASES: Final[tuple[tuple[str, str], ...]] = (
     ("connection_limit", "connection_limit"),
     ("allow_dup_connection", "allow_duplicate"),
 )
-_VALUES: Final[dict[str, dict[str, str]]] = {
-    "full": {"do_nothing": "reject"},
-    "subscription": {"block": "flush", "nonblock": "new"},
-    "stamp": {"on_send": "send", "on_received": "received", "on_read": "read", "on_write": "send", "none": ""},
-}
-"""OpenRTM's word for a value where it is not ours. `on_write` and `on_send` are one moment here: nothing lies between
-them."""
-
 _DUPLEX: Final = "duplex"
 """OpenRTM's dataflow in which a write and a read meet."""
 _AT_A_RENDEZVOUS: Final[Mapping[str, Any]] = {
@@ -94,36 +86,17 @@ _AT_A_RENDEZVOUS: Final[Mapping[str, Any]] = {
 
 _ON_LOSS: Final = ("full", "length", "push")
 
-PORT_KEYS: Final = ("fan_in", "fan_out", "connection_limit", "allow_duplicate", "adapt")
-"""Options that are about the ports, not about the connector."""
-
-SERVICE_KEYS: Final = ("mapping", "strict")
+SERVICE_KEYS: Final = tuple(options_of(ServiceOptions))
 """Options of service ports; for data ports they mean nothing, and connecting those reports it."""
 
 OPENRTM: Final = "openrtm"
 """The keyword of `connect` whose value is a mapping of OpenRTM's keys: with their dots they are no keywords."""
 
-OWN_KEYS: Final = (
-    "dataflow",
-    "subscription",
-    "push",
-    "push_rate",
-    "skip",
-    "length",
-    "out_length",
-    "full",
-    "empty",
-    "timeout",
-    "stamp",
-    "convert",
-    "measure",
-    "keep_last",
-    "lifespan",
-    "max_gap",
-    "on_link_lost",
-    "name",
-    *PORT_KEYS,
-)
+_OF_CONNECTORS: Final = options_of(ConnectorProfile)
+_OF_PORTS: Final = options_of(PortLimits)
+OWN_OPTIONS: Final[Mapping[str, Option]] = MappingProxyType({**_OF_CONNECTORS, **_OF_PORTS})
+"""The options for data ports."""
+OWN_KEYS: Final = tuple(OWN_OPTIONS)
 
 
 def with_openrtm(options: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -139,73 +112,77 @@ def with_openrtm(options: Mapping[str, Any]) -> Mapping[str, Any]:
     if not (isinstance(given, Mapping) and all(isinstance(key, str) for key in given)):
         raise WiringError(f"{OPENRTM} = {given!r:.80}: expected a mapping, such as {{'dataport.push_policy': 'new'}}")
     for key, value in given.items():
-        if key in merged and _folded(str(merged[key])) != _folded(str(value)):
+        if key in merged and folded(str(merged[key])) != folded(str(value)):
             raise WiringError(f"{key} stands in {OPENRTM} and beside it with two values; take one of them away")
         merged[key] = value
     return merged
 
 
+class _Asked(NamedTuple):
+    """What a default may follow from, beside the options before it."""
+
+    where: str
+    own: Mapping[str, Any]
+    rendezvous: bool
+    length: int
+
+
+def _usual_length(chosen: Mapping[str, Any], asked: _Asked) -> int:
+    # Flush hands every sample over as it is written: a push policy is kept and reported, and chooses nothing.
+    keeps_one = chosen["push"] is Push.NEW and chosen["subscription"] is not Subscription.FLUSH
+    return 0 if asked.rendezvous else 1 if keeps_one else asked.length
+
+
+_USUAL: Final[Mapping[str, Callable[[Mapping[str, Any], _Asked], Any]]] = MappingProxyType(
+    {
+        "push": lambda chosen, _: default_push(chosen["subscription"]),
+        "length": _usual_length,
+        "full": lambda _, asked: FullPolicy.BLOCK if asked.rendezvous else FullPolicy.OVERWRITE,
+        "measure": lambda _, asked: _measured(asked.where, asked.own),
+    }
+)
+"""Defaults that follow from other options."""
+
+
 def connector_profile(
     where: str, options: Mapping[str, Any], name: str, ports: tuple[str, ...], usual_length: int = DEFAULT_LENGTH
-) -> tuple[ConnectorProfile, dict[str, Any]]:
-    """The options in force, and those of `PORT_KEYS` that were given; `usual_length` where they do not say a length.
+) -> tuple[ConnectorProfile, PortLimits]:
+    """The options in force of a connector, and those about its ports; `usual_length` where they do not say a length.
 
     Raises:
         WiringError: names the option, what is allowed and what was given.
     """
     own, extra = _translate(where, options)
-    get = _Reader(where, own)
-    rendezvous = _rendezvous_by(where, own, get)
-    dataflow = get.choice("dataflow", Dataflow, Dataflow.PUSH)
-    subscription = get.choice("subscription", Subscription, Subscription.FLUSH)
-    push = get.choice("push", Push, default_push(subscription))
-    rate = get.number("push_rate", 0.001, MAX_RATE, None)
-    if subscription is Subscription.PERIODIC and rate is None:
+    rendezvous = _rendezvous_by(where, own)
+    asked = _Asked(where, own, bool(rendezvous), usual_length)
+    chosen: dict[str, Any] = {}
+    for key, one in _OF_CONNECTORS.items():
+        usual = _USUAL[key](chosen, asked) if key in _USUAL else one.default
+        low = 0 if rendezvous and key == "out_length" else None  # a write that waits has no backlog
+        chosen[key] = _value(where, ConnectorProfile, own, key, usual, low)
+    if chosen["subscription"] is Subscription.PERIODIC and chosen["push_rate"] is None:
         raise WiringError(f"{where}: subscription periodic needs a push_rate in Hz")
-    # Flush hands every sample over as it is written: a push policy is kept and reported, and chooses nothing.
-    chooses = Push.ALL if subscription is Subscription.FLUSH else push
-    usual_length = 0 if rendezvous else 1 if chooses is Push.NEW else usual_length
-    profile = ConnectorProfile(
-        name=str(own["name"]) if own.get("name") else name,
-        ports=ports,
-        dataflow=dataflow,
-        subscription=subscription,
-        push=push,
-        push_rate=rate,
-        skip=get.integer("skip", 0, MAX_LENGTH, 0),
-        length=get.integer("length", 0, MAX_LENGTH, usual_length),
-        out_length=get.integer("out_length", 0 if rendezvous else 1, MAX_LENGTH, DEFAULT_LENGTH),
-        full=get.choice("full", FullPolicy, FullPolicy.BLOCK if rendezvous else FullPolicy.OVERWRITE),
-        empty=get.choice("empty", EmptyPolicy, None),
-        timeout=get.number("timeout", 0.0, 1e9, 1.0, may_be_none=True),
-        stamp=get.choice("stamp", Stamp, None),
-        convert=get.converter("convert"),
-        measure=_measured(where, own, get),
-        keep_last=is_yes(where, "keep_last", own.get("keep_last", False)),
-        lifespan=get.number("lifespan", SHORTEST_TIME, LONGEST_TIME, None, may_be_none=True),
-        max_gap=get.number("max_gap", SHORTEST_GAP, LONGEST_TIME, None, may_be_none=True),
-        extra=MappingProxyType(extra) if extra else _NO_EXTRA,
-        on_link_lost=get.choice("on_link_lost", OnLinkLost, None),
-    )
+    chosen["name"] = chosen["name"] or name
+    profile = ConnectorProfile(**chosen, ports=ports, extra=MappingProxyType(extra) if extra else _NO_EXTRA)
     if rendezvous:
         _check_rendezvous(where, options, profile, rendezvous)
-    limits: dict[str, Any] = {key: own[key] for key in PORT_KEYS if key in own}
-    for key in ("fan_in", "fan_out"):
-        if key in limits:
-            limits[key] = get.integer(key, 1, MAX_LENGTH, 100)
-    if "connection_limit" in limits:
-        limits["connection_limit"] = get.integer("connection_limit", -1, MAX_LENGTH, -1)
-    if "allow_duplicate" in limits:
-        limits["allow_duplicate"] = is_yes(where, "allow_duplicate", limits["allow_duplicate"])
-    if "adapt" in limits:
-        limits["adapt"] = how_to_adapt(where, limits["adapt"])
-    return profile, limits
+    limits = {key: _value(where, PortLimits, own, key, one.default) for key, one in _OF_PORTS.items() if key in own}
+    return profile, PortLimits(**limits)
 
 
-_AT_THE_WRITER: Final[tuple[tuple[str, type[Any], Any], ...]] = (
-    ("subscription", Subscription, Subscription.PERIODIC),
-    ("push", Push, Push.SKIP),
-    ("stamp", Stamp, Stamp.SEND),
+def _value(where: str, cls: type, own: Mapping[str, Any], key: str, usual: Any, low: float | None = None) -> Any:
+    """The value of an option; `usual` where it is not said."""
+    value = own.get(key)
+    if value is None:
+        return None if key in own and may_be_none(cls, key) else usual
+    try:
+        return read_option(cls, key, value, low=low)
+    except OptionError as error:
+        raise WiringError(f"{where}: {error}") from None
+
+
+_AT_THE_WRITER: Final[Mapping[str, StrEnum]] = MappingProxyType(
+    {"subscription": Subscription.PERIODIC, "push": Push.SKIP, "stamp": Stamp.SEND}
 )
 """What the writer's end does alone."""
 
@@ -229,17 +206,16 @@ def link_options(
         WiringError: an option that a link does not have, or as `connector_profile`.
     """
     own, _ = _translate(where, options)
-    get = _Reader(where, own)
-    if _rendezvous_by(where, own, get):
+    if _rendezvous_by(where, own):
         raise WiringError(f"{where}: length = 0: the reader is in another kernel; subscription = flush waits for it")
     if own.get("convert") is not None:
         raise WiringError(f"{where}: convert: the reader is in another kernel; convert in a component of this one")
-    pulls = get.choice("dataflow", Dataflow, Dataflow.PUSH) is Dataflow.PULL
+    pulls = _value(where, ConnectorProfile, own, "dataflow", Dataflow.PUSH) is Dataflow.PULL
     if pulls and own.get("max_gap") is not None:
         why = "the reader's kernel gets a sample when it asks, and does not know when the writer writes"
         raise WiringError(f"{where}: max_gap does not go with dataflow = pull to another kernel: {why}")
-    for key, kind, value in _AT_THE_WRITER if from_reader else ():
-        if get.choice(key, kind, None) is value:
+    for key, value in _AT_THE_WRITER.items() if from_reader else ():
+        if _value(where, ConnectorProfile, own, key, None) is value:
             raise WiringError(f"{where}: {key} = {value}: the writer is in another kernel; connect them there")
     if pulls and through:
         why = "both ends are in other processes, and samples go through this one, which would answer for the writer"
@@ -252,10 +228,7 @@ def link_options(
     return {**options, **usual}
 
 
-_CHOSEN: Final = (
-    *("subscription", "push_rate", "dataflow", "push", "skip", "length", "out_length", "full", "empty", "timeout"),
-    *("stamp", "measure", "keep_last", "lifespan", "max_gap", "on_link_lost"),
-)
+_CHOSEN: Final = tuple(key for key in _OF_CONNECTORS if key not in ("name", "convert"))
 """Options that are chosen, each after those that its default follows from."""
 
 
@@ -296,16 +269,13 @@ def _chosen(values: tuple[Any, ...], usual_length: int) -> Mapping[str, Any]:
     return MappingProxyType(options)
 
 
-CHANGEABLE: Final = ("push_rate", "length", "full")
+CHANGEABLE: Final = tuple(key for key, one in _OF_CONNECTORS.items() if one.changes)
 """Options that may be changed while connected."""
-
-_STAY: Final = ("dataflow", "subscription", "push", "skip", "timeout")
-"""Options that what may be changed is checked with."""
 
 
 def what_stays(profile: ConnectorProfile) -> dict[str, Any]:
     """The options in force that one is checked with that may be changed."""
-    return {key: getattr(profile, key) for key in (*_STAY, *CHANGEABLE)}
+    return {key: getattr(profile, key) for key in _CHOSEN}
 
 
 def changed_profile(where: str, profile: ConnectorProfile, options: Mapping[str, Any]) -> ConnectorProfile:
@@ -314,7 +284,7 @@ def changed_profile(where: str, profile: ConnectorProfile, options: Mapping[str,
     Raises:
         WiringError: as `connector_profile`; or none is given; or one cannot be changed.
     """
-    can = "push_rate, length and full can be changed while connected"
+    can = f"{', '.join(CHANGEABLE[:-1])} and {CHANGEABLE[-1]} can be changed while connected"
     if not options:
         raise WiringError(f"{where}: change: there is nothing to change; {can}")
     for key in options:
@@ -327,7 +297,7 @@ def changed_profile(where: str, profile: ConnectorProfile, options: Mapping[str,
         pulls = profile.dataflow is Dataflow.PULL
         what = "the reader pulls" if pulls else f"the subscription is {profile.subscription}"
         raise WiringError(f"{where}: change: push_rate: {what}; only a periodic connector has a push_rate")
-    length = _Reader(where, options).integer("length", 0, MAX_LENGTH, profile.length)
+    length = _value(where, ConnectorProfile, options, "length", profile.length)
     if (length == 0) is not (profile.length == 0):
         raise WiringError(
             f"{where}: change: length = {length}: whether a write waits until the reader has taken the sample (length "
@@ -351,14 +321,14 @@ def loses_unasked(profile: ConnectorProfile) -> bool:
     return every and profile.dataflow is Dataflow.PUSH and profile.full is FullPolicy.OVERWRITE
 
 
-def _rendezvous_by(where: str, own: Mapping[str, Any], get: _Reader) -> str:
+def _rendezvous_by(where: str, own: Mapping[str, Any]) -> str:
     """The key that makes a write wait until the reader has taken its sample; empty where none does."""
     said = own.get("rendezvous", "")
     if said not in ("", None) and is_yes(where, "sync_readwrite", said):
         return "rendezvous"
     if "duplex" in own:
         return "dataflow"
-    return "" if get.integer("length", 0, MAX_LENGTH, 1) else "length"
+    return "" if _value(where, ConnectorProfile, own, "length", 1) else "length"
 
 
 def _check_rendezvous(where: str, options: Mapping[str, Any], profile: ConnectorProfile, by: str) -> None:
@@ -380,36 +350,27 @@ def _as_given(options: Mapping[str, Any], key: str) -> str:
     return f"{given} = {options[given]!r}" if given else ""
 
 
-def _measured(where: str, own: Mapping[str, Any], get: _Reader) -> int:
-    """Sends to time over: our key, else the larger of what OpenRTM's two measurements ask for."""
-    measures = [
-        get.integer(f"measure_{what}_count", 1, MAX_LENGTH, MEASURED_SENDS)
+def _measured(where: str, own: Mapping[str, Any]) -> int:
+    """Sends to time over, where our key does not say it: the larger of what OpenRTM's two measurements ask for."""
+    counts = {what: own.get(f"measure_{what}_count", MEASURED_SENDS) for what in ("exec", "period")}
+    return max(
+        int(_value(where, ConnectorProfile, {"measure": count}, "measure", 0, 1))
         * is_yes(where, f"measurement.{what}_time", own.get(f"measure_{what}", False))
-        for what in ("exec", "period")
-    ]
-    return get.integer("measure", 0, MAX_LENGTH, 0) if "measure" in own else max(measures)
+        for what, count in counts.items()
+    )
 
 
 def is_yes(where: str, key: str, value: object) -> bool:
-    """A truth value, also as OpenRTM writes it."""
-    known = {"yes": True, "true": True, "1": True, "enable": True}
-    known |= {"no": False, "false": False, "0": False, "disable": False}
-    if isinstance(value, bool):
-        return value
-    answer = known.get(str(value).strip().lower())
-    if answer is None:
-        raise WiringError(f"{where}: {key} = {value!r}: expected true or false")
-    return answer
+    """A truth value, also as OpenRTM writes it. WiringError: it is none."""
+    try:
+        return read_yes(key, value)
+    except OptionError as error:
+        raise WiringError(f"{where}: {error}") from None
 
 
 def how_to_adapt(where: str, value: object) -> bool | Literal["text"]:
     """The option `adapt`: a truth value, or "text", where numbers may be made of texts, too."""
-    if isinstance(value, str) and value.strip().lower() == "text":
-        return "text"
-    try:
-        return is_yes(where, "adapt", value)
-    except WiringError as error:
-        raise WiringError(f'{error}, or "text"') from None
+    return cast("bool | Literal['text']", _value(where, PortLimits, {"adapt": value}, "adapt", usual=False))
 
 
 def _check_once(where: str, options: Mapping[str, Any], plain: Mapping[str, Any]) -> None:
@@ -418,7 +379,7 @@ def _check_once(where: str, options: Mapping[str, Any], plain: Mapping[str, Any]
     for given, value in options.items():
         alias = given.removeprefix("dataport.")
         before = given_as.setdefault(alias, (given, value))
-        if _folded(str(before[1])) != _folded(str(value)):  # as text: NaN is not equal to itself
+        if folded(str(before[1])) != folded(str(value)):  # as text: NaN is not equal to itself
             raise WiringError(f"{where}: {before[0]} and {given} are one option with two values; take one of them away")
     for alias, key in _ALIASES:
         if alias != key and alias in plain and key in plain and not _same(key, plain[alias], plain[key]):
@@ -428,14 +389,9 @@ def _check_once(where: str, options: Mapping[str, Any], plain: Mapping[str, Any]
 
 
 def _same(key: str, one: Any, other: Any) -> bool:
-    words = _VALUES.get(key, {})
-    one, other = _folded(str(one)), _folded(str(other))
+    words = OWN_OPTIONS[key].words if key in OWN_OPTIONS else _NO_EXTRA
+    one, other = folded(str(one)), folded(str(other))
     return bool(words.get(one, one) == words.get(other, other))
-
-
-def _folded(value: Any) -> Any:
-    """A word as it is looked up; what is no text stays as it is."""
-    return value.strip().lower() if isinstance(value, str) else value
 
 
 def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
@@ -447,7 +403,7 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
         if alias in plain:
             used.add(alias)
             own[key] = plain[alias]
-    if _folded(own.get("dataflow")) == _DUPLEX:
+    if folded(own.get("dataflow")) == _DUPLEX:
         own["dataflow"], own["duplex"] = Dataflow.PUSH, True
     for key in plain:
         if key in OWN_KEYS:
@@ -463,10 +419,6 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
             hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(OWN_KEYS)}"
             raise WiringError(f"{where}: unknown option {given!r}{hint}")
         extra[given] = str(value)
-    for key, words in _VALUES.items():
-        word = _folded(own.get(key))
-        if isinstance(word, str) and word in words:
-            own[key] = words[word]
     return own, extra
 
 
@@ -500,7 +452,7 @@ def without_effect(options: Mapping[str, Any]) -> list[str]:
     for given, value in options.items():
         key = given.removeprefix("dataport.")
         bare = key.removeprefix("inport.").removeprefix("outport.")
-        if _folded(value) not in (None, "") and (key in _OF_TRANSPORT or bare in _OF_TRANSPORT):
+        if folded(value) not in (None, "") and (key in _OF_TRANSPORT or bare in _OF_TRANSPORT):
             found.append(given)
     return found
 
@@ -604,70 +556,3 @@ def idle(options: Mapping[str, Any], profile: ConnectorProfile) -> Iterator[tupl
         says_so = what and getattr(profile, key) == _AS_IT_IS[key]
         if why := "" if says_so else what or alone.get(given, ""):
             yield given, f"{given} chooses nothing where {why}; take it away"
-
-
-class _Reader:
-    """Takes options out of a mapping, checked."""
-
-    def __init__(self, where: str, own: Mapping[str, Any]) -> None:
-        self._where = where
-        self._own = own
-
-    def choice(self, key: str, kind: type[E], default: Any) -> Any:
-        value = self._own.get(key)
-        word = _folded(value)
-        if value is None or (default is None and word in ("", False)):
-            return default
-        try:
-            return kind(word)
-        except ValueError:
-            words = [member.value for member in kind]
-            near = get_close_matches(str(word), words, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise WiringError(f"{self._where}: {key} = {value!r}: expected {', '.join(words)}{hint}") from None
-
-    def integer(self, key: str, low: int, high: int, default: int) -> int:
-        value = self._own.get(key)
-        if value is None:
-            return default
-        number = self._parsed(key, value, int, f"a whole number from {low} to {high}")
-        if not low <= number <= high:
-            raise WiringError(f"{self._where}: {key} = {value!r}: expected a whole number from {low} to {high}")
-        return int(number)
-
-    def number(
-        self, key: str, low: float, high: float, default: float | None, *, may_be_none: bool = False
-    ) -> float | None:
-        value = self._own.get(key, default)
-        if value is None:
-            return None if may_be_none or key not in self._own else default
-        expected = f"a number from {low:g} to {high:g}"
-        number = float(self._parsed(key, value, float, expected))
-        if not low <= number <= high:  # also refuses NaN
-            raise WiringError(f"{self._where}: {key} = {value!r}: expected {expected}")
-        return number
-
-    def converter(self, key: str) -> str | None:
-        value = self._own.get(key)
-        if value is None:
-            return None
-        from aiorts.model.converter import REMEDY, Converter  # late: few connectors have one
-
-        if isinstance(value, Converter):
-            return value
-        if isinstance(value, str):
-            if not value.strip():
-                raise WiringError(f"{self._where}: {key} = {value!r}: expected a text that names a converter; {REMEDY}")
-            return Converter(value.strip(), of_text=True)
-        try:
-            return Converter.of_function(value)
-        except WiringError as error:
-            raise WiringError(f"{self._where}: {key} = {error}") from None
-
-    def _parsed(self, key: str, value: Any, kind: Callable[[Any], Any], expected: str) -> Any:
-        try:
-            if isinstance(value, bool) or (kind is int and isinstance(value, float) and not value.is_integer()):
-                raise ValueError
-            return kind(value)
-        except (TypeError, ValueError, OverflowError):
-            raise WiringError(f"{self._where}: {key} = {value!r}: expected {expected}") from None

@@ -9,65 +9,206 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field
 from types import MappingProxyType
-from typing import Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
+from aiorts.errors import WiringError
 from aiorts.late import dataclass
 from aiorts.model.blame import Blame
-from aiorts.model.buffer import EmptyPolicy, FullPolicy
+from aiorts.model.buffer import DEFAULT_LENGTH, MAX_LENGTH, EmptyPolicy, FullPolicy
+from aiorts.model.declared import OptionError, option
 from aiorts.model.policy import Dataflow, OnLinkLost, Push, Stamp, Subscription
 from aiorts.model.rates import Counted
 from aiorts.model.timing import Spans
 
+if TYPE_CHECKING:
+    from aiorts.model.connect_options import Converter
+
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 _NO_CYCLES: Final[Mapping[int, int]] = MappingProxyType({})
+
+
+def _converter(value: Converter | str) -> str:
+    """The converter that a function is, or that a text names. OptionError: it is none."""
+    from aiorts.model import converter  # late: few connectors have one
+
+    if isinstance(value, converter.Converter):
+        return value
+    if isinstance(value, str):
+        if not value.strip():
+            raise OptionError(f"{value!r}: expected a text that names a converter; {converter.REMEDY}")
+        return converter.Converter(value.strip(), of_text=True)
+    try:
+        return converter.Converter.of_function(value)
+    except WiringError as error:
+        raise OptionError(str(error)) from None
 
 
 @dataclass(frozen=True, slots=True)
 class ConnectorProfile:
     """The options in force of a connector."""
 
-    name: str
+    name: str = option("", "The name of the connector.")
     ports: tuple[str, ...] = ()
-    dataflow: Dataflow = Dataflow.PUSH
-    """Whether the writer delivers (push) or the reader fetches (pull)."""
-    subscription: Subscription = Subscription.FLUSH
-    """When samples are passed on."""
-    push: Push = Push.ALL
-    """Which samples of a backlog are passed on."""
-    push_rate: float | None = None
-    """Hz; only with subscription periodic."""
-    skip: int = 0
-    """With push skip: samples left out between two."""
-    length: int = 8
-    """Samples that the reader's buffer holds; 0: a write waits until the reader has taken the sample."""
-    out_length: int = 8
-    """Samples that the backlog of a periodic connector holds."""
-    full: FullPolicy = FullPolicy.OVERWRITE
-    """What a write does when the buffer is full."""
-    empty: EmptyPolicy | None = None
-    """OpenRTM's empty policy where one was given: kept, and used by generic components only."""
-    timeout: float | None = 1.0
-    """Seconds that an awaited write waits with full = block; None waits forever."""
-    stamp: Stamp | None = None
-    """When the connector stamps samples; None leaves the writer's stamp."""
-    convert: str | None = None
-    """What makes the reader's samples of the writer's: the text that finds it, or the qualified name of a function."""
-    measure: int = 0
-    """Sends (`Connector.timing`) and reads (`ConnectorStatistics.latency`, `age`) that are timed; 0 times nothing and
-    costs nothing."""
-    keep_last: bool = False
-    """Whether a new connector is offered the sample that the writer wrote last, also before it was made."""
-    lifespan: float | None = None
-    """Seconds after which a sample that was not read is dropped; None keeps it. Of a link both ends count what a sample
-    waits there; the time on the way is not counted, since the clocks of two kernels are not compared."""
-    max_gap: float | None = None
-    """Seconds without a write after which the writer counts as silent, while both ends are active; None never."""
+    dataflow: Dataflow = option(
+        Dataflow.PUSH,
+        "Who begins a transfer: with push the writer delivers, with pull the reader fetches the writer's latest unread "
+        "sample.",
+        end="writer",
+    )
+    subscription: Subscription = option(
+        Subscription.FLUSH,
+        "When the out-port sends: before a write returns (flush), soon after it, so that the writer never waits (new), "
+        "or at push_rate (periodic).",
+        words={"block": "flush", "nonblock": "new"},
+        end="writer",
+        shown=True,
+    )
+    push: Push = option(
+        Push.ALL,
+        "Which samples of a backlog are sent, with new and periodic: all, one at a time (fifo), every (skip + 1)-th or "
+        "the newest (new).",
+        end="writer",
+    )
+    push_rate: float | None = option(
+        None, "The rate of a periodic connector.", unit="Hz", low=0.001, high=1e6, end="writer", changes=True
+    )
+    skip: int = option(
+        0,
+        "How many samples are left out between two that are sent, with push skip.",
+        low=0,
+        high=MAX_LENGTH,
+        end="writer",
+    )
+    length: int = option(
+        DEFAULT_LENGTH,
+        "How many samples the reader's buffer holds; with 0 a write waits until the reader has taken the sample.",
+        low=0,
+        high=MAX_LENGTH,
+        end="reader",
+        changes=True,
+    )
+    out_length: int = option(
+        DEFAULT_LENGTH,
+        "How many samples the backlog of a periodic connector holds.",
+        low=1,
+        high=MAX_LENGTH,
+        end="writer",
+    )
+    full: FullPolicy = option(
+        FullPolicy.OVERWRITE,
+        "What a write does when the reader's buffer is full: it overwrites the oldest sample, is rejected, or blocks.",
+        words={"do_nothing": "reject"},
+        end="reader",
+        changes=True,
+    )
+    empty: EmptyPolicy | None = option(
+        None,
+        "What a generic component does when there is nothing to read; OpenRTM's empty policy, kept for its tools.",
+        end="reader",
+    )
+    timeout: float | None = option(
+        1.0,
+        "How long an awaited write waits with full block; None waits forever.",
+        unit="s",
+        low=0.0,
+        high=1e9,
+        end="reader",
+        endless=True,
+    )
+    stamp: Stamp | None = option(
+        None,
+        "When the connector sets `tm` to the kernel's clock; by default `tm` is what the writer said.",
+        words={"on_send": "send", "on_received": "received", "on_read": "read", "on_write": "send", "none": ""},
+        end="writer",
+    )
+    convert: str | None = option(
+        None,
+        "What makes a sample of the in-port of one of the out-port: a plain function, FILE.py:function, "
+        "package.module:function, or a converter's name and its text, such as map 0>1000>0.",
+        low=1,
+        end="writer",
+        takes=_converter,
+    )
+    measure: int = option(
+        0,
+        "How many of the last sends (`Connector.timing`) and reads (`latency`, `age` of the statistics) are timed; 0 "
+        "times nothing and costs nothing.",
+        low=0,
+        high=MAX_LENGTH,
+        end="reader",
+    )
+    keep_last: bool = option(
+        False,
+        "Whether a new connector is offered the sample that the writer wrote last, also before it was made.",
+        end="reader",
+    )
+    lifespan: float | None = option(
+        None,
+        "How long a sample may wait to be read before it is dropped as expired. Of a link both ends count what a "
+        "sample waits there, without the time on the way: the clocks of two kernels are not compared.",
+        unit="s",
+        low=1e-6,
+        high=1e9,
+        end="reader",
+    )
+    max_gap: float | None = option(
+        None,
+        "The longest time between two writes; after it the writer counts as silent while both ends are active, which "
+        "is an event and a line in the log.",
+        unit="s",
+        low=0.001,
+        high=1e9,
+        end="reader",
+    )
     extra: Mapping[str, str] = field(default_factory=lambda: _NOTHING)
     """Options that aiorts keeps and reports but does not act on."""
-    on_link_lost: OnLinkLost | None = None
-    """What happens when the link to the reader's kernel is lost; None where both ends are in one kernel."""
+    on_link_lost: OnLinkLost | None = option(
+        None,
+        "What happens when the link to the other kernel is lost: the connector waits (the default of a link), moves "
+        "the component to error, or ends. None where both ends are in one kernel.",
+    )
     far_end: str = ""
     """Which end is in another kernel, "writer" or "reader"; "" where both are in this one."""
+
+
+@dataclass(frozen=True, slots=True)
+class PortLimits:
+    """The options of `connect` about the ports that it joins, not about the connector."""
+
+    fan_in: int | None = option(
+        None, "How many connectors the in-port takes at most.", low=1, high=MAX_LENGTH, end="ports"
+    )
+    fan_out: int | None = option(
+        None, "How many connectors the out-port takes at most.", low=1, high=MAX_LENGTH, end="ports"
+    )
+    connection_limit: int | None = option(
+        None, "How many connectors each port takes at most; -1 is any number.", low=-1, high=MAX_LENGTH, end="ports"
+    )
+    allow_duplicate: bool = option(
+        False,
+        "Whether there may be a second connector between the same two ports.",
+        end="ports",
+    )
+    adapt: bool | Literal["text"] = option(
+        False,
+        'Whether a FlexiFilter is inserted between ports that do not fit; with "text" also one that makes numbers of '
+        "texts.",
+        end="ports",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceOptions:
+    """The options of `connect` for service ports alone."""
+
+    mapping: Mapping[str, str] | None = option(
+        None, "Which provided interface answers a required one, by path or name.", end="services"
+    )
+    strict: bool = option(
+        True,
+        "Whether every required interface has to find a provider; false leaves unbound what none answers.",
+        end="services",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,7 +106,7 @@ class _Reader:
                 if elsewhere(out) or elsewhere(in_):
                     said = link_options("", options, from_reader=names_kernel(out))
                 profile, limits = connector_profile("", said, "", (out, in_), 8 if length is None else length)
-                allowed = bool(limits.get("allow_duplicate", False))
+                allowed = limits.allow_duplicate
                 if (fault := joined.fault(out, in_, entry.number, allowed=allowed)) is not None:
                     place = self._system.at("connections", entry.number - 1, of_key=True)
                     raise WiringError(f"{place}: connections[{entry.number}]: {fault}")

@@ -9,12 +9,13 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+import connect_options
 from aiorts.errors import WiringError
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
 from aiorts.model.connect_options import ConnectOptions
 from aiorts.model.options import (
-    _VALUES,
     OWN_KEYS,
+    OWN_OPTIONS,
     SERVICE_KEYS,
     chosen_options,
     connector_profile,
@@ -25,7 +26,7 @@ from aiorts.model.options import (
     without_effect,
 )
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
-from aiorts.model.profile import ConnectorProfile
+from aiorts.model.profile import ConnectorProfile, PortLimits
 
 CHOICES = {
     "dataflow": Dataflow,
@@ -55,7 +56,7 @@ def profile(**options: Any) -> ConnectorProfile:
     return connector_profile("a.out -> b.in", options, "wire", ("a.out", "b.in"))[0]
 
 
-def limits(**options: Any) -> dict[str, Any]:
+def limits(**options: Any) -> PortLimits:
     return connector_profile("a.out -> b.in", options, "", ())[1]
 
 
@@ -188,7 +189,7 @@ def test_periodic_without_a_rate_is_refused() -> None:
         ({"dataflow": "duplex"}, "expected push, pull"),
         ({"lenght": 3}, "unknown option 'lenght'; did you mean 'length'?"),
         ({"subscripton": "new"}, "did you mean 'subscription'?"),
-        ({"zzz": 3}, "unknown option 'zzz'; there are dataflow, subscription"),
+        ({"zzz": 3}, "unknown option 'zzz'; there are name, dataflow, subscription"),
         ({"skip": -1}, "skip = -1: expected a whole number from 0"),
         ({"timeout": -1}, "timeout = -1: expected a number from 0"),
         ({"timeout": "soon"}, "timeout = 'soon'"),
@@ -324,9 +325,8 @@ def test_openrtms_other_words_for_a_rendezvous_are_refused() -> None:
 @pytest.mark.row(58)
 def test_openrtms_limits_are_understood() -> None:
     given = limits(**{"dataport.fan_in": "3", "fan_out": 4, "connection_limit": "-1", "allow_dup_connection": "YES"})
-    assert given == {"fan_in": 3, "fan_out": 4, "connection_limit": -1, "allow_duplicate": True}
-    assert limits(allow_dup_connection="NO") == {"allow_duplicate": False}
-    assert limits() == {}
+    assert given == PortLimits(fan_in=3, fan_out=4, connection_limit=-1, allow_duplicate=True)
+    assert limits(allow_dup_connection="NO") == limits() == PortLimits()
 
 
 def test_keys_that_are_for_others_are_kept_and_reported() -> None:
@@ -354,7 +354,7 @@ def test_a_count_of_sends_that_is_none_is_refused_also_where_nothing_is_measured
 
 SPELLINGS = [
     *((key, word.value) for key, kind in CHOICES.items() for word in kind),
-    *((key, word) for key, words in _VALUES.items() for word in words),
+    *((key, word) for key, one in OWN_OPTIONS.items() for word in one.words),
 ]
 
 
@@ -426,6 +426,9 @@ def test_one_option_in_two_spellings_with_two_values_is_refused() -> None:
 
 
 def test_the_typed_keywords_are_exactly_the_options_there_are() -> None:
+    assert connect_options.FILE.read_text(encoding="utf-8") == connect_options.text(), (
+        "run python tests/connect_options.py"
+    )
     hints = get_type_hints(ConnectOptions)
     assert set(hints) == ConnectOptions.__optional_keys__ == {*OWN_KEYS, *SERVICE_KEYS, "openrtm"}
     assert not ConnectOptions.__required_keys__

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from aiorts import Component, InPort, Kernel
 from aiorts.diagnostics import unawaited_told
 from aiorts.kernel.ports.losses import WHY_DROPPED
-from aiorts.model.options import DEFAULT_LENGTH
+from aiorts.model.buffer import DEFAULT_LENGTH
 from aiorts.model.policy import Dataflow, Push, Subscription
 
 if TYPE_CHECKING:

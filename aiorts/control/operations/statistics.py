@@ -29,8 +29,8 @@ from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.late import dataclass
+from aiorts.model.buffer import MAX_LENGTH
 from aiorts.model.lifecycle import OverdueHook
-from aiorts.model.options import MAX_LENGTH
 from aiorts.model.profile import ThreadWriteStatistics
 from aiorts.model.service_profile import ServiceStatistics
 from aiorts.observe import calls, thread_writes

@@ -20,7 +20,7 @@ from aiorts.kernel.ports.last_sample import offer_last
 from aiorts.model.options import SERVICE_KEYS, connector_profile
 from aiorts.model.ordering import ordered
 from aiorts.model.policy import Push, Stamp, Subscription
-from aiorts.model.profile import ConnectorProfile
+from aiorts.model.profile import ConnectorProfile, PortLimits
 from aiorts.model.timing import ConnectorTimes
 from aiorts.model.values import shown
 
@@ -53,7 +53,7 @@ def plan(
         if key.partition(".")[0] in SERVICE_KEYS:
             raise WiringError(f"{where}: {key}: is an option of service ports, these are data ports")
     base, limits = connector_profile(where, options, "", paths)
-    allow = limits.get("allow_duplicate", False)
+    allow = limits.allow_duplicate
     pairs = [(out, in_) for out in outs for in_ in ins]
     seen: set[tuple[OutPort[Any], InPort[Any]]] = set()
     for out, in_ in pairs:
@@ -401,10 +401,10 @@ def _kept_from_threads(profile: ConnectorProfile) -> list[str]:
     ] * profile.keep_last
 
 
-def check_limit(port: Port[Any], more: int, limits: Mapping[str, Any]) -> None:
+def check_limit(port: Port[Any], more: int, limits: PortLimits) -> None:
     """Raise WiringError where a port takes no more connectors."""
-    fan = limits.get("fan_out" if isinstance(port, OutPort) else "fan_in")
-    limit = limits.get("connection_limit")
+    fan = limits.fan_out if isinstance(port, OutPort) else limits.fan_in
+    limit = limits.connection_limit
     candidates = [fan, limit if limit is not None and limit >= 0 else None, port.max_connectors]
     allowed = [candidate for candidate in candidates if candidate is not None]
     if allowed and len(port.connectors) + more > min(allowed):

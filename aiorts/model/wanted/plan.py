@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar
 
 from aiorts.late import dataclass
 from aiorts.model.names import names_kernel
-from aiorts.model.numbering import Numbering
+from aiorts.model.naming import Numbering
 from aiorts.model.options import CHANGEABLE, USUAL_APART
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
 from aiorts.model.wanted.steps import (

@@ -59,7 +59,7 @@ def adapted(found: Survey, drafts: Mapping[str, Draft] | None = None) -> Adapted
 
 def _wants(found: Survey, connection: ConnectionEntry) -> bool:
     known = found.profiles.get(connection.number)
-    return known is not None and known[1].get("adapt", False)
+    return known is not None and bool(known[1].adapt)
 
 
 class _Work:
@@ -76,7 +76,7 @@ class _Work:
         plain = replace(entry, options=MappingProxyType(options))
         try:
             pairs = self._pairs(plain)
-            adapt = self._found.profiles[entry.number][1]["adapt"]
+            adapt = self._found.profiles[entry.number][1].adapt
             filters = [self._filter(out, in_, adapt) for (_, out), (_, in_) in pairs]
         except AiortsError as error:
             self._refuse(entry, error)

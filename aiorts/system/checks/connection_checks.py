@@ -216,10 +216,9 @@ def _limits(
     counts: dict[str, int],
 ) -> Iterator[Said]:
     """Connected already, and more connectors than a port takes."""
-    limits = found.profiles[connection.number][1] if connection.number in found.profiles else {}
+    allowed = connection.number in found.profiles and found.profiles[connection.number][1].allow_duplicate
     for out in (port for port in ports if isinstance(port, OutPort)):
         for in_ in (port for port in ports if isinstance(port, InPort)):
-            allowed = bool(limits.get("allow_duplicate", False))
             if (fault := joined.fault(out.path, in_.path, connection.number, allowed=allowed)) is not None:
                 yield Said("error", fault.code, _key(connection), str(fault), of_key=True)
             for port in (out, in_):

@@ -289,12 +289,12 @@ class _Reader(Reading):
     def _once(self, key: Key, entry: ConnectionEntry) -> None:
         """Refuse what is connected already, as far as that can be seen without the ports."""
         try:
-            allowed = connector_profile("", entry.options, "", entry.ports)[1].get("allow_duplicate", False)
+            allowed = connector_profile("", entry.options, "", entry.ports)[1].allow_duplicate
         except WiringError:  # wrong, or an option of service ports: for who knows the ports
             return
         writer, *readers = entry.ports
         for reader in readers:
-            if (fault := self._joined.fault(writer, reader, entry.number, allowed=bool(allowed))) is not None:
+            if (fault := self._joined.fault(writer, reader, entry.number, allowed=allowed)) is not None:
                 self._say(key, str(fault), of_key=True)
 
     def _no_tables(self, key: Key, options: Mapping[str, Any]) -> None:

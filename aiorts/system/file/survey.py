@@ -21,7 +21,7 @@ from aiorts.kernel.extensions.finders import offer_from
 from aiorts.kernel.service import ServicePlan, load_service
 from aiorts.late import dataclass
 from aiorts.model.options import connector_profile, link_options
-from aiorts.model.profile import ConnectorProfile
+from aiorts.model.profile import ConnectorProfile, PortLimits
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry
 from aiorts.planning import Setting
 from aiorts.system.file.load import check_inside, component_type, context_type, converter, parameters, setting
@@ -58,7 +58,7 @@ class Survey:
     classes: dict[tuple[str, Path], type[Component]] = field(default_factory=dict)
     """By the text of a type and the folder of the file that it stands in: thousands of components have few types."""
     settings: dict[str, Setting] = field(default_factory=dict)
-    profiles: dict[int, tuple[ConnectorProfile, dict[str, Any]]] = field(default_factory=dict)
+    profiles: dict[int, tuple[ConnectorProfile, PortLimits]] = field(default_factory=dict)
     """By the number of the connection: the options in force, and those that are about its ports."""
     contexts: dict[str, Context] = field(default_factory=dict)
     services: dict[str, ServicePlan] = field(default_factory=dict)

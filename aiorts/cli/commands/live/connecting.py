@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any
 
 import click
 
@@ -16,10 +16,7 @@ from aiorts.cli.commands.live.target import Found, Kernels, Running, complete, c
 from aiorts.cli.console.output import counted, say, say_json
 from aiorts.control import converters_read
 from aiorts.errors import ControlError
-from aiorts.model.options import OWN_KEYS
-
-_OF_THE_WRITER: Final = ("dataflow", "subscription", "push", "push_rate", "skip", "out_length", "stamp", "convert")
-_OF_THE_READER: Final = ("length", "full", "timeout", "empty", "keep_last", "lifespan", "max_gap", "measure")
+from aiorts.model.options import OWN_KEYS, OWN_OPTIONS
 
 
 def _with_options(command: Callable[..., int]) -> Callable[..., int]:
@@ -176,8 +173,8 @@ def _text(one: Mapping[str, Any], *, ledger: bool) -> str:
     options = one["options"]
     text = [
         f"{one['name']}",
-        f"  {one['ports'][0]}: {_said(options, _OF_THE_WRITER)}",
-        f"  {one['ports'][1]}: {_said(options, _OF_THE_READER)}",
+        f"  {one['ports'][0]}: {_said(options, 'writer')}",
+        f"  {one['ports'][1]}: {_said(options, 'reader')}",
         *([f"  through {one['between']}"] if one.get("between") else []),
     ]
     joined = one.get("both_ends") or ""
@@ -190,10 +187,11 @@ def _text(one: Mapping[str, Any], *, ledger: bool) -> str:
     return "\n".join(text)
 
 
-def _said(options: Mapping[str, Any], keys: tuple[str, ...]) -> str:
+def _said(options: Mapping[str, Any], end: str) -> str:
     """The options of one end that are in force, in words."""
+    there = {key: options[key] for key, one in OWN_OPTIONS.items() if one.end == end and key in options}
     return ", ".join(
-        f"{key} {str(options[key]).lower() if isinstance(options[key], bool) else options[key]}"
-        for key in keys
-        if options[key] not in (None, False, "") and not (key in ("skip", "measure") and not options[key])
+        f"{key} {str(value).lower() if isinstance(value, bool) else value}"
+        for key, value in there.items()
+        if value not in (None, "") and (value or OWN_OPTIONS[key].default)
     )

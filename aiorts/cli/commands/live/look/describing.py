@@ -8,12 +8,12 @@ from typing import Any, Final
 from aiorts.cli.commands.live.ledger import EXACT, UP_TO_LINK, ledger_text
 from aiorts.cli.console.output import table
 from aiorts.model.lifecycle import state_text
+from aiorts.model.options import OWN_OPTIONS
 
 _WIDEST: Final = 60
 _WAYS: Final = {"in": "in", "out": "out", "service": "srv"}
-_USUAL: Final = {"dataflow": "push", "push": "all", "skip": 0, "length": 8, "out_length": 8, "full": "overwrite",
-                 "timeout": 1.0, "measure": 0, "keep_last": False}  # fmt: skip
-"""Options of a connector that are not worth a word."""
+_USUAL: Final = {key: one.default for key, one in OWN_OPTIONS.items() if not one.shown}
+"""The values of a connector's options that are not worth a word."""
 _NO_WORD: Final = ("name", "ports", "extra")
 
 

@@ -7,7 +7,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from aiorts.model.numbering import Numbering
+from aiorts.model.naming import Numbering
 from campaign import cases
 
 STEMS = ("n", "n1", "event")

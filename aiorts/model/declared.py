@@ -1,0 +1,198 @@
+"""Declarations of options: what a field of a frozen dataclass takes, said once, beside the type of the field.
+
+A declaration is metadata of the field. What reads a value, writes a schema, compares or describes asks for it; none of
+them names an option.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import Field, field
+from difflib import get_close_matches
+from enum import StrEnum
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Any, Final, TypeVar, get_args, get_type_hints
+
+T = TypeVar("T")
+_NO_WORDS: Final[Mapping[str, str]] = MappingProxyType({})
+_YES: Final[Mapping[str, bool]] = MappingProxyType(
+    {"yes": True, "true": True, "1": True, "enable": True, "no": False, "false": False, "0": False, "disable": False}
+)
+
+
+class OptionError(ValueError):
+    """A value is none of those that its option takes."""
+
+
+class Option:
+    """The declaration of one field.
+
+    Attributes:
+        doc: what it is for, in whole sentences.
+        unit: of a number; "" where it has none.
+        low: the smallest number, or the fewest characters of a text.
+        high: the largest number.
+        words: OpenRTM's word for a value -> ours, where they differ.
+        end: whose part of a connection it is: "writer", "reader", "both", "ports" or "services".
+        changes: whether it may be changed while it is in force.
+        shown: whether reports show it where it is as by default, too.
+        endless: whether a system file says `inf` for None.
+        takes: reads a value that is no text, number or word; None: its type says how.
+    """
+
+    __slots__ = ("changes", "default", "doc", "end", "endless", "high", "low", "shown", "takes", "unit", "words")
+
+    def __init__(
+        self,
+        default: Any,
+        doc: str,
+        *,
+        unit: str,
+        low: float | None,
+        high: float | None,
+        words: Mapping[str, str],
+        end: str,
+        changes: bool,
+        shown: bool,
+        endless: bool,
+        takes: Callable[[Any], Any] | None,
+    ) -> None:
+        self.default, self.doc, self.unit, self.low, self.high, self.words = default, doc, unit, low, high, words
+        self.end, self.changes, self.shown, self.endless, self.takes = end, changes, shown, endless, takes
+
+
+def option(
+    default: T,
+    doc: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    words: Mapping[str, str] = _NO_WORDS,
+    end: str = "both",
+    changes: bool = False,
+    shown: bool = False,
+    endless: bool = False,
+    takes: Callable[[Any], Any] | None = None,
+) -> T:
+    """A field that users set; the arguments are the attributes of `Option`."""
+    made = Option(
+        default,
+        doc,
+        unit=unit,
+        low=low,
+        high=high,
+        words=words,
+        end=end,
+        changes=changes,
+        shown=shown,
+        endless=endless,
+        takes=takes,
+    )
+    return field(default=default, metadata={"option": made})
+
+
+@lru_cache
+def options_of(cls: type) -> Mapping[str, Option]:
+    """The declared options of a class, in the order of its fields; the class is not written for it (see `late`)."""
+    given: Mapping[str, Any] = cls.__dict__["__declared__"]
+    fields = ((name, one.metadata) for name, one in given.items() if isinstance(one, Field))
+    return MappingProxyType({name: metadata["option"] for name, metadata in fields if "option" in metadata})
+
+
+@lru_cache
+def kinds_of(cls: type) -> Mapping[str, tuple[Any, ...]]:
+    """The types that each declared option takes, without None."""
+    hints = get_type_hints(cls)
+    found = {name: get_args(hints[name]) or (hints[name],) for name in options_of(cls)}
+    return MappingProxyType(
+        {name: tuple(kind for kind in kinds if kind is not type(None)) for name, kinds in found.items()}
+    )
+
+
+@lru_cache
+def may_be_none(cls: type, name: str) -> bool:
+    """Whether None is among the values of an option."""
+    return type(None) in get_args(get_type_hints(cls)[name])
+
+
+def read_option(cls: type, name: str, value: Any, *, low: float | None = None) -> Any:
+    """The value of an option from what a user gave; texts are read, in any case and with blanks round them.
+
+    Args:
+        low: the smallest number in place of the declared one.
+
+    Raises:
+        OptionError: names the option, what it takes and what was given.
+    """
+    one = options_of(cls)[name]
+    if value is None:
+        return None
+    if one.takes is not None:
+        try:
+            return one.takes(value)
+        except OptionError as error:
+            raise OptionError(f"{name} = {error}") from None
+    kinds = kinds_of(cls)[name]
+    kind = kinds[0]
+    if kind is bool:
+        words = [word for other in kinds[1:] for word in get_args(other)]
+        return folded(value) if folded(value) in words else _yes(name, value, words)
+    if kind is str:
+        return str(value)
+    if issubclass(kind, StrEnum):
+        return _word(name, kind, value, one)
+    return _number(name, kind, value, one.low if low is None else low, one.high)
+
+
+def read_yes(name: str, value: object) -> bool:
+    """A truth value, also as OpenRTM writes it. OptionError: it is none."""
+    return _yes(name, value, [])
+
+
+def folded(value: Any) -> Any:
+    """A word as it is looked up; what is no text stays as it is."""
+    return value.strip().lower() if isinstance(value, str) else value
+
+
+def hint_for(word: str, known: Any) -> str:
+    """What a misspelt word may have meant, for the end of a message; "" where nothing is near."""
+    near = get_close_matches(word[:100], known, n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def _yes(name: str, value: object, words: list[str]) -> bool:
+    if isinstance(value, bool):
+        return value
+    answer = _YES.get(folded(str(value)))
+    if answer is None:
+        more = "".join(f', or "{word}"' for word in words)
+        raise OptionError(f"{name} = {value!r}: expected true or false{more}")
+    return answer
+
+
+def _word(name: str, kind: type[StrEnum], value: Any, one: Option) -> StrEnum | None:
+    word = folded(value)
+    word = one.words.get(word, word) if isinstance(word, str) else word
+    if one.default is None and (word == "" or word is False):
+        return None
+    try:
+        return kind(word)
+    except ValueError:
+        known = [member.value for member in kind]
+        raise OptionError(f"{name} = {value!r}: expected {', '.join(known)}{hint_for(str(word), known)}") from None
+
+
+def _number(name: str, kind: type[int] | type[float], value: Any, low: Any, high: Any) -> int | float:
+    spelled = f"{low} to {high}" if kind is int else f"{low:g} to {high:g}"
+    wrong = f"{name} = {value!r}: expected a {'whole ' if kind is int else ''}number from {spelled}"
+    try:
+        if isinstance(value, bool) or (kind is int and isinstance(value, float) and not value.is_integer()):
+            raise OptionError(wrong)
+        number = kind(value)
+    except (TypeError, ValueError, OverflowError):
+        raise OptionError(wrong) from None
+    if not low <= number <= high:  # also refuses NaN
+        raise OptionError(wrong)
+    return number
