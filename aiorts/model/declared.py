@@ -11,8 +11,8 @@ from dataclasses import Field, field
 from difflib import get_close_matches
 from enum import StrEnum
 from functools import lru_cache
-from types import MappingProxyType
-from typing import Any, Final, TypeVar, get_args, get_type_hints
+from types import MappingProxyType, UnionType
+from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
 _NO_WORDS: Final[Mapping[str, str]] = MappingProxyType({})
@@ -90,6 +90,8 @@ def option(
         endless=endless,
         takes=takes,
     )
+    if default.__class__.__hash__ is None:  # one that could be changed, for all that a dataclass knows
+        return field(default_factory=lambda: default, metadata={"option": made})
     return field(default=default, metadata={"option": made})
 
 
@@ -105,16 +107,24 @@ def options_of(cls: type) -> Mapping[str, Option]:
 def kinds_of(cls: type) -> Mapping[str, tuple[Any, ...]]:
     """The types that each declared option takes, without None."""
     hints = get_type_hints(cls)
-    found = {name: get_args(hints[name]) or (hints[name],) for name in options_of(cls)}
     return MappingProxyType(
-        {name: tuple(kind for kind in kinds if kind is not type(None)) for name, kinds in found.items()}
+        {name: tuple(kind for kind in _alternatives(hints[name]) if kind is not type(None)) for name in options_of(cls)}
     )
+
+
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+
+
+def words_of(kind: Any) -> tuple[str, ...]:
+    """The words of a Literal; () for another type."""
+    return get_args(kind) if get_origin(kind) is Literal else ()
 
 
 @lru_cache
 def may_be_none(cls: type, name: str) -> bool:
     """Whether None is among the values of an option."""
-    return type(None) in get_args(get_type_hints(cls)[name])
+    return type(None) in _alternatives(get_type_hints(cls)[name])
 
 
 def read_option(cls: type, name: str, value: Any, *, low: float | None = None) -> Any:
@@ -137,7 +147,7 @@ def read_option(cls: type, name: str, value: Any, *, low: float | None = None) -
     kinds = kinds_of(cls)[name]
     kind = kinds[0]
     if kind is bool:
-        words = [word for other in kinds[1:] for word in get_args(other)]
+        words = [word for other in kinds[1:] for word in words_of(other)]
         return folded(value) if folded(value) in words else _yes(name, value, words)
     if kind is str:
         return str(value)

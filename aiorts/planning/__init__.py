@@ -10,6 +10,7 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.planning.canon import Canon, service_connection, table, whole, without_provenance
+    from aiorts.planning.component_rows import put_in_force
     from aiorts.planning.planning import Planning
     from aiorts.planning.reading import wanted_of
     from aiorts.planning.setting import ACTIVE, Setting, setting_alone
@@ -19,6 +20,7 @@ _late(
     globals(),
     {
         "aiorts.planning.canon": "Canon service_connection table whole without_provenance",
+        "aiorts.planning.component_rows": "put_in_force",
         "aiorts.planning.planning": "Planning",
         "aiorts.planning.reading": "wanted_of",
         "aiorts.planning.setting": "ACTIVE Setting setting_alone",

@@ -54,6 +54,7 @@ from aiorts.model.wanted.steps import (
     StopContext,
     Supervise,
 )
+from aiorts.planning.component_rows import put_in_force
 from aiorts.planning.setting import Setting
 from aiorts.planning.shown import shown_name
 from aiorts.planning.snapshot import Snapshot
@@ -66,7 +67,8 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
     from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry, Wanted
     from aiorts.model.wanted.plan import Plan
-    from aiorts.planning.planning import Planning
+    from aiorts.planning.component_rows import put_in_force
+from aiorts.planning.planning import Planning
 
 _ACTIVE: Final = LifecycleState.ACTIVE
 _PATIENCE: Final = 5.0
@@ -334,13 +336,8 @@ class Application:
         self._supervise_as(self._component(step.after.name), step.after)
 
     def _supervise_as(self, component: Component, entry: ComponentEntry) -> None:
-        (self._planning.exclusive.add if entry.exclusive else self._planning.exclusive.discard)(entry.name)
-        self._kernel.registry.on_link_lost[entry.name] = entry.on_link_lost
+        put_in_force(self._kernel, entry)
         supervising = self._kernel.service(Supervising)
-        if entry.start is None:
-            supervising.rules.pop(entry.name, None)
-        else:
-            supervising.rules[entry.name] = entry.start
         policy, there = entry.supervision, supervising.supervised.get(entry.name)
         if policy is not None or there is not None:
             make = partial(_setting(entry).make, self._class_of(entry))

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from aiorts.model.configuration.sets import ConfigurationState
     from aiorts.model.profile import ConnectorProfile
     from aiorts.model.wanted.entries import Wanted
-    from aiorts.model.wanted.start_rules import StartRule
     from aiorts.services import ServicePort
 
 _SHOWN: Final = 20
@@ -75,15 +74,9 @@ class Canon:
         name: str,
         cls: type[Component],
         state: ConfigurationState,
-        supervision: Supervision | None,
-        start: StartRule | None,
-        *,
-        exclusive: bool,
-        isolation: str = "",
-        limits: Mapping[str, Any] = MappingProxyType({}),
-        on_link_lost: str = "",
+        keys: Mapping[str, Any],
     ) -> ComponentEntry:
-        """A component of this class with this configuration."""
+        """A component of this class with this configuration; `keys` are those that are declared (`ComponentEntry`)."""
         text = self.named(cls, "components")
         if cls not in self._unmakeable:
             self._unmakeable[cls] = _unmakeable(cls, text)
@@ -97,12 +90,7 @@ class Canon:
             (),
             self._sets(name, state, declared),
             state.active if state.active != declared.active else "",
-            supervision if supervision != Supervision() else None,
-            start,
-            exclusive,
-            isolation,
-            limits,
-            on_link_lost if on_link_lost != cls.on_link_lost else "",
+            **{key: value for key, value in keys.items() if not _is_usual(key, value, cls)},
         )
 
     def _params(self, name: str, state: ConfigurationState, declared: ConfigurationState) -> Mapping[str, Any]:
@@ -276,6 +264,12 @@ def as_it_stands(now: Wanted, wanted: Wanted, kernel: Microkernel) -> Wanted:
 def whole(path: Path) -> Path:
     """The path from the root."""
     return Path(os.path.abspath(path))
+
+
+def _is_usual(key: str, value: Any, cls: type[Component]) -> bool:
+    """Whether a key of a component says what is so without it."""
+    usual: dict[str, object] = {"supervision": Supervision(), "on_link_lost": cls.on_link_lost}
+    return key in usual and bool(value == usual[key])
 
 
 def _frozen(value: Any) -> Any:

@@ -48,7 +48,7 @@ class Planning(KernelService):
         super().__init__(kernel)
         self.clock: ClockEntry | None = None
         """What the system file said of the clock, whatever the command line said; None where there was no file."""
-        self.exclusive: set[str] = set()
+        self.exclusive: dict[str, bool] = {}
         """Components that a plan ends before anything is made, as system files say."""
         self.health = Health(kernel)
         """What the windows of `apply` are measured by."""

@@ -6,13 +6,13 @@ Only what was chosen is in it: what is as a class declares it, or as an option i
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.clock import SimulatedClock
 from aiorts.composites import Composite, group_of, outer_of
-from aiorts.isolation import RemoteComponent, given_of
+from aiorts.isolation import given_of
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.service import owned_by
 from aiorts.model.lifecycle import LifecycleState
@@ -26,6 +26,7 @@ from aiorts.model.wanted.entries import (
 )
 from aiorts.model.wanted.stepwise import finished
 from aiorts.planning.canon import Canon, service_connection, table, whole
+from aiorts.planning.component_rows import ROWS
 from aiorts.planning.planning import Planning
 from aiorts.planning.shown import shown_name, shown_path
 from aiorts.planning.switching import tops
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 _SHOWN: Final = 20
 _MISSING: Final = object()
 _NO_RULES: Final[Mapping[str, Any]] = MappingProxyType({})
-_NO_LIMITS: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 def wanted_of(kernel: Microkernel, notes: list[str] | None = None) -> Wanted:
@@ -66,9 +66,6 @@ class _Reader:
         self._kernel = kernel
         self._canon = Canon(kernel.plugins, notes)
         supervising = kernel.attached(Supervising)
-        self._supervised = {} if supervising is None else supervising.supervised
-        planning = kernel.attached(Planning)
-        self._exclusive: Collection[str] = () if planning is None else planning.exclusive
         self._rules = _NO_RULES if supervising is None else supervising.rules
 
     def wanted(self) -> Generator[None, None, Wanted]:
@@ -110,18 +107,8 @@ class _Reader:
     # -- components ------------------------------------------------------------------------------------------------
 
     def _component(self, component: Component) -> ComponentEntry:
-        supervised = self._supervised.get(component.name)
-        return self._canon.component(
-            component.name,
-            type(component),
-            cell(component).configuration,
-            None if supervised is None else supervised.policy,
-            self._rules.get(component.name),
-            exclusive=component.name in self._exclusive,
-            isolation="process" if isinstance(component, RemoteComponent) else "",
-            limits=component.limits if isinstance(component, RemoteComponent) else _NO_LIMITS,
-            on_link_lost=self._kernel.registry.on_link_lost.get(component.name, ""),
-        )
+        keys = {key: row.read(self._kernel, component) for key, row in ROWS.items()}
+        return self._canon.component(component.name, type(component), cell(component).configuration, keys)
 
     # -- composites and contexts -----------------------------------------------------------------------------------
 

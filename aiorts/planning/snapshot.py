@@ -17,7 +17,7 @@ from aiorts.kernel.service import owned_by
 from aiorts.kernel.start_context import arrange_contexts
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.ordering import ordered
-from aiorts.supervision import Supervising
+from aiorts.planning.component_rows import stores
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -38,7 +38,6 @@ class Snapshot:
 
     def __init__(self, planning: Planning) -> None:
         kernel = self._kernel = planning.kernel
-        supervising = kernel.service(Supervising)
         self.components: Final = dict(kernel.components)
         self.contexts: Final = dict(kernel.contexts)
         self._connectors = dict(kernel.connectors)
@@ -52,10 +51,8 @@ class Snapshot:
         }
         self._configurations = {name: cell(one).configuration for name, one in self.components.items()}
         self._placements = {name: cell(one).previous_placements for name, one in self.components.items()}
-        self._kept: tuple[tuple[Any, Any], ...] = tuple(
-            (kept, kept.copy()) for kept in (planning.exclusive, kernel.registry.on_link_lost, supervising.rules)
-        )
-        """The sets and dicts that are kept on components by their names, each with a copy of what was in it."""
+        self._kept: tuple[tuple[Any, Any], ...] = tuple((kept, kept.copy()) for kept in stores(kernel))
+        """What is kept of components by their names, each with a copy of what was in it."""
 
     def was_active(self, context: str, component: str) -> bool:
         """Whether a component was active in a context."""

@@ -27,7 +27,7 @@ from aiorts.late import dataclass
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import names_kernel
 from aiorts.model.wanted.entries import CompositeEntry, ConnectionEntry
-from aiorts.planning import Planning, Setting
+from aiorts.planning import Planning, Setting, put_in_force
 from aiorts.supervision import Patience, Supervising, in_order
 from aiorts.system.checks.adapting import adapted
 from aiorts.system.checks.check import of_draft
@@ -116,9 +116,9 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     kernel.origin, kernel.registry.assembled = system.text, False
     planning = kernel.service(Planning)
     planning.clock = system.clock
-    kernel.registry.on_link_lost |= {entry.name: entry.on_link_lost for entry in system.components.values()}
-    planning.exclusive |= {entry.name for entry in system.components.values() if entry.exclusive}
     attach_services(kernel, plan.services.values())
+    for entry in system.components.values():
+        put_in_force(kernel, entry)
     with contextlib.ExitStack() as making:
         for attached in kernel.services:
             making.enter_context(attached.making())

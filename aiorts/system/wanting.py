@@ -13,7 +13,7 @@ from aiorts.kernel.declarations import declarations
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.model.names import names_kernel
 from aiorts.model.options import connector_profile, link_options
-from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
+from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted, said_keys
 from aiorts.model.wanted.pairs import ConnectedPairs
 from aiorts.planning import Canon, service_connection, table, whole
 from aiorts.services import ServicePort, pairs_of
@@ -76,12 +76,7 @@ class _Reader:
             entry.name,
             cls,
             state,
-            entry.supervision,
-            entry.start,
-            exclusive=entry.exclusive,
-            isolation=entry.isolation,
-            limits=entry.limits,
-            on_link_lost=entry.on_link_lost,
+            said_keys(entry),
         )
 
     def _context(self, entry: ContextEntry) -> ContextEntry:

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import field, fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final, Literal
 
 from aiorts.late import dataclass
+from aiorts.model.declared import option, options_of
 from aiorts.model.wanted.restart_policy import Supervision
 from aiorts.model.wanted.start_rules import StartRule
 
@@ -29,16 +30,40 @@ class ComponentEntry:
     """Configuration sets: what each holds, by name."""
     active: str = ""
     """The active set; "" is the default one."""
-    supervision: Supervision | None = None
-    start: StartRule | None = None
-    exclusive: bool = False
-    """Whether it holds what its replacement needs: a plan ends it before anything is made."""
-    isolation: str = ""
-    """"process" for a process of its own."""
-    limits: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
-    """What that process may use: memory, cpu, processes."""
-    on_link_lost: str = ""
-    """What it does when the link to its operator is lost; "" is what its class says."""
+    supervision: Supervision | None = option(
+        None, "What is done when the component fails, and how long each of its hooks may take.", changes=True
+    )
+    start: StartRule | None = option(
+        None, "When the component is activated: once its conditions hold and its wait is over.", changes=True
+    )
+    exclusive: bool = option(
+        False,
+        "Whether the component holds a device that its replacement needs: when the running system is changed, it ends "
+        "before anything is made.",
+        changes=True,
+    )
+    on_link_lost: Literal["", "continue", "deactivate", "error"] = option(
+        "",
+        "What an active component does when the link to its operator is lost: it goes on, is deactivated, or goes to "
+        "error. By default what its class says.",
+        changes=True,
+    )
+    isolation: Literal["", "process"] = option(
+        "", "process: the component runs in a process of its own, in a context of its own."
+    )
+    limits: Mapping[str, Any] = option(
+        _NOTHING, 'What the process of the component may use; with isolation = "process".'
+    )
+
+
+CHANGED_BY_RULE: Final = tuple(key for key, one in options_of(ComponentEntry).items() if one.changes)
+"""The keys of a component that are changed while its instance stays."""
+
+
+def said_keys(entry: ComponentEntry) -> dict[str, Any]:
+    """The declared keys of a component that are not as by default."""
+    keys = options_of(ComponentEntry).items()
+    return {key: value for key, one in keys if (value := getattr(entry, key)) != one.default}
 
 
 def chosen(rule: Supervision | StartRule) -> dict[str, Any]:

@@ -17,7 +17,14 @@ from aiorts.late import dataclass
 from aiorts.model.names import names_kernel
 from aiorts.model.naming import Numbering
 from aiorts.model.options import CHANGEABLE, USUAL_APART
-from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
+from aiorts.model.wanted.entries import (
+    CHANGED_BY_RULE,
+    ComponentEntry,
+    CompositeEntry,
+    ConnectionEntry,
+    ContextEntry,
+    Wanted,
+)
 from aiorts.model.wanted.steps import (
     Activate,
     AddRules,
@@ -43,8 +50,6 @@ from aiorts.model.wanted.stepwise import finished
 
 _ABSENT: Final = object()
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
-_RULES: Final = ("supervision", "start", "exclusive", "on_link_lost")
-"""Of a component, what a `Supervise` changes."""
 E = TypeVar("E", ContextEntry, CompositeEntry)
 
 
@@ -290,7 +295,7 @@ class _Planner:
                 yield Reload(before, after)
                 continue
             if _shape(before) != _shape(after):
-                shaped = replace(after, **{word: getattr(before, word) for word in _RULES})
+                shaped = replace(after, **{word: getattr(before, word) for word in CHANGED_BY_RULE})
                 yield Configure(before, shaped)
                 before = shaped
             if before != after:

@@ -12,7 +12,17 @@ from typing import Any, ClassVar, Final, Self, TypeVar
 
 from aiorts.late import dataclass
 from aiorts.model.plain import plain
-from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, chosen
+from aiorts.model.wanted.entries import (
+    CHANGED_BY_RULE,
+    ComponentEntry,
+    CompositeEntry,
+    ConnectionEntry,
+    ContextEntry,
+    chosen,
+    said_keys,
+)
+from aiorts.model.wanted.restart_policy import Supervision
+from aiorts.model.wanted.start_rules import StartRule
 
 T = TypeVar("T")
 _SHOWN: Final = 5
@@ -340,10 +350,13 @@ def _settings(one: ComponentEntry) -> dict[str, Any]:
 
 
 def _rules(one: ComponentEntry) -> dict[str, Any]:
-    rules = {"supervision": one.supervision, "start": one.start}
-    found = {f"{word}.{key}": value for word, rule in rules.items() if rule for key, value in chosen(rule).items()}
-    alone = {"exclusive": one.exclusive, "on_link_lost": one.on_link_lost}
-    return {**found, **{word: value for word, value in alone.items() if value}}
+    found: dict[str, Any] = {}
+    for word, value in said_keys(one).items():
+        if isinstance(value, Supervision | StartRule):
+            found |= {f"{word}.{key}": said for key, said in chosen(value).items()}
+        elif word in CHANGED_BY_RULE:
+            found[word] = value
+    return found
 
 
 def _ends(connection: ConnectionEntry) -> str:

@@ -17,7 +17,10 @@ from aiorts.model.wanted.entries import (
     ContextEntry,
     Wanted,
     chosen,
+    said_keys,
 )
+from aiorts.model.wanted.restart_policy import Supervision
+from aiorts.model.wanted.start_rules import StartRule
 
 _BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
 _LONGEST: Final = 100
@@ -96,18 +99,9 @@ class _Writer:
             yield f"active = {basic_string(one.active)}"
         for name, values in one.sets.items():
             yield f"sets.{_key(name)} = {self._inline(f'{one.name}.{name}', values)}"
-        if one.supervision is not None:
-            yield f"supervision = {self._inline(one.name, chosen(one.supervision))}"
-        if one.start is not None:
-            yield f"start = {self._inline(one.name, chosen(one.start))}"
-        if one.exclusive:
-            yield "exclusive = true"
-        if one.on_link_lost:
-            yield f"on_link_lost = {basic_string(one.on_link_lost)}"
-        if one.isolation:
-            yield f"isolation = {basic_string(one.isolation)}"
-        if one.limits:
-            yield f"limits = {self._inline(one.name, one.limits)}"
+        for word, value in said_keys(one).items():
+            said = chosen(value) if isinstance(value, Supervision | StartRule) else value
+            yield f"{word} = {self._value(one.name, said)}"
 
     def _composite(self, one: CompositeEntry) -> Iterator[str]:
         yield self._pair(one.name, "members", one.members)

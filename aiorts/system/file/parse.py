@@ -20,8 +20,8 @@ from typing import Any, Final
 
 from aiorts.composites import ErrorPolicy, exports, groups_of
 from aiorts.errors import AiortsError, ConfigurationError, InvalidNameError, SystemFileError, WiringError
-from aiorts.kernel.component import LINK_LOST
 from aiorts.model.configuration.sets import DEFAULT
+from aiorts.model.declared import OptionError, kinds_of, options_of, read_option, words_of
 from aiorts.model.names import Path as PortPath
 from aiorts.model.names import check_name, names_kernel
 from aiorts.model.options import OWN_KEYS, SERVICE_KEYS, connector_profile
@@ -56,11 +56,9 @@ __all__ = (
 CLOCKS: Final = ("system", "scaled", "simulated")
 _PLUGINS: Final = 'write plugins.path = ["."], the folders with plugins, counted from this file; [] is none'
 TOP: Final = ("schema", *TOP_KEYS, "plugins", "clock", "components", "composites", "connections", "contexts")
-_LIMITS: Final = ("memory", "cpu", "processes")
-_COMPONENT: Final = (
-    *("type", "options", "params", "sets", "active", "supervision", "start", "exclusive", "isolation", "limits"),
-    *("on_link_lost", IF, REPEAT),
-)
+_LIMITS: Final = tuple(field.name for field in fields(Limits))
+_OF_COMPONENT: Final = options_of(ComponentEntry)
+_COMPONENT: Final = ("type", "options", "params", "sets", "active", *_OF_COMPONENT, IF, REPEAT)
 _COMPOSITE: Final = ("members", "exported", "order", "groups", "errors", "own_schedule", IF, REPEAT)
 _SUPERVISION: Final = tuple(field.name for field in fields(Supervision))
 _START: Final = tuple(field.name for field in fields(StartRule) if field.name != "component")
@@ -209,23 +207,45 @@ class _Reader(Reading):
             self._options((*key, "options"), given),
             self._sets(key, table),
             self._get(key, table, "active", str, ""),
-            self._supervision(key, table),
-            self._start(key, table),
-            self._get(key, table, "exclusive", bool, default=False),
-            *self._isolation(key, table),
-            self._word(key, table, "on_link_lost", LINK_LOST) or "",
+            **self._declared(key, table),
         )
 
-    def _isolation(self, key: Key, table: dict[str, Any]) -> tuple[str, Mapping[str, Any]]:
-        isolation = self._get(key, table, "isolation", str, "")
-        if isolation not in ("", "process"):
-            meant = "; did you mean 'process'?" if get_close_matches(str(isolation), ("process",)) else ""
-            self._say((*key, "isolation"), f"expected 'process', or no such line, got {isolation!r:.80}{meant}")
+    def _declared(self, key: Key, table: dict[str, Any]) -> dict[str, Any]:
+        """The declared keys of a component: those of one value by their types, and each table by its own method."""
+        tables = {"supervision": self._supervision, "start": self._start, "limits": self._limits}
+        return {
+            word: tables[word](key, table) if word in tables else self._value(key, table, word)
+            for word in _OF_COMPONENT
+        }
+
+    def _value(self, key: Key, table: dict[str, Any], word: str) -> Any:
+        one, kind = _OF_COMPONENT[word], kinds_of(ComponentEntry)[word][0]
+        if words := [other for other in words_of(kind) if other]:
+            return self._of_words(key, table, word, words)
+        if kind is bool or word not in table:
+            return self._get(key, table, word, bool, one.default)
+        value = self._get(key, table, word, object)
+        try:
+            return read_option(ComponentEntry, word, value)
+        except OptionError as error:
+            self._say((*key, word), str(error).removeprefix(f"{word} = {value!r}: ") + f", got {value!r:.80}")
+            return one.default
+
+    def _of_words(self, key: Key, table: dict[str, Any], word: str, words: list[str]) -> str:
+        if len(words) > 1:
+            return self._word(key, table, word, words) or ""
+        value = self._get(key, table, word, str, "")
+        if value not in ("", *words):
+            meant = f"; did you mean {words[0]!r}?" if get_close_matches(str(value), words) else ""
+            self._say((*key, word), f"expected {words[0]!r}, or no such line, got {value!r:.80}{meant}")
+        return str(value)
+
+    def _limits(self, key: Key, table: dict[str, Any]) -> Mapping[str, Any]:
         limits = self._get(key, table, "limits", dict, {})
-        if limits and not isolation:
+        if limits and not table.get("isolation"):
             self._say((*key, "limits"), 'limits are those of a process; add isolation = "process"', of_key=True)
         self._made((*key, "limits"), limits, _LIMITS, Limits)
-        return isolation, MappingProxyType(dict(limits))
+        return MappingProxyType(dict(limits))
 
     def _options(self, key: Key, given: Any) -> tuple[str, ...]:
         if isinstance(given, str):

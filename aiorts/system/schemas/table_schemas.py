@@ -5,16 +5,19 @@ from __future__ import annotations
 from typing import Any, Final
 
 from aiorts.composites import ErrorPolicy
-from aiorts.kernel.component import LINK_LOST
+from aiorts.model.declared import kinds_of, options_of
 from aiorts.model.lifecycle import HOOKS
+from aiorts.model.wanted.entries import ComponentEntry
 from aiorts.supervision import ACTIONS, StartRule, Supervision
 from aiorts.system.file.parse import ORDERS
+from aiorts.system.schemas.option_schema import plain_schema
 from aiorts.system.schemas.template_schema import PART
 
 _SECONDS: Final = {"type": "number", "exclusiveMinimum": 0}
 _FROM_ZERO: Final = {"type": "number", "minimum": 0}
 _GIVEN: Final = Supervision()
 _CONDITION: Final = {"type": "string", "pattern": r"^\s*[A-Za-z0-9_-]+(\s+(added|inactive|active|error))?\s*$"}
+_KEYS: Final = options_of(ComponentEntry)
 _TEXTS: Final = {"type": "array", "items": {"type": "string"}}
 
 
@@ -33,21 +36,19 @@ def active_schema() -> dict[str, Any]:
     return {"type": "string", "description": "The configuration set in force: one of sets, of its class, or default."}
 
 
-def exclusive_schema() -> dict[str, Any]:
-    """`exclusive` of a component."""
-    what = "Whether it holds a device that its replacement needs: when the running system is changed, it ends first."
-    return {"type": "boolean", "default": False, "description": what}
+def keys_schema() -> dict[str, Any]:
+    """The declared keys of a component."""
+    tables = {
+        "supervision": {"$ref": "#/$defs/supervision"},
+        "start": {"$ref": "#/$defs/start"},
+        "limits": _limits_schema(_KEYS["limits"].doc),
+    }
+    return {key: tables.get(key) or plain_schema(kinds_of(ComponentEntry)[key][0], one) for key, one in _KEYS.items()}
 
 
-def isolation_schema() -> dict[str, Any]:
-    """`isolation` of a component."""
-    return {"enum": ["process"], "description": "process: it runs in a process of its own, in a context of its own."}
-
-
-def limits_schema() -> dict[str, Any]:
-    """`limits` of a component that runs in a process of its own."""
+def _limits_schema(text: str) -> dict[str, Any]:
     return _table(
-        'What the process of the component may use; with isolation = "process".',
+        text,
         {
             "memory": {"type": "integer", "minimum": 1, "description": "Bytes above what it has after its imports."},
             "cpu": {"type": "number", "exclusiveMinimum": 0, "description": "Share of one processor."},
@@ -56,17 +57,11 @@ def limits_schema() -> dict[str, Any]:
     )
 
 
-def link_lost_schema() -> dict[str, Any]:
-    """`on_link_lost` of a component."""
-    what = "Where it is active, and the link to its operator is lost: it goes on, is deactivated, or goes to error."
-    return {"enum": list(LINK_LOST), "description": f"{what} By default what its class says."}
-
-
 def supervision_schema() -> dict[str, Any]:
     """`[components.X.supervision]`."""
     text = "What is done about an error: never; reset (on_reset, active again); restart (a new instance)."
     return _table(
-        "What is done when the component fails, and how long each of its hooks may take.",
+        _KEYS["supervision"].doc,
         {
             "restart": {"enum": list(ACTIONS), "default": _GIVEN.restart, "description": text},
             "backoff": {**_SECONDS, "default": _GIVEN.backoff, "description": "Seconds before the first recovery."},
@@ -100,7 +95,7 @@ def start_schema() -> dict[str, Any]:
     """`[components.X.start]`."""
     rule = StartRule("x")
     return _table(
-        "When the component is activated: once its conditions hold and its wait is over.",
+        _KEYS["start"].doc,
         {
             "after": {
                 "anyOf": [_CONDITION, {"type": "array", "items": _CONDITION}],

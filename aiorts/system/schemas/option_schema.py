@@ -1,0 +1,76 @@
+"""The JSON Schema of declared options: of each its words, or its type and range, its default and what it is for."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Any, Final
+
+from aiorts.model.declared import Option, words_of
+
+_TEXT: Final = {"type": "string", "pattern": r"^\s*[+-]?[0-9._]+([eE][+-]?[0-9]+)?\s*$"}
+_YES: Final = {
+    "anyOf": [
+        {"type": "boolean"},
+        {"enum": [0, 1]},
+        {
+            "type": "string",
+            "pattern": r"^\s*([yY][eE][sS]|[tT][rR][uU][eE]|1|[nN][oO]|[fF][aA][lL][sS][eE]|0|[eE][nN][aA][bB][lL][eE]"
+            r"|[dD][iI][sS][aA][bB][lL][eE])\s*$",
+        },
+    ]
+}
+
+
+def _choice(kind: type[StrEnum], one: Option) -> dict[str, Any]:
+    """The words of an option for an editor to offer, and the same in any case, with blanks round them."""
+    words = [*(member.value for member in kind), *one.words, *([""] if one.default is None else [])]
+    spelled = ("".join(f"[{c}{c.upper()}]" if c.isalpha() else c for c in word) for word in words)
+    return {"anyOf": [{"enum": words}, {"type": "string", "pattern": rf"^\s*({'|'.join(spelled)})\s*$"}]}
+
+
+def _number(kind: type, one: Option) -> dict[str, Any]:
+    return {"anyOf": [_range(kind, one), _TEXT]}
+
+
+def _range(kind: type, one: Option) -> dict[str, Any]:
+    ends = {"minimum": one.low, "maximum": None if one.endless else one.high}
+    return {
+        "type": "integer" if kind is int else "number",
+        **{word: end for word, end in ends.items() if end is not None},
+    }
+
+
+def _yes(others: tuple[Any, ...]) -> dict[str, Any]:
+    words = [word for other in others for word in words_of(other)]
+    texts = ("".join(f"[{c}{c.upper()}]" for c in word) for word in words)
+    return {"anyOf": [*_YES["anyOf"], *({"type": "string", "pattern": rf"^\s*{text}\s*$"} for text in texts)]}
+
+
+def option_schema(kinds: tuple[Any, ...], one: Option) -> dict[str, Any]:
+    """What JSON Schema says of an option that takes texts for its values, too."""
+    kind = kinds[0]
+    if kind is bool:
+        found = _yes(kinds[1:])
+    elif kind is str:
+        found = {"type": "string"} if one.low is None else {"type": "string", "minLength": one.low}
+    else:
+        found = _choice(kind, one) if issubclass(kind, StrEnum) else _number(kind, one)
+    return {**found, **_said(one)}
+
+
+def plain_schema(kind: Any, one: Option) -> dict[str, Any]:
+    """What JSON Schema says of an option whose values have the types of TOML."""
+    if words := words_of(kind):
+        found: dict[str, Any] = {"enum": [word for word in words if word]}
+    elif kind in (int, float):
+        found = _range(kind, one)
+    else:
+        found = {"type": "boolean" if kind is bool else "string"}
+    return {**found, **_said(one)}
+
+
+def _said(one: Option) -> dict[str, Any]:
+    """The default of an option, where a file can say it, and its description."""
+    default = {} if one.default in (None, "") else {"default": one.default}
+    unit = f" In {one.unit}." if one.unit else ""
+    return {**default, "description": f"{one.doc}{unit}"}
