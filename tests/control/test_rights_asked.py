@@ -93,6 +93,7 @@ async def test_a_command_asks_for_what_its_calls_need(
 
 def test_all_commands_for_what_runs_are_in_the_table() -> None:
     live = {name for title, *names in _SECTIONS if "what runs" in title for name in " ".join(names).split()}
+    live.remove("studio")  # it has a right of its own, which its tests ask for
     short = {"con": "connect"}
     tried = {short.get(word := line.split()[0], word) for line, _ in CASES}
     assert live | {"record", "plan", "apply"} == tried
