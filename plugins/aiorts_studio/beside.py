@@ -71,7 +71,7 @@ class StudioBeside(KernelService):
 
     async def starting(self) -> None:
         self._was_made = True
-        await to_thread.run_sync(self._addressed.wait, _FIRST)
+        await to_thread.run_sync(self._addressed.wait, _FIRST, abandon_on_cancel=True)
 
     def _say_address(self, process: subprocess.Popen[bytes]) -> None:
         """Set its address apart from what the system prints; no line comes where the process has failed."""

@@ -167,6 +167,7 @@ ELSEWHERE = {
     "Kernel.apply": "planning/test_apply_cancelled.py",
     "Kernel.reload": "reload/test_cancelled.py",
     "Kernel.save": "planning/test_save.py",
+    "KernelService.starting": "a service's part of a start; whoever is cancelled in a start has it cancelled, too",
     "KernelService.closing": "the kernel's own, while it closes; nobody who is cancelled awaits it",
     "KernelService.leaving": "the kernel's own, while it closes; nobody who is cancelled awaits it",
     "KernelService.ending": "the kernel's own, while it closes; nobody who is cancelled awaits it",
