@@ -12,10 +12,9 @@ from difflib import get_close_matches
 from enum import StrEnum
 from functools import lru_cache
 from types import MappingProxyType, UnionType
-from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
-_NO_WORDS: Final[Mapping[str, str]] = MappingProxyType({})
 _YES: Final[Mapping[str, bool]] = MappingProxyType(
     {"yes": True, "true": True, "1": True, "enable": True, "no": False, "false": False, "0": False, "disable": False}
 )
@@ -25,74 +24,38 @@ class OptionError(ValueError):
     """A value is none of those that its option takes."""
 
 
-class Option:
-    """The declaration of one field.
+class Option(NamedTuple):
+    """The declaration of one field."""
 
-    Attributes:
-        doc: what it is for, in whole sentences.
-        unit: of a number; "" where it has none.
-        low: the smallest number, or the fewest characters of a text.
-        high: the largest number.
-        words: OpenRTM's word for a value -> ours, where they differ.
-        end: whose part of a connection it is: "writer", "reader", "both", "ports" or "services".
-        changes: whether it may be changed while it is in force.
-        shown: whether reports show it where it is as by default, too.
-        endless: whether a system file says `inf` for None.
-        takes: reads a value that is no text, number or word; None: its type says how.
-    """
-
-    __slots__ = ("changes", "default", "doc", "end", "endless", "high", "low", "shown", "takes", "unit", "words")
-
-    def __init__(
-        self,
-        default: Any,
-        doc: str,
-        *,
-        unit: str,
-        low: float | None,
-        high: float | None,
-        words: Mapping[str, str],
-        end: str,
-        changes: bool,
-        shown: bool,
-        endless: bool,
-        takes: Callable[[Any], Any] | None,
-    ) -> None:
-        self.default, self.doc, self.unit, self.low, self.high, self.words = default, doc, unit, low, high, words
-        self.end, self.changes, self.shown, self.endless, self.takes = end, changes, shown, endless, takes
+    default: Any
+    doc: str
+    """What it is for, in whole sentences."""
+    unit: str = ""
+    """Of a number; "" where it has none."""
+    low: float | None = None
+    """The smallest number, or the fewest characters of a text."""
+    high: float | None = None
+    """The largest number."""
+    words: Mapping[str, str] = MappingProxyType({})
+    """OpenRTM's word for a value -> ours, where they differ."""
+    end: str = "both"
+    """Whose part of a connection it is: "writer", "reader", "both", "ports" or "services"."""
+    changes: bool = False
+    """Whether it may be changed while it is in force."""
+    shown: bool = False
+    """Whether reports show it where it is as by default, too."""
+    endless: bool = False
+    """Whether a system file says `inf` for None."""
+    takes: Callable[[Any], Any] | None = None
+    """Reads a value that is no text, number or word; None: its type says how."""
 
 
-def option(
-    default: T,
-    doc: str,
-    *,
-    unit: str = "",
-    low: float | None = None,
-    high: float | None = None,
-    words: Mapping[str, str] = _NO_WORDS,
-    end: str = "both",
-    changes: bool = False,
-    shown: bool = False,
-    endless: bool = False,
-    takes: Callable[[Any], Any] | None = None,
-) -> T:
-    """A field that users set; the arguments are the attributes of `Option`."""
-    made = Option(
-        default,
-        doc,
-        unit=unit,
-        low=low,
-        high=high,
-        words=words,
-        end=end,
-        changes=changes,
-        shown=shown,
-        endless=endless,
-        takes=takes,
-    )
+def option(default: T, doc: str, **declared: Any) -> T:
+    """A field that users set; `declared` are further fields of `Option`."""
+    metadata = {"option": Option(default, doc, **declared)}
     if default.__class__.__hash__ is None:  # one that could be changed, for all that a dataclass knows
-        return field(default_factory=lambda: default, metadata={"option": made})
-    return field(default=default, metadata={"option": made})
+        return field(default_factory=lambda: default, metadata=metadata)
+    return field(default=default, metadata=metadata)
 
 
 @lru_cache
