@@ -20,6 +20,7 @@ from aiorts.cli.console.plugins_option import catalogue_of, plugins_option, use_
 from aiorts.cli.console.report import printed, report, report_error
 from aiorts.cli.group import HelpfulGroup, strict, write_sections
 from aiorts.errors import AiortsError, PluginError
+from aiorts.spelling import nearest
 from aiorts.tiers import tier_of_command
 
 if TYPE_CHECKING:
@@ -140,13 +141,11 @@ class _LazyGroup(HelpfulGroup):
         is_type = ":" in name or name.endswith(".py")  # FILE.py:Class is a filter
         known = name in _COMMANDS or name in _HIDDEN or name.startswith("-") or is_type
         if not known and name not in (names := self.list_commands(ctx)):
-            from difflib import get_close_matches
-
             from aiorts.kernel.extensions.uninstalled import named_in_project
 
-            near = get_close_matches(name[:60], names, n=1)
+            near = nearest(name, names)
             hint = named_in_project(name, "commands", "components")
-            hint = hint or (f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names[:_SHOWN])}")
+            hint = hint or (f"did you mean {near!r}?" if near else f"there are {', '.join(names[:_SHOWN])}")
             raise click.UsageError(f"no command {name[:60]!r}; {hint}", ctx)
         return super().resolve_command(ctx, args)
 

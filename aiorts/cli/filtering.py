@@ -10,6 +10,7 @@ from aiorts.cli.commands.offered import filter_named, offered
 from aiorts.cli.console.completion import items
 from aiorts.cli.console.plugins_option import catalogue_of
 from aiorts.cli.group import strict
+from aiorts.spelling import suggestion
 
 
 def _names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
@@ -32,11 +33,8 @@ def filter_(ctx: click.Context, name: str, words: tuple[str, ...]) -> Any:
     catalogue = catalogue_of()
     command = filter_named(name, catalogue)
     if command is None:
-        from difflib import get_close_matches
-
         names = list(offered(catalogue, "components"))
-        near = get_close_matches(name[:60], names, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names[:60])}"
+        hint = suggestion(name, names)
         raise click.UsageError(f"no component {name[:60]!r}; {hint}", ctx)
     with strict(command).make_context(f"filter {name}", list(words), parent=ctx.parent) as inner:
         return command.invoke(inner)

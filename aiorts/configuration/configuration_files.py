@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +20,7 @@ from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.service import KernelService
 from aiorts.model.configuration.sets import ConfigurationState, Difference, differences
+from aiorts.spelling import nearest
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -116,8 +116,8 @@ class ConfigurationFiles(KernelService):
         for name in document.components:
             component = components.get(name)
             if component is None:
-                near = get_close_matches(name, components, n=1)
-                hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(components) or 'none'}"
+                near = nearest(name, components)
+                hint = f"did you mean {near}?" if near else f"there are {', '.join(components) or 'none'}"
                 faults.append(str(document.fail(("components", name), f"no such component; {hint}")))
                 continue
             edit = edits[component] = partial(document.state, name)

@@ -17,7 +17,6 @@ import time
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.clock import SimulatedClock, to_ns
@@ -34,6 +33,7 @@ from aiorts.kernel.loop.tasks import owner_of
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.model.blame import Blame
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from aiorts.kernel.loop.timers import _Timerfd as Timerfd
@@ -89,8 +89,7 @@ class LoopLimit:
         if not isinstance(policy, str):
             raise ConfigurationError(f"policy: expected text, got {policy!r:.80}")
         if policy not in ("warn", "exit"):
-            near = get_close_matches(policy[:100], ("warn", "exit"), n=1)
-            hint = f"did you mean {near[0]!r}?" if near else "there are warn, exit"
+            hint = suggestion(policy, ("warn", "exit"))
             raise ConfigurationError(f"policy: unknown policy {policy[:80]!r}; {hint}")
 
 

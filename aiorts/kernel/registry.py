@@ -36,6 +36,7 @@ from aiorts.kernel.service import notify
 from aiorts.model.lifecycle import HOOKS
 from aiorts.model.names import Path
 from aiorts.model.ordering import arrange
+from aiorts.spelling import nearest
 
 if TYPE_CHECKING:
     from aiorts.kernel.execution.cell import Cell
@@ -51,10 +52,9 @@ _LOG = KernelLog()
 
 def known(name: str, names: Iterable[str], there_are: str = "there are") -> str:
     """What an error says of the names there are: the one that is meant, or else all."""
-    from difflib import get_close_matches  # late: for an error alone
 
-    near = get_close_matches(name, islice(names, _COMPARED), n=1)
-    return f"did you mean {near[0]!r}?" if near else f"{there_are} {', '.join(names) or 'none'}"
+    near = nearest(name, islice(names, _COMPARED))
+    return f"did you mean {near!r}?" if near else f"{there_are} {', '.join(names) or 'none'}"
 
 
 class Registry:

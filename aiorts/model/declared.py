@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import Field, field
-from difflib import get_close_matches
 from enum import StrEnum
 from functools import lru_cache
 from types import MappingProxyType, UnionType
 from typing import Any, Final, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from aiorts.spelling import meant
 
 T = TypeVar("T")
 _YES: Final[Mapping[str, bool]] = MappingProxyType(
@@ -129,12 +130,6 @@ def folded(value: Any) -> Any:
     return value.strip().lower() if isinstance(value, str) else value
 
 
-def hint_for(word: str, known: Any) -> str:
-    """What a misspelt word may have meant, for the end of a message; "" where nothing is near."""
-    near = get_close_matches(word[:100], known, n=1)
-    return f"; did you mean {near[0]!r}?" if near else ""
-
-
 def _yes(name: str, value: object, words: list[str]) -> bool:
     if isinstance(value, bool):
         return value
@@ -154,7 +149,7 @@ def _word(name: str, kind: type[StrEnum], value: Any, one: Option) -> StrEnum | 
         return kind(word)
     except ValueError:
         known = [member.value for member in kind]
-        raise OptionError(f"{name} = {value!r}: expected {', '.join(known)}{hint_for(str(word), known)}") from None
+        raise OptionError(f"{name} = {value!r}: expected {', '.join(known)}{meant(word, known)}") from None
 
 
 def _number(name: str, kind: type[int] | type[float], value: Any, low: Any, high: Any) -> int | float:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from enum import StrEnum
 from functools import lru_cache
 from types import MappingProxyType
@@ -31,6 +30,7 @@ from aiorts.model.declared import (
 from aiorts.model.names import check_name
 from aiorts.model.policy import Dataflow, OnLinkLost, Push, Stamp, Subscription, default_push
 from aiorts.model.profile import ConnectorProfile, PortLimits, ServiceOptions
+from aiorts.spelling import nearest
 
 MEASURED_SENDS: Final = 1000
 """Sends over which OpenRTM's keys time a publisher where they do not say how many."""
@@ -289,8 +289,8 @@ def changed_profile(where: str, profile: ConnectorProfile, options: Mapping[str,
         raise WiringError(f"{where}: change: there is nothing to change; {can}")
     for key in options:
         if key not in CHANGEABLE:
-            near = get_close_matches(key, CHANGEABLE, n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
+            near = nearest(key, CHANGEABLE)
+            hint = f"did you mean {near!r}? " if near else ""
             raise WiringError(f"{where}: change: {key}: {hint}{can}; for other options disconnect and connect anew")
     periodic = profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH
     if "push_rate" in options and not periodic:
@@ -415,8 +415,8 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
         if key in used or key in SERVICE_KEYS:
             continue
         if "." not in given and key not in _KNOWN_KEPT:
-            near = get_close_matches(key, (*OWN_KEYS, *SERVICE_KEYS), n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(OWN_KEYS)}"
+            near = nearest(key, (*OWN_KEYS, *SERVICE_KEYS))
+            hint = f"; did you mean {near!r}?" if near else f"; there are {', '.join(OWN_KEYS)}"
             raise WiringError(f"{where}: unknown option {given!r}{hint}")
         extra[given] = str(value)
     return own, extra
@@ -475,12 +475,12 @@ def doubts(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         kept = bare in _KNOWN_KEPT or bare.startswith(_KEPT_BEGINNINGS) or key in _OF_TRANSPORT
         if "." not in given or key in known or key in OWN_KEYS or kept or key.partition(".")[0] in SERVICE_KEYS:
             continue
-        near = get_close_matches(key, sorted(known | {*OWN_KEYS}), n=1)
+        near = nearest(key, sorted(known | {*OWN_KEYS}))
         before = given.removesuffix(key)
         yield (
             given,
             f"{given} is no option that is known; "
-            + (f"did you mean {before + near[0]!r}?" if near else "it is kept and does nothing: take it away"),
+            + (f"did you mean {before + near!r}?" if near else "it is kept and does nothing: take it away"),
         )
     name = options.get("name")
     if isinstance(name, str):

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from difflib import get_close_matches
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -34,6 +33,7 @@ from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.late import dataclass
 from aiorts.model.profile import ConnectorStatistics
+from aiorts.spelling import nearest
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -200,8 +200,8 @@ def _look(kernel: Microkernel, path: str) -> Any:
     if context is not None or connector is not None:
         raise WiringError(f"{path}: {name} has no {what!r}; it has {', '.join(_CONTEXT if context else _LEDGER)}")
     known = [*kernel.components, *kernel.contexts, *kernel.connectors]
-    near = get_close_matches(owner, known, 1)
-    advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:20]) or 'none'}"
+    near = nearest(owner, known)
+    advice = f"did you mean {near}?" if near else f"there are {', '.join(known[:20]) or 'none'}"
     raise WiringError(f"{path}: there is no component, context or connector {owner!r}; {advice}")
 
 

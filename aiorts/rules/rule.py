@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from difflib import get_close_matches
 from fnmatch import translate
 from typing import Any, Final
 
 from aiorts.errors import ConfigurationError, WiringError
 from aiorts.late import dataclass
 from aiorts.model.options import connector_profile
+from aiorts.spelling import nearest
 
 USUAL_MAX: Final = 100
 """Connectors of a rule that says no `max`."""
@@ -81,8 +81,8 @@ def _rule(where: str, entry: Any) -> Rule:
     for word, value in options.items():
         if word in _REFUSED:
             raise ConfigurationError(f"{where}.{word}: {_REFUSED[word]}")
-        if near := get_close_matches(str(word)[:60], _OWN, n=1, cutoff=0.7):
-            raise ConfigurationError(f"{where}.{word}: unknown key {str(word)[:60]!r}; did you mean {near[0]!r}?")
+        if near := nearest(str(word), _OWN, cutoff=0.7):
+            raise ConfigurationError(f"{where}.{word}: unknown key {str(word)[:60]!r}; did you mean {near!r}?")
         needs = {"push_rate": 1.0} if str(value).strip().lower() == "periodic" else {}
         _check_options(f"{where}.{word}", {word: value, **needs})
     _check_options(where, options)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import inspect
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import DeclarationError, InterfaceMismatch, WiringError
@@ -27,6 +26,7 @@ from aiorts.services.service_ends import Provided, Required
 from aiorts.services.service_port import ServiceConnector, ServiceEnd, ServicePort, is_service
 from aiorts.services.service_proxy import make_proxy
 from aiorts.services.tallies import GoalTally, Tally
+from aiorts.spelling import nearest
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -274,8 +274,8 @@ def _options(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], bo
         elif ".required." in key:  # OpenRTM's way to say it
             mapping[key] = plain.pop(key)
     for key in plain:
-        near = get_close_matches(key, (*SERVICE_KEYS, "name"), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else f"; service ports have {', '.join((*SERVICE_KEYS, 'name'))}"
+        near = nearest(key, (*SERVICE_KEYS, "name"))
+        hint = f"; did you mean {near!r}?" if near else f"; service ports have {', '.join((*SERVICE_KEYS, 'name'))}"
         raise WiringError(f"{where}: unknown option {key!r}{hint}")
     if strict is not None:
         return mapping, is_yes(where, "strict", strict)

@@ -21,6 +21,7 @@ from aiorts.sessions.client import Client, Silent, open_all
 from aiorts.sessions.folder import Entry, entries, entry_at, is_listed
 from aiorts.sessions.many import said_by_many
 from aiorts.sessions.protocol import RightName
+from aiorts.spelling import nearest
 
 T = TypeVar("T")
 FILES: Final = (".toml", ".xml", ".yaml", ".yml", ".mcap")
@@ -420,11 +421,10 @@ def entry_named(word: str = "") -> Entry:
 
 def _absent(word: str, name: str, known: Iterable[str]) -> AbsentError:
     """Nothing has the name that a word has in it; says which is near, or which there are."""
-    from difflib import get_close_matches
 
     known = list(dict.fromkeys(known))
-    near = get_close_matches(name, known, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:_SHOWN]) or 'none'}"
+    near = nearest(name, known)
+    hint = f"did you mean {near}?" if near else f"there are {', '.join(known[:_SHOWN]) or 'none'}"
     return AbsentError(f"{word}: nothing that runs has this name; {hint}")
 
 

@@ -11,11 +11,11 @@ import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import field
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import DeclarationError
 from aiorts.late import dataclass
+from aiorts.spelling import nearest
 from aiorts.statemachines.statechart import (
     Act,
     Acts,
@@ -429,5 +429,5 @@ def bits(states: int) -> Iterator[int]:
 
 def hint(name: str, known: Any) -> str:
     """A near name, or all names there are."""
-    near = get_close_matches(name, list(known), n=1)
-    return f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(known) or 'none'}"
+    near = nearest(name, list(known))
+    return f"; did you mean {near!r}?" if near else f"; there are {', '.join(known) or 'none'}"

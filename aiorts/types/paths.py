@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from typing import Any
 
 from aiorts.errors import InvalidNameError, RecordError
+from aiorts.spelling import nearest
 from aiorts.types.kinds import Kind, OptionalKind
 from aiorts.types.nested import RecordKind
 from aiorts.types.rows import FixedTupleKind, MapKind, RowsKind, TupleKind
@@ -139,8 +139,8 @@ def _structure(cls: type) -> Structure | None:
 
 def _no_field(structure: Structure, name: str, reached: str) -> RecordError:
     names = [field.name for field in structure.fields]
-    near = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"its fields are {', '.join(names)}"
+    near = nearest(name, names)
+    hint = f"did you mean {near}?" if near else f"its fields are {', '.join(names)}"
     return RecordError(f"{reached} has no field {name!r}; {hint}")
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import importlib
-from difflib import get_close_matches
 from typing import Any, Final
 
 from aiorts import Catalogue
 from aiorts.errors import PluginError
+from aiorts.spelling import suggestion
 from aiorts_bench.harness.bench import Bench
 
 OWN: Final = {
@@ -56,8 +56,7 @@ def load(name: str) -> Bench:
             raise PluginError(f"bench {name!r} cannot be loaded: {error}") from error
         return _checked(name, found)
     if name not in Catalogue.default().extensions("benches"):
-        near = get_close_matches(name, names(), n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names())}"
+        hint = suggestion(name, names())
         raise PluginError(f"no bench {name[:60]!r}; {hint}")
     return _checked(name, Catalogue.default().find("benches", name).load())
 

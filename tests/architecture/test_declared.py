@@ -85,7 +85,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def run(folder: Path) -> Run:
-    env = {**os.environ, "PYTHONPATH": str(folder), "XDG_RUNTIME_DIR": str(folder / "run"), "NO_COLOR": "1", "COLUMNS": "200"}
+    env = {
+        **os.environ,
+        "PYTHONPATH": str(folder),
+        "XDG_RUNTIME_DIR": str(folder / "run"),
+        "NO_COLOR": "1",
+        "COLUMNS": "200",
+    }
 
     def of(*words: str, code: str = "") -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-c", code] if code else [sys.executable, "-m", "aiorts", *words]

@@ -20,7 +20,7 @@ from trees import many_objects, nodes, parse, statements
 
 ROOT = Path(__file__).parents[2]
 ORDER = """
-aiorts/errors.py aiorts/exits.py aiorts/late.py aiorts/progress.py aiorts/tiers.py
+aiorts/errors.py aiorts/exits.py aiorts/late.py aiorts/progress.py aiorts/spelling.py aiorts/tiers.py
 aiorts/description.py aiorts/layout
 aiorts/guide aiorts/processes
 aiorts/timer_heap.py
@@ -109,6 +109,7 @@ PUBLIC = (
     "aiorts.late",
     "aiorts.layout",
     "aiorts.progress",
+    "aiorts.spelling",
     "aiorts.clock",
     "aiorts.wire",
     "aiorts.system",

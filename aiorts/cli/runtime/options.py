@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -13,6 +12,7 @@ from typing import Final
 import click
 
 from aiorts.late import dataclass
+from aiorts.spelling import suggestion
 from aiorts.system import ClockEntry
 
 _NAMES: Final = ("debug", "info", "warning", "error", "critical")
@@ -67,8 +67,7 @@ class Levels:
         """Click's error for a component that the system does not have."""
         for name in self.components:
             if name not in known:
-                near = get_close_matches(name, known, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(list(known)[:20]) or 'none'}"
+                hint = suggestion(name, known)
                 raise _bad(f"no component {name[:60]!r} in this system; {hint}")
 
 
@@ -93,8 +92,7 @@ def levels_of(options: Options) -> Levels:
         name, equals, word = (text.strip() for text in part.rpartition("="))
         level = _LEVELS.get(word.lower())
         if level is None:
-            near = get_close_matches(word.lower(), _LEVELS, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(_LEVELS)}"
+            hint = suggestion(word.lower(), _LEVELS)
             raise _bad(f"no level {word[:60]!r}; {hint}")
         if not equals:
             if stated:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts import InPort, KernelService, OutPort, exits
 from aiorts.errors import ConfigurationError
 from aiorts.kernel.loop.line_stream import LineStream, OutputError
+from aiorts.spelling import suggestion
 from aiorts.wire.lines import LineWriter
 
 if TYPE_CHECKING:
@@ -58,8 +58,7 @@ class Printing(KernelService):
         for glob in self.wanted:
             found = {path: port for path, port in outs.items() if fnmatchcase(path, glob)}
             if not found:
-                near = get_close_matches(glob, outs, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(list(outs)[:20]) or 'none'}"
+                hint = suggestion(glob, outs)
                 raise ConfigurationError(f"--print: no out-port is called {glob!r}; {hint}")
             chosen |= found
         for path, out in chosen.items():

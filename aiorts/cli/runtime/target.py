@@ -10,7 +10,6 @@ import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -37,6 +36,7 @@ from aiorts.kernel.service import attach_services, plan_service
 from aiorts.late import dataclass
 from aiorts.model.options import doubts
 from aiorts.planning import Setting, setting_alone
+from aiorts.spelling import nearest
 from aiorts.system import (
     AS_WRITTEN,
     Blueprint,
@@ -157,12 +157,12 @@ def _no_such(text: str, catalogue: Catalogue) -> str:
         files = [path.name for path in Path().iterdir() if path.suffix == ".toml" and path.name != text]
     except OSError:
         files = []
-    near = get_close_matches(text[:100], [*files, *components], n=1)
-    if not near:  # `pid` for `pid.toml`, and `flexiconst` for `FlexiConst`
-        near = [one for one in (*files, *components) if one.lower().removesuffix(".toml") == text.lower()]
+    # `pid` is also for `pid.toml`, and `flexiconst` for `FlexiConst`.
+    alike = (one for one in (*files, *components) if one.lower().removesuffix(".toml") == text.lower())
+    near = nearest(text, [*files, *components]) or next(alike, "")
     hint = named_in_project(text, "components")
     if not hint:
-        hint = f"did you mean {near[0]!r}?" if near else "give SYSTEM.toml, FILE.py:Class or package.module:Class"
+        hint = f"did you mean {near!r}?" if near else "give SYSTEM.toml, FILE.py:Class or package.module:Class"
     return f"no system file and no installed component; {hint}"
 
 

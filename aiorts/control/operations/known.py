@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
 
 from aiorts.errors import AbsentError
+from aiorts.spelling import nearest
 
 if TYPE_CHECKING:
     from aiorts.control.session import Session
@@ -35,7 +35,7 @@ def context_named(session: Session, name: str) -> Context:
 def absent(what: str, name: str, known: Iterable[str]) -> AbsentError:
     """The error for a name that is not among the known ones."""
     there = list(known)
-    near = get_close_matches(name[:80], there, n=1)
+    near = nearest(name, there)
     rest = ", ..." if len(there) > _SHOWN else ""
-    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(there[:_SHOWN]) or 'none'}{rest}"
+    hint = f"did you mean {near}?" if near else f"there are {', '.join(there[:_SHOWN]) or 'none'}{rest}"
     return AbsentError(f"{what}; {hint}")

@@ -10,11 +10,11 @@ import inspect
 import types
 import typing
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from aiorts.errors import AiortsError
+from aiorts.spelling import nearest
 
 T = TypeVar("T")
 OPTION_TYPES: Final = "bool, int, float, str, Path or a Literal of texts, each also with None, or tuple[str, ...]"
@@ -64,8 +64,8 @@ def settings_faults(cls: type, given: Mapping[str, Any], also: Collection[str] =
     rest = dict(given)
     for key, value in given.items():
         if key not in known:
-            near = get_close_matches(key[:100], [*known, *also], n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known) or 'none'}"
+            near = nearest(key, [*known, *also])
+            hint = f"did you mean {near!r}?" if near else f"there are {', '.join(known) or 'none'}"
             yield key, f"unknown key {key[:80]!r}; {hint}", True
         elif what := unfit(value, known[key]):
             yield key, what, False

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
 from aiorts.errors import PluginError
 from aiorts.kernel.extensions.installed import packages
 from aiorts.late import dataclass
+from aiorts.spelling import nearest
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -186,10 +187,9 @@ class Catalogue:
         kind = group.removeprefix("aiorts.")
         if kind in KINDS:
             return kind
-        from difflib import get_close_matches
 
-        near = get_close_matches(kind, KINDS, n=1)
-        hint = f"did you mean aiorts.{near[0]}?" if near else f"there are {', '.join(KINDS)}"
+        near = nearest(kind, KINDS)
+        hint = f"did you mean aiorts.{near}?" if near else f"there are {', '.join(KINDS)}"
         self._problem(source, f"entry points {group[:80]!r}: no such kind of plugin; {hint}")
         return ""
 

@@ -20,6 +20,7 @@ from aiorts.kernel.extensions.catalogue import AbsentExtension
 from aiorts.kernel.extensions.files import is_loaded, load_file, load_module, make_importable
 from aiorts.kernel.loop.exceptions import trace_of
 from aiorts.kernel.loop.origins import place
+from aiorts.spelling import nearest
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -106,12 +107,11 @@ def _near_module(name: str) -> str:
     paths = getattr(sys.modules.get(parent), "__path__", None) if parent else None
     if parent and paths is None:
         return f"{parent!r} is no package"
-    from difflib import get_close_matches
     from pkgutil import iter_modules
 
-    near = get_close_matches(last, {module.name for module in iter_modules(paths)}, n=1)
+    near = nearest(last, {module.name for module in iter_modules(paths)})
     prefix = f"{parent}." if parent else ""
-    return f"did you mean {prefix}{near[0]}?" if near else "install it, or go to the folder that it lies in"
+    return f"did you mean {prefix}{near}?" if near else "install it, or go to the folder that it lies in"
 
 
 _SYNTAX: Final = (SyntaxError, IndentationError, TabError)
@@ -285,14 +285,13 @@ def _imported(extension: Offer) -> Any:
 
 def _near_name(kind: str, wanted: str, found: Any) -> str:
     """What may have been meant among the classes of a module, or of a class; functions where they are offered."""
-    from difflib import get_close_matches
 
     held = getattr(found, "__dict__", {})
     meant, word = (FunctionType, "function") if kind in ("converters", "describers") else (type, "class")
     names = [name for name, value in held.items() if isinstance(value, meant) and not name.startswith("_")]
     own = [name for name in names if getattr(held[name], "__module__", "") == getattr(found, "__name__", "")]
-    near = get_close_matches(wanted[:100], own or names, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"it has {', '.join(own[:12]) or f'no {word}'}"
+    near = nearest(wanted, own or names)
+    return f"did you mean {near!r}?" if near else f"it has {', '.join(own[:12]) or f'no {word}'}"
 
 
 def _check_home(module: ModuleType, folder: Path) -> None:

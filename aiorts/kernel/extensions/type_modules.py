@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +15,7 @@ from aiorts.errors import PluginError
 from aiorts.kernel.extensions.catalogue import Catalogue, Extension
 from aiorts.kernel.extensions.files import package_of
 from aiorts.kernel.extensions.finders import load_type
+from aiorts.spelling import nearest
 
 _LIMIT: Final = 60.0
 """Seconds for an import; a module that the user names may be large."""
@@ -64,5 +64,5 @@ def _extension(name: str) -> Extension:
 
 
 def _hint(name: str) -> str:
-    near = get_close_matches(name, sorted({path.stem for path in Path().glob("*.py")} - {name}), n=1)
-    return f"; did you mean {near[0]!r}?" if near else "; set PYTHONPATH to its folder, or change to that"
+    near = nearest(name, sorted({path.stem for path in Path().glob("*.py")} - {name}))
+    return f"; did you mean {near!r}?" if near else "; set PYTHONPATH to its folder, or change to that"

@@ -9,13 +9,13 @@ from __future__ import annotations
 import pkgutil
 import sys
 from collections.abc import Callable, Iterable
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
 from aiorts.errors import PluginError
 from aiorts.kernel.extensions.catalogue import AbsentExtension, Catalogue, Extension
 from aiorts.kernel.extensions.files import is_importable, package_of
+from aiorts.spelling import nearest
 
 _LONGEST: Final = 4096
 """Characters of a text in a message: a path that works is no longer."""
@@ -98,10 +98,10 @@ def _of_file(
             return Extension(kind, text, f"{path.relative_to(root).as_posix()}:{name}", "", root)
     folders = [(place / home).parent for place in places]
     names = {other.name for folder in folders for other in _files(folder)} - {Path(home).name}
-    near = get_close_matches(Path(home).name, sorted(names), n=1)
+    near = nearest(Path(home).name, sorted(names))
     listed = " and ".join(dict.fromkeys(map(_absolute, folders)))
-    meant = [f"{Path(home).with_name(one).as_posix()}:{name}" for one in near]
-    hint = f"did you mean {meant[0]!r}?" if meant else "a relative one is counted from there"
+    meant = f"{Path(home).with_name(near).as_posix()}:{name}" if near else ""
+    hint = f"did you mean {meant!r}?" if meant else "a relative one is counted from there"
     raise AbsentExtension(f"{shown(text)}: no file {Path(home).name!r} in {listed}; {hint}")
 
 
@@ -138,6 +138,6 @@ def _place_of(home: str, places: tuple[Path, ...]) -> Path | None:
         if any((root / top).is_dir() or _is_file(root / f"{top}.py") for root in (place / "src", place)):
             return place
     known = {module.name for module in pkgutil.iter_modules([*map(_absolute, places), *sys.path])}
-    near = get_close_matches(top, known, n=1)
-    hint = f"did you mean {near[0]}{home[len(top) :]}?" if near else "install it, or go to the folder that it lies in"
+    near = nearest(top, known)
+    hint = f"did you mean {near}{home[len(top) :]}?" if near else "install it, or go to the folder that it lies in"
     raise AbsentExtension(f"no module named {top!r}; {hint}")

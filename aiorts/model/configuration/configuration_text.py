@@ -20,7 +20,6 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
-from difflib import get_close_matches
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -32,6 +31,7 @@ from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
 from aiorts.model.configuration.toml_lines import TOO_LARGE, excess, huge_number, line_of, lines_of
 from aiorts.model.configuration.toml_values import basic_string, value_text
 from aiorts.model.values import element_types, is_optional, parse_type, type_text, value_type
+from aiorts.spelling import suggestion
 
 LARGEST: Final = 4 * 1024 * 1024
 """Bytes of a configuration file."""
@@ -200,8 +200,7 @@ def _tables(
 def _only(document: Document, place: tuple[str, ...], table: Mapping[str, Any], known: Iterable[str]) -> None:
     for key in table:
         if key not in known:
-            near = get_close_matches(key[:100], list(known), n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+            hint = suggestion(key, list(known))
             raise document.fail((*place, key), f"unknown key; {hint}")
 
 

@@ -27,6 +27,7 @@ from aiorts.model.values import (
     type_text,
     value_type,
 )
+from aiorts.spelling import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -225,8 +226,8 @@ def _file_fault(file: str, kind: Any) -> str | None:
 def _widget_fault(widget: str, constraint: Constraint) -> str | None:
     kind, _, step = widget.partition(".")
     if kind not in WIDGETS:
-        near = get_close_matches(kind, WIDGETS, n=1)
-        return f"unknown; {'did you mean ' + near[0] + '?' if near else 'there are ' + ', '.join(WIDGETS)}"
+        near = nearest(kind, WIDGETS)
+        return f"unknown; {'did you mean ' + near + '?' if near else 'there are ' + ', '.join(WIDGETS)}"
     if step and (kind != "slider" or not re.fullmatch(r"\d+(\.\d+)?", step)):
         return "only a slider has a step, a number (slider.0.1)"
     if WIDGETS[kind] == "range" and (constraint.lower is None or constraint.upper is None):

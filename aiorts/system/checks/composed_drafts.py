@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
-from difflib import get_close_matches
 from typing import Any
 
 from aiorts.composites import exports, shown
@@ -13,6 +12,7 @@ from aiorts.kernel.ports import Port
 from aiorts.late import dataclass
 from aiorts.model.names import names_kernel
 from aiorts.model.wanted.entries import CompositeEntry
+from aiorts.spelling import nearest
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
 from aiorts.system.file.families import inner_first
@@ -89,12 +89,12 @@ def _strangers(entry: CompositeEntry, members: Mapping[str, Draft], *, complete:
         if any(rule.fits(*path.split(".")) for path in ports):
             continue
         unsure = not complete and (rule.component not in members or not members[rule.component].complete)
-        near = get_close_matches(pattern, ports, n=1)
+        near = nearest(pattern, ports)
         whose = members.get(rule.component)
         if unsure and (not near or (whose is not None and not whose.ports)):
             continue
         key: Key = ("composites", entry.name, "exported", entry.exported_key(number))
         listed = ", ".join(ports[:20]) or "none"
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {listed}"
+        hint = f"did you mean {near!r}?" if near else f"there are {listed}"
         text = f"no member has a port {pattern!r}; {hint}"
         yield Said("error" if rule.literal else "warning", WiringError.code if rule.literal else "W-EXPORT", key, text)

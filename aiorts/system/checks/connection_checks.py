@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from difflib import get_close_matches
 from typing import Any
 
 from aiorts.errors import SystemFileError, WiringError
@@ -15,6 +14,7 @@ from aiorts.model.options import doubts, idle, link_options, transport_notice, w
 from aiorts.model.wanted.entries import ConnectionEntry
 from aiorts.model.wanted.pairs import ConnectedPairs
 from aiorts.services import ServicePort, fault_of
+from aiorts.spelling import nearest
 from aiorts.system.checks.adapt import adaptation
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
@@ -137,10 +137,10 @@ def _port(
     if port is not None:
         return port, None
     key = end_key(connection, number)
-    near = get_close_matches(name, draft.ports, n=1)
+    near = nearest(name, draft.ports)
     if draft.complete or near:
         listed = ", ".join(draft.ports) or "none"
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {listed}"
+        hint = f"did you mean {near!r}?" if near else f"there are {listed}"
         return None, Said("error", SystemFileError.code, key, f"{component} has no port {name!r}; {hint}")
     if component in unsure:
         return None, None

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
 
 from aiorts.late import dataclass
+from aiorts.spelling import nearest
 from aiorts.system.text.origins import Spot
 from aiorts.system.text.places import Key
 
@@ -59,8 +59,8 @@ class Finding:
             return ""
         old, meant = self.quote[self.column - 1 : self.column - 1 + self.width], found[1] or found[2]
         words = [*re.findall(r"[\w.:/-]+", old), *re.findall(r"\w+", old)]
-        near = get_close_matches(meant, words, n=1, cutoff=0.5)
-        return old.replace(near[0], meant, 1) if near else ""
+        near = nearest(meant, words, cutoff=0.5)
+        return old.replace(near, meant, 1) if near else ""
 
     @property
     def message(self) -> str:

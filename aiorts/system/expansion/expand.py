@@ -14,6 +14,7 @@ from typing import Any, Final, TypeAlias
 
 from aiorts.errors import SystemFileError
 from aiorts.late import dataclass
+from aiorts.spelling import suggestion
 from aiorts.system.expansion.choices import Choices
 from aiorts.system.expansion.entries import Document
 from aiorts.system.expansion.faults import Budget, Excess, Fault, Mistakes, Typed
@@ -25,7 +26,7 @@ from aiorts.system.expansion.resolving import refuse_absent, resolve
 from aiorts.system.expansion.variables import Given, Scope, declared, handed, names_of, typed
 from aiorts.system.expansion.writing import document_text
 from aiorts.system.text.origins import Origin, Origins, Source
-from aiorts.system.text.reading import Mistake, hint, spelled
+from aiorts.system.text.reading import Mistake, spelled
 from aiorts.system.text.toml import LARGEST, NotToml, tables
 from aiorts.system.text.version import version_fault
 
@@ -146,7 +147,7 @@ class _Expansion:
         for text in self._choices.variables:
             name = text.partition("=")[0].strip()
             if name and name not in own and "=" in text:
-                what = f"unknown variable {name[:80]!r}; {hint(name, own) if own else 'the file has none'}"
+                what = f"unknown variable {name[:80]!r}; {suggestion(name, own) if own else 'the file has none'}"
                 if (other := self._declared.get(name)) is not None:
                     what = f"{other} has it, and it is not handed on; declare {name} in {self._main.path}, and include"
                     what = f'{what} with vars = {{ {name} = "${{{name}}}" }}'
@@ -225,7 +226,7 @@ class _Expansion:
         for name, value in how.values.items():
             key = how.origin.below("vars", name)
             if name not in own:
-                known_names = hint(name, own) if own else "it has none; declare it there under [variables]"
+                known_names = suggestion(name, own) if own else "it has none; declare it there under [variables]"
                 raise Fault(key, f"{how.file} has no variable {name[:80]!r}; {known_names}", of_key=True)
             values[name] = handed(name, value, key)
         scope = declared(top.get(VARIABLES, {}), Origin(source, (VARIABLES,)), values, self._environ, self._budget)

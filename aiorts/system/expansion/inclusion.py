@@ -5,16 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import field
-from difflib import get_close_matches
 from typing import Any, Final
 
 from aiorts.errors import InvalidNameError
 from aiorts.late import dataclass
 from aiorts.model.names import Path
+from aiorts.spelling import suggestion
 from aiorts.system.expansion.entries import Document, renamed
 from aiorts.system.expansion.faults import Fault
 from aiorts.system.text.origins import Origin
-from aiorts.system.text.reading import hint
 
 KEYS: Final = ("file", "prefix", "vars", "remap", "if", "repeat")
 _FORM: Final = 'include = ["arm.toml"], or [[include]] with file = "arm.toml"'
@@ -50,7 +49,7 @@ def as_table(given: Any, origin: Origin) -> dict[str, Any]:
         raise Fault(origin, f"expected a file, got {given!r:.80}; write {_FORM}")
     for word in given:
         if word not in KEYS:
-            raise Fault(origin.below(word), f"unknown key {word[:80]!r}; {hint(word, KEYS)}", of_key=True)
+            raise Fault(origin.below(word), f"unknown key {word[:80]!r}; {suggestion(word, KEYS)}", of_key=True)
     if "file" not in given:
         raise Fault(origin, 'file is missing; write file = "arm.toml"', of_key=True)
     return given
@@ -140,6 +139,5 @@ def remapped(document: Document, port: str, target: str, where: str) -> str:
 def not_named(port: str, document: Document, where: str) -> str:
     """That no connection has this port, and which one may be meant."""
     ports = dict.fromkeys(end for one in document.entries if one.table == "connections" for _, end in one.ends())
-    near = get_close_matches(port[:200], ports, n=1)
-    known = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(list(ports)[:20]) or 'none'}"
+    known = suggestion(port, ports)
     return f"no connection {where} has the port {port[:80]!r}; {known}"

@@ -13,10 +13,10 @@ from itertools import islice
 from typing import Any, Final, TypeAlias
 
 from aiorts.model.configuration.toml_lines import excess, huge_number
+from aiorts.spelling import suggestion
 from aiorts.system.expansion.faults import Budget, Fault, weight
 from aiorts.system.text.origins import Origin
 from aiorts.system.text.places import Key
-from aiorts.system.text.reading import hint
 from aiorts.system.text.toml import LARGEST
 
 ENV: Final = "env"
@@ -124,7 +124,7 @@ class Scope:
             return self.values[name]
         known = "there are none; write [variables] with its default; $${ is a ${ that means nothing"
         if self.values:
-            known = hint(name, islice(self.values, _MOST_NAMES))
+            known = suggestion(name, islice(self.values, _MOST_NAMES))
         raise _Unknown(name, origin, known, of_key=of_key)
 
     def _written(self, name: str, closed: str, origin: Origin, *, of_key: bool) -> str:

@@ -9,11 +9,11 @@ A class says in a table `options` which flags it has; each entry has the attribu
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from difflib import get_close_matches
 from typing import Any
 
 from aiorts.errors import ConfigurationError
 from aiorts.kernel.declarations import declarations
+from aiorts.spelling import nearest
 
 
 def parse_options(cls: type[Any], arguments: Sequence[str]) -> dict[str, Any]:
@@ -97,6 +97,6 @@ def _taken_apart(argument: str, flags: Mapping[str, Any]) -> tuple[str, str | No
 def _unknown(argument: str, flags: Mapping[str, Any]) -> str:
     if not argument.startswith("-"):
         return f"{argument[:60]!r}: expected an option such as {next(iter(flags), '--name')}"
-    near = get_close_matches(argument.partition("=")[0][:60], flags, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(flags) or 'none'}"
+    near = nearest(argument.partition("=")[0], flags)
+    hint = f"did you mean {near}?" if near else f"there are {', '.join(flags) or 'none'}"
     return f"no option {argument[:60]!r}; {hint}"

@@ -7,7 +7,6 @@ offers (`kernel/extensions/type_names.py`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -26,6 +25,7 @@ from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
 from aiorts.model.converter import Converter
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry
 from aiorts.planning import ACTIVE, Setting
+from aiorts.spelling import suggestion
 from aiorts.system.expansion.choices import AS_WRITTEN, Choices
 from aiorts.system.file.arguments import flag_of, parse_options
 from aiorts.system.file.parse import parse
@@ -83,8 +83,7 @@ def context_type(system: SystemFile, kind: str, catalogue: Catalogue) -> type[Co
     """The class of a kind of context. SystemFileError or PluginError when it cannot be had."""
     offers = catalogue.extensions("contexts")
     if kind not in offers:
-        near = get_close_matches(kind[:100], offers, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(offers)}"
+        hint = suggestion(kind, offers)
         raise SystemFileError(f"unknown kind {kind[:80]!r}; {hint}")
     extension = catalogue.find("contexts", kind)
     check_inside(system, extension)

@@ -28,6 +28,7 @@ from aiorts.model.options import OWN_KEYS, SERVICE_KEYS, connector_profile
 from aiorts.model.wanted.entries import ClockEntry, ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry
 from aiorts.model.wanted.pairs import ConnectedPairs
 from aiorts.processes import Limits
+from aiorts.spelling import suggestion
 from aiorts.supervision import StartRule, Supervision, in_order
 from aiorts.system.expansion.choices import AS_WRITTEN, Choices
 from aiorts.system.expansion.expand import TOP_KEYS, Expanded, expand
@@ -36,7 +37,7 @@ from aiorts.system.file.families import misplaced
 from aiorts.system.file.values import Override, SystemFile
 from aiorts.system.text.origins import Source
 from aiorts.system.text.places import Key
-from aiorts.system.text.reading import NOTHING, Mistake, Reading, hint, spelled
+from aiorts.system.text.reading import NOTHING, Mistake, Reading, spelled
 from aiorts.system.text.toml import LARGEST, read_text
 from aiorts.system.text.version import SCHEMA, version_fault
 
@@ -357,7 +358,7 @@ class _Reader(Reading):
             self.mistakes.append(Mistake((), where, what))
             return None
         if override.component not in components:
-            what = f"unknown component {override.component[:80]!r}; {hint(override.component, components)}"
+            what = f"unknown component {override.component[:80]!r}; {suggestion(override.component, components)}"
             self.mistakes.append(Mistake((), f"--set {text[:80]}", what))
             return None
         return override

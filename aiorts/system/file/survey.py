@@ -24,11 +24,11 @@ from aiorts.model.options import connector_profile, link_options
 from aiorts.model.profile import ConnectorProfile, PortLimits
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry
 from aiorts.planning import Setting
+from aiorts.spelling import suggestion
 from aiorts.system.file.load import check_inside, component_type, context_type, converter, parameters, setting
 from aiorts.system.file.parse import TOP, spelled
 from aiorts.system.file.values import SystemFile
 from aiorts.system.text.places import Key
-from aiorts.system.text.reading import hint
 
 _TEXTS: Final = ("name", "empty", "stamp", "convert")
 """Options of a connection whose value a program may leave out as None, False or 0; in a file that says nothing."""
@@ -189,7 +189,7 @@ def _service(found: Survey, name: str, table: Mapping[str, Any], chosen: Mapping
     """The settings of a service: what its table says, and what was chosen elsewhere."""
     offers = found.catalogue.extensions("services")
     if name not in offers:
-        what = f"unknown key {name[:80]!r}; {hint(name, (*TOP, *offers))}"
+        what = f"unknown key {name[:80]!r}; {suggestion(name, (*TOP, *offers))}"
         found.say((name,), SystemFileError(what), of_key=True)
         return
     try:

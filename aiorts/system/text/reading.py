@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from typing import Any, Final
 
 from aiorts.errors import InvalidNameError
 from aiorts.late import dataclass
 from aiorts.model.names import check_name
+from aiorts.spelling import nearest, suggestion
 from aiorts.system.text.origins import Origin, Origins, Spot
 from aiorts.system.text.places import Key
 
@@ -69,12 +69,12 @@ class Reading:
 
     def _missing(self, key: Key, table: Mapping[str, Any], word: str) -> None:
         """Say so where the key stands in another spelling, once; else where it would stand."""
-        near = get_close_matches(word, [str(other) for other in table], n=1)
-        misspelt = (*key, *near)
+        near = nearest(word, [str(other) for other in table])
+        misspelt = (*key, near)
         if not near:
             self._say(key, f"{word} is missing", of_key=True)
         elif all(one.key != misspelt for one in self.mistakes):
-            self._say(misspelt, f"unknown key {near[0][:80]!r}; did you mean {word!r}?", of_key=True)
+            self._say(misspelt, f"unknown key {near[:80]!r}; did you mean {word!r}?", of_key=True)
 
     def _tables(self, top: dict[str, Any], key: str, word: str) -> dict[str, dict[str, Any]]:
         tables = top.get(key, {})
@@ -111,7 +111,7 @@ class Reading:
 
     def _unknown(self, key: Key, word: str, name: str, known: Iterable[str], *, of_key: bool = False) -> None:
         if len(self.mistakes) < _MOST_MISTAKES:  # near names take their time
-            self._say(key, f"unknown {word} {name[:80]!r}; {hint(name, known)}", of_key=of_key)
+            self._say(key, f"unknown {word} {name[:80]!r}; {suggestion(name, known)}", of_key=of_key)
 
     def _say(self, key: Key, what: str, *, of_key: bool = False) -> None:
         if len(self.mistakes) < _MOST_MISTAKES:
@@ -126,12 +126,6 @@ def spelled(key: Key) -> str:
     return text
 
 
-def hint(name: str, known: Iterable[str]) -> str:
-    names = [str(one) for one in known]
-    near = get_close_matches(name[:100], names, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names[:20]) or 'none'}"
-
-
 def near_hint(key: str, table: Mapping[str, Any]) -> str:
-    near = get_close_matches(key, [str(other) for other in table], n=1)
-    return f"; did you mean {key!r} by {near[0]!r}?" if near else ""
+    near = nearest(key, [str(other) for other in table])
+    return f"; did you mean {key!r} by {near!r}?" if near else ""

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from aiorts.errors import SystemFileError
 from aiorts.model.configuration.toml_lines import TOO_LARGE, excess, huge_number
+from aiorts.spelling import nearest
 from aiorts.system.text.places import places_of
 from aiorts.system.text.reading import spelled
 
@@ -121,12 +122,11 @@ def _kind_of(mode: int) -> str:
 
 def _near_file(path: Path) -> str:
     """A file of nearly that name, for one that is not there."""
-    from difflib import get_close_matches
 
     try:
         files = [] if path.exists() else islice(path.parent.glob("*.toml"), 1000)
         names = {found.stem: found.name for found in files if found.name != path.name}  # which may be a dead link
     except (OSError, ValueError):
         return ""
-    near = get_close_matches(path.stem, names, n=1)
-    return f"; did you mean {str(path.parent / names[near[0]])!r}?" if near else ""
+    near = nearest(path.stem, names)
+    return f"; did you mean {str(path.parent / names[near])!r}?" if near else ""

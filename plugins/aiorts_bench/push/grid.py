@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from typing import Any, Final
 
 import click
 
+from aiorts.spelling import nearest
 from aiorts_bench.harness import machine
 from aiorts_bench.harness.bench import Options
 from aiorts_bench.harness.report import Report
@@ -24,8 +24,8 @@ def _word(*words: str) -> Callable[[str], str]:
     def read(text: str) -> str:
         if text in words:
             return text
-        near = get_close_matches(text, words, n=1)
-        raise ValueError(f"did you mean {near[0]}?" if near else f"expected {', '.join(words)}")
+        near = nearest(text, words)
+        raise ValueError(f"did you mean {near}?" if near else f"expected {', '.join(words)}")
 
     return read
 
@@ -49,8 +49,8 @@ def _rate(word: str, high: float) -> Callable[[str], float | None]:
         try:
             number = float(text)
         except ValueError:
-            near = get_close_matches(text, [word] if word else [], n=1)
-            raise ValueError(f"did you mean {near[0]}?" if near else expected) from None
+            near = nearest(text, [word] if word else [])
+            raise ValueError(f"did you mean {near}?" if near else expected) from None
         if not 1 <= number <= high:  # also refuses NaN
             raise ValueError(expected)
         return number
@@ -64,8 +64,8 @@ def _payload(text: str) -> float | int:
     digits = text.rstrip("kKmMgGbB")
     size = _SIZES.get(text[len(digits) :].lower())
     if not digits.isascii() or not digits.isdigit() or size is None or not 8 <= int(digits[:12]) * size <= _LARGEST:
-        near = get_close_matches(text, ["float", "1kB", "1MB"], n=1)
-        raise ValueError(f"did you mean {near[0]}?" if near else "expected float, or a size from 8B to 1GB such as 1kB")
+        near = nearest(text, ["float", "1kB", "1MB"])
+        raise ValueError(f"did you mean {near}?" if near else "expected float, or a size from 8B to 1GB such as 1kB")
     return int(digits) * size
 
 

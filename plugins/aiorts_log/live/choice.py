@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
 from aiorts.errors import AbsentError, AmbiguousError
 from aiorts.sessions import Kernels, Running, is_glob
+from aiorts.spelling import nearest
 
 _SHOWN: Final = 10
 
@@ -86,9 +86,9 @@ def _why_not(path: str, outlines: Mapping[str, Any], there: list[str]) -> str:
     if port is not None:
         kind = "an in-port" if port["direction"] == "in" else "no port of samples"
         return f"is {kind}; out-ports are recorded, such as {_few(there)}"
-    near = get_close_matches(path, there, n=1)
+    near = nearest(path, there)
     own = [one for one in there if one.startswith(f"{component}.")]
-    return f"no such port; did you mean {near[0]}?" if near else f"no such port; there are {_few(own or there)}"
+    return f"no such port; did you mean {near}?" if near else f"no such port; there are {_few(own or there)}"
 
 
 def _fits(path: str, globs: Iterable[str]) -> bool:

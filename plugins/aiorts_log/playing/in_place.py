@@ -18,7 +18,6 @@ import types
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import partial, wraps
 from pathlib import Path
@@ -27,6 +26,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts import Component, InPort, KernelService, OutPort, Provided, StateMachineComponent, setting
 from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.exits import FAILED
+from aiorts.spelling import suggestion
 from aiorts.statechart import Chart, ChartWarning, State
 from aiorts.types import type_name
 from aiorts_log.commands.moment import moment_ns
@@ -118,8 +118,7 @@ class InPlace(KernelService):
             raise ConfigurationError(str(error)) from error
         for glob in settings.ports:
             if not any(fnmatchcase(path, glob) for path in self._recorded):
-                near = get_close_matches(glob, self._recorded, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"there are {_list(self._recorded)}"
+                hint = suggestion(glob, self._recorded)
                 raise ConfigurationError(f"replay: {settings.file} has no port {glob!r}; {hint}")
         self._begin, self._end = (
             moment_ns(f"replay: {key}", getattr(settings, key), self._first) if getattr(settings, key) else None

@@ -13,7 +13,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
@@ -23,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from aiorts import KernelService, OutPort, SimulatedClock, setting
 from aiorts.errors import ConfigurationError
 from aiorts.events import ContextStarted, PortAdded, PortRemoved
+from aiorts.spelling import suggestion
 from aiorts.types import type_name
 from aiorts_log.errors import RecordingError
 
@@ -200,8 +200,7 @@ class Beside(KernelService):
         known = sorted({path for component in self.kernel.components.values() for path, _ in _out_ports(component)})
         for glob in self._settings.ports:
             if not any(fnmatchcase(path, glob) for path in known):
-                near = get_close_matches(glob, known, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known[:20]) or 'none'}"
+                hint = suggestion(glob, known)
                 raise ConfigurationError(f"record: no out-port is called {glob!r}; {hint}")
         try:
             self._begin().wait_open(_OPEN_WITHIN)

@@ -14,6 +14,7 @@ from aiorts.cli.commands.live.showing import json_option, say_done, timeout_opti
 from aiorts.cli.commands.live.target import Found, Kernels, complete, complete_changes, kernels
 from aiorts.cli.console.output import say, say_json, table
 from aiorts.errors import AbsentError, ConfigurationError
+from aiorts.spelling import nearest
 
 _LONGEST: Final = 4 * 1024 * 1024
 _PART: Final = 16_000
@@ -83,13 +84,12 @@ def conf(
 
 def _chosen(one: Found, parameters: Sequence[Any], wanted: Sequence[str]) -> list[Any]:
     """The parameters of these names, as they were asked for. AbsentError: there is no such one."""
-    from difflib import get_close_matches
 
     known = {param["name"]: param for param in parameters}
     for name in wanted:
         if name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known) or 'none'}"
+            near = nearest(name, known)
+            hint = f"did you mean {near}?" if near else f"there are {', '.join(known) or 'none'}"
             raise AbsentError(f"{name:.80}: {one.component} has no such parameter; {hint}")
     return [known[name] for name in wanted]
 

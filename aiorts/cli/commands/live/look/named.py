@@ -12,6 +12,7 @@ from typing import Any
 from aiorts.cli.commands.live.target import Found, Kernels, Running, is_glob, the_one
 from aiorts.errors import AbsentError, AmbiguousError, NoAnswerError
 from aiorts.late import dataclass
+from aiorts.spelling import nearest
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +92,10 @@ def _others(found: Kernels, word: str) -> Iterator[Named]:
 
 
 def _no_port(one: Found, word: str) -> AbsentError:
-    from difflib import get_close_matches
 
     ports = list(outlines(one.running, one.component)[one.component]["ports"])
-    near = get_close_matches(one.port, ports, n=1)
-    hint = f"did you mean {one.component}.{near[0]}?" if near else f"its ports: {', '.join(ports[:10]) or 'none'}"
+    near = nearest(one.port, ports)
+    hint = f"did you mean {one.component}.{near}?" if near else f"its ports: {', '.join(ports[:10]) or 'none'}"
     return AbsentError(f"{word}: {one.component} has no such port; {hint}")
 
 
