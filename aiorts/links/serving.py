@@ -23,7 +23,7 @@ from aiorts.errors import (
     WiringError,
 )
 from aiorts.kernel.loop.guarded import KernelLog
-from aiorts.kernel.ports.port import is_removed
+from aiorts.kernel.ports.port import check_room, is_removed
 from aiorts.links.answering import refusal, sent
 from aiorts.links.call_values import (
     DONE,
@@ -115,7 +115,8 @@ class Serving:
             names = (caller.peer, required, instance, provided)
             self._end(caller.peer, self._numbers.get(names, 0))
             if caller.peer is None or caller.peer.kernel not in self._links.reach.carried:
-                self._check_limit(end.port)  # else a connector of this kernel stands for it, which is counted
+                # Else a connector of this kernel stands for it, which is counted.
+                check_room(end.port, 1, end.port.max_connectors, self._at[end.port])
             peer = self._checked(caller)
             bound = _Bound(end, Path.parse(required), names)
         except WiringError as error:
@@ -135,13 +136,6 @@ class Serving:
         if by[caller.peer.kernel] >= _BY_ONE or by.total() >= _BY_ALL:
             raise WiringError(f"other kernels have bound {by.total():,} interfaces; no more are bound")
         return caller.peer
-
-    def _check_limit(self, port: ServicePort) -> None:
-        has = len(port.connectors) + self._at[port]
-        if port.max_connectors is not None and has >= port.max_connectors:
-            raise WiringError(
-                f"{port.path}: takes {port.max_connectors} connectors at the most, has {has}, 1 more asked for"
-            )
 
     def _fitting(self, port: Any, text: list[Any], instance: str, path: str) -> Provided[Any]:
         if not isinstance(port, ServicePort):

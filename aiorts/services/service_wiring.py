@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.errors import DeclarationError, InterfaceMismatch, WiringError
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.member import Visit
-from aiorts.kernel.ports.port import Port, is_removed
+from aiorts.kernel.ports.port import Port, check_room, is_removed
 from aiorts.model.interface import Method, check_of, differences, spelled
 from aiorts.model.names import names_kernel
 from aiorts.model.options import SERVICE_KEYS, is_yes
@@ -415,9 +415,4 @@ def _long_name(end: ServiceEnd[Any]) -> str:
 
 def _check_limits(ports: list[ServicePort]) -> None:
     for port, more in Counter(ports).items():
-        limit = port.max_connectors
-        if limit is not None and len(port.connectors) + more > limit:
-            raise WiringError(
-                f"{port.path}: takes {limit} connectors at the most, has {len(port.connectors)}, "
-                f"{more} more asked for; disconnect one or raise max_connectors"
-            )
+        check_room(port, more, port.max_connectors)

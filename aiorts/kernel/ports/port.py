@@ -319,3 +319,18 @@ def give_up_blocking(port: Port[Any]) -> None:
 def unanswerable(ports: Iterable[Port[Any]]) -> tuple[str, ...]:
     """What these ports offer that a thread, which has no event loop, cannot do."""
     return tuple(name for port in ports for name in port._unanswerable())
+
+
+def check_room(port: Port[Any], more: int, limit: int | None, far: int = 0) -> None:
+    """Raise WiringError where a port takes no more connectors.
+
+    Args:
+        limit: how many it takes at most; None is any number.
+        far: how many other kernels have at it, beside its own connectors.
+    """
+    has = len(port.connectors) + far
+    if limit is not None and has + more > limit:
+        raise WiringError(
+            f"{port.path}: takes {limit} connectors at the most, has {has}, {more} more asked for; disconnect one or raise "
+            "max_connectors"
+        )

@@ -17,6 +17,7 @@ from aiorts.kernel.ports.connector import Connector, unread_of
 from aiorts.kernel.ports.features import PLAIN, features_of, fit_receiver, settles
 from aiorts.kernel.ports.in_port import in_ports_at
 from aiorts.kernel.ports.last_sample import offer_last
+from aiorts.kernel.ports.port import check_room
 from aiorts.model.options import SERVICE_KEYS, connector_profile
 from aiorts.model.ordering import ordered
 from aiorts.model.policy import Push, Stamp, Subscription
@@ -407,8 +408,4 @@ def check_limit(port: Port[Any], more: int, limits: PortLimits) -> None:
     limit = limits.connection_limit
     candidates = [fan, limit if limit is not None and limit >= 0 else None, port.max_connectors]
     allowed = [candidate for candidate in candidates if candidate is not None]
-    if allowed and len(port.connectors) + more > min(allowed):
-        raise WiringError(
-            f"{port.path}: takes {min(allowed)} connectors at the most, has {len(port.connectors)}, "
-            f"{more} more asked for; disconnect one or raise max_connectors"
-        )
+    check_room(port, more, min(allowed, default=None))
