@@ -331,6 +331,6 @@ def check_room(port: Port[Any], more: int, limit: int | None, far: int = 0) -> N
     has = len(port.connectors) + far
     if limit is not None and has + more > limit:
         raise WiringError(
-            f"{port.path}: takes {limit} connectors at the most, has {has}, {more} more asked for; disconnect one or raise "
-            "max_connectors"
+            f"{port.path}: takes {limit} connectors at the most, has {has}, {more} more asked for; disconnect one or "
+            "raise max_connectors"
         )
