@@ -108,7 +108,7 @@ async def test_commands_print_and_measure_what_it_sends(capsys: pytest.CaptureFi
     async with Kernel(services={"control": {"name": "unit"}}) as kernel:
         source, _scale, sink, _ = await chain(kernel)
         status, text = await commanded(capsys, "inject", "scale.inp", "21", "--count", "2")
-        assert (status, [(await sink.inp.read(timeout=5)).data for _ in range(2)]) == (0, [42, 42]), text
+        assert (status, [(await sink.inp.read(timeout=20)).data for _ in range(2)]) == (0, [42, 42]), text
         printed = asyncio.create_task(commanded(capsys, "print", "scale.out", "--count", "2"))
         await until(lambda: any(one.out.path == "scale.out" for one in _taps(kernel)))
         await until(lambda: all(_up(kernel, one) for one in _taps(kernel)))
