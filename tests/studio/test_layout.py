@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aiorts.layout import Edge, Key, Layout, Spot, columns, meets
+from aiorts.layout.detour import room
 from aiorts_studio.watching.frames import frames_of
 from aiorts_studio.watching.piles import placed
 from aiorts_studio.watching.view import View
@@ -101,6 +102,16 @@ def test_a_box_that_is_moved_finds_room(graph: tuple[list[Spot], list[Edge], dic
     layout.move({spots[0].key: (x, y)})
     check(layout, edges)
     assert all((one.x, one.y) == before[one.key] for one in spots[1:])
+
+
+def test_a_wide_box_that_finds_room_far_to_the_right_overlaps_none_there() -> None:
+    place = room(
+        (320.0, 108.0),
+        (0.0, 0.0),
+        (0.0, 0.0, 2_000.0, 100.0 + 108.0),
+        [(0.0, 0.0, 400.0, 300.0), (560.0, 0.0, 900.0, 300.0)],
+    )
+    assert place is None or place[0] + 320.0 <= 560.0 or place[0] >= 900.0
 
 
 def test_boxes_that_are_moved_together_do_not_stand_in_the_way_of_one_another() -> None:
