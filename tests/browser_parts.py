@@ -6,7 +6,6 @@ Playwright's own loop runs in the thread of the test as long as a browser is ope
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from aiorts.sessions import entries
 from control_parts import WAIT, until
+from studio_parts import seconds_of
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -112,8 +112,7 @@ class Served:
 
     def cpu_seconds(self) -> float:
         """Processor time that the server has used."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return seconds_of(self.process.pid)
 
 
 @contextmanager
