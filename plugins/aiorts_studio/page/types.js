@@ -9,7 +9,7 @@
  *
  * @typedef {{name: string, side: "in" | "out", kind: "data" | "service", type: string, unit: string, y: number}} Port
  *
- * @typedef {{message: string, file?: string, line?: number}} Failure
+ * @typedef {{message: string, file?: string, line?: number, at_ns?: number | string}} Failure
  *
  * @typedef {{id: number, kernel: string, name: string, type: string, kind: "component" | "folded" | "remote",
  *   state: string, said: string, error: Failure | null, infrastructure: boolean, frame: number | null, around: number | null, x: number,

@@ -17,7 +17,7 @@ from aiorts_studio.watching.frames import Thing, frames_of
 from aiorts_studio.watching.graph import FOLDED, IN_COMPOSITE, Graph, side_of
 from aiorts_studio.watching.piles import placed
 from aiorts_studio.watching.view import View
-from aiorts_studio.watching.words import class_of, error_of, link_state, policy_of, said_of, state_of
+from aiorts_studio.watching.words import class_of, link_state, policy_of, said_of, state_of
 
 Message: TypeAlias = dict[str, Any]
 
@@ -237,7 +237,7 @@ class Scene:
             frame = ("frame", *(key if key[0] == FOLDED else spot.band)[1:])
             place = {
                 "id": number, "kernel": view.address, "name": spot.title, "frame": self.number(*frame),
-                "around": self.number("frame", *spot.band[1:]),
+                "around": self.number("frame", *(key if key == (FOLDED, key[1]) else spot.band)[1:]),
                 "x": round(spot.x, 1), "y": round(spot.y, 1), "w": round(spot.w, 1), "h": spot.h,
             }  # fmt: skip
             box = _box(view, key[2], spot) if key[0] == "box" else _other_box(spot, key[0])
@@ -329,7 +329,7 @@ def _box(view: View, name: str, spot: Spot) -> Thing:
 def _condition(view: View, report: Mapping[str, Any]) -> Thing:
     """How a component is; of one that has not failed, the state of a kernel that does not answer."""
     states, failed = report["states"], report["last_error"]
-    error, known = error_of(failed), view.about["state"]
+    error, known = view.failure_of(report), view.about["state"]
     if known != "live" and failed is None:
         return {"state": known, "said": "", "error": error}
     return {
