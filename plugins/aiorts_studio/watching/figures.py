@@ -13,7 +13,7 @@ from aiorts_studio.watching.words import said_of, state_of
 
 Row: TypeAlias = list[Any]
 _KINDS: Final = ("connectors", "service_connectors", "contexts", "components")
-_LEFT_OUT: Final = frozenset(("skipped", "superseded"))
+LEFT_OUT: Final = frozenset(("skipped", "superseded"))
 """The reasons of drops that options ask for: every nth sample, the newest alone."""
 _LOOKS: Final = 6
 """Looks over which rates are taken: one second of five a second."""
@@ -134,7 +134,7 @@ class Figures:
 
 def lost(dropped: Mapping[str, int]) -> int:
     """The samples that were lost, of all that were dropped, by reason: what an option leaves out is no loss."""
-    return sum(count for reason, count in dropped.items() if reason not in _LEFT_OUT)
+    return sum(count for reason, count in dropped.items() if reason not in LEFT_OUT)
 
 
 def _digits(value: float) -> float:

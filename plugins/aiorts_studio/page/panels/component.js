@@ -82,7 +82,7 @@ function ConnectorRow({ edge, box }) {
   return html`<tr class="whole"><td colspan="3"><button class="lead" onClick=${() => choose("edge", edge.id)}><${Cut} text=${words} /></button></td></tr>
     <tr class="under"><td><small>${edge.state === "up" ? edge.policy : edge.state}</small></td>
     <td class="figure">${service || row?.rate === null || row?.rate === undefined ? "–" : `${number(row.rate)} Hz`}${row?.backlog ? html`<small>${count(row.backlog)} wait</small>` : null}</td>
-    <td class=${`figure ${lost ? "bad" : ""}`}>${service || lost === null ? "–" : count(lost)}<small>${row && reasonsOf(row).map(([why]) => why).join(", ")}</small></td></tr>`;
+    <td class=${`figure ${lost ? "bad" : ""}`}>${service || lost === null ? "–" : count(lost)}<small>${reasonsOf(row?.reasons ?? null).lost.map(([why]) => why).join(", ")}</small></td></tr>`;
 }
 
 /** @param {Box} box @param {string} port */
