@@ -53,7 +53,7 @@ def test_rates_are_of_the_last_second_and_sums_are_exact(steps: list[tuple[int, 
     both = figures.edge(["a", "b", "nothing"])
     assert both is not None
     assert both[1:3] == [2 * lost, 6]
-    assert figures.is_lossy("a") is bool(lost)
+    assert ("a" in figures.lossy) is bool(lost)
 
 
 def test_what_is_gone_is_forgotten() -> None:
