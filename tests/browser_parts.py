@@ -198,14 +198,16 @@ def opened(
     size: tuple[int, int] = SIZE,
     address: str = "",
     signed_in: bool = True,
+    script: str = "",
 ) -> Iterator[Opened]:
-    """A page in a browser context of its own, signed in by a token."""
+    """A page in a browser context of its own, signed in by a token; a script runs before those of the page."""
     context = started.new_context(
         viewport={"width": size[0], "height": size[1]}, color_scheme=theme, reduced_motion="reduce"
     )
     context.grant_permissions(["clipboard-read", "clipboard-write"], origin=site.origin)
     if signed_in:
         context.add_init_script(f"sessionStorage.setItem('aiorts-token', {json.dumps(site.token)})")
+    context.add_init_script(script)
     context.set_default_timeout(WAIT_MS)
     page = context.new_page()
     found = Opened(page)
