@@ -40,6 +40,8 @@ _SETTLING: Final = 10
 """Looks whether a kernel that has just begun is assembled."""
 _KEEP: Final = 1.0
 """Seconds after a change until places are written: many come one after the other."""
+_MANY: Final = 100
+"""Components of a kernel from which on its sums are not made at each look."""
 _SUM_UP: Final = 900_000_000
 """Nanoseconds of a kernel's clock for which its sums are good."""
 _OPEN: Final = 3.0
@@ -458,10 +460,11 @@ class Studio:
                 page.put({"t": "figures", "at": {watch.view.address: figures.at_ns}, **message})
 
     def _total(self, watch: Watch) -> dict[int, Row]:
-        """What a kernel comes to, by the number of its frame; it is summed up once a second."""
+        """What a kernel comes to, by the number of its frame; one of many components is summed up once a second."""
         key, numbers, figures = watch.view.key, self.scene.numbers, watch.figures
         at_ns, known = self._totals.get(key, (0, {}))
-        if known and not figures.are_old and 0 <= figures.at_ns - at_ns < _SUM_UP:
+        many = len(watch.view.components) > _MANY
+        if many and known and not figures.are_old and 0 <= figures.at_ns - at_ns < _SUM_UP:
             return known
         boxes: dict[str, int | None] = {name: numbers.get(("box", key, name)) for name in watch.view.components}
         for number, members in self.scene.folds.get(key, {}).items():
