@@ -6,7 +6,6 @@ Playwright's own loop runs in the thread of the test as long as a browser is ope
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from aiorts.sessions import entries
 from control_parts import WAIT, until
+from studio_parts import seconds_of
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -112,8 +112,7 @@ class Served:
 
     def cpu_seconds(self) -> float:
         """Processor time that the server has used."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return seconds_of(self.process.pid)
 
 
 @contextmanager
@@ -199,14 +198,16 @@ def opened(
     size: tuple[int, int] = SIZE,
     address: str = "",
     signed_in: bool = True,
+    script: str = "",
 ) -> Iterator[Opened]:
-    """A page in a browser context of its own, signed in by a token."""
+    """A page in a browser context of its own, signed in by a token; a script runs before those of the page."""
     context = started.new_context(
         viewport={"width": size[0], "height": size[1]}, color_scheme=theme, reduced_motion="reduce"
     )
     context.grant_permissions(["clipboard-read", "clipboard-write"], origin=site.origin)
     if signed_in:
         context.add_init_script(f"sessionStorage.setItem('aiorts-token', {json.dumps(site.token)})")
+    context.add_init_script(script)
     context.set_default_timeout(WAIT_MS)
     page = context.new_page()
     found = Opened(page)

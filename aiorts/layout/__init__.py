@@ -5,6 +5,7 @@ Pure: `aiorts graph` and the studio draw what comes out.
 
 from __future__ import annotations
 
+from aiorts.layout.boxes import HEAD, ROW, Band, Edge, Key, Route, Spot, meets
 from aiorts.layout.detour import Point
 from aiorts.layout.file import FARTHEST, LARGEST_LAYOUT, Place, Places, layout_beside, places_of, text_of_places
 from aiorts.layout.placing import (
@@ -13,18 +14,10 @@ from aiorts.layout.placing import (
     BAND_HEAD,
     GROUP_GAP,
     GROUP_HEAD,
-    HEAD,
     LEFT,
-    ROW,
-    Band,
-    Edge,
-    Key,
     Layout,
-    Route,
-    Spot,
-    columns,
-    meets,
 )
+from aiorts.layout.stacking import columns
 
 __all__ = (
     "BAND_FOOT",

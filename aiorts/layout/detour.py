@@ -25,6 +25,7 @@ _REACH: Final = 250.0
 _MOST: Final = 120
 """Boxes among which a way is sought; among more it would take longer than a hand waits."""
 _NEAR: Final = 500.0
+"""How far from where it is wanted, across or down, a box finds its place."""
 
 
 def around(start: Point, end: Point, boxes: Iterable[Rect]) -> tuple[Point, ...] | None:
@@ -72,7 +73,8 @@ def room(size: Point, wanted: Point, within: Rect, boxes: Iterable[Rect]) -> Poi
     if right < left or bottom < top:
         return None
     x, y = min(max(wanted[0], left), right), min(max(wanted[1], top), bottom)
-    near = _within((x - _NEAR, y - _NEAR, x + _NEAR, y + _NEAR), boxes)
+    left, top, right, bottom = max(left, x - _NEAR), max(top, y - _NEAR), min(right, x + _NEAR), min(bottom, y + _NEAR)
+    near = _within((left - across, top - down, right + width + across, bottom + height + down), boxes)
     xs = {x, *(at for one in near for at in (one[0] - width - across, one[2] + across) if left <= at <= right)}
     ys = {y, *(at for one in near for at in (one[1] - height - down, one[3] + down) if top <= at <= bottom)}
     for _, at, high in sorted((abs(at - x) + abs(high - y), at, high) for at in xs for high in ys):

@@ -16,22 +16,20 @@ from __future__ import annotations
 from bisect import bisect_left, insort
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
-from itertools import pairwise
-from math import ceil, sqrt
+from itertools import accumulate, pairwise
 from typing import Final, TypeAlias
 
 from aiorts.late import dataclass
+from aiorts.layout.boxes import HEAD, ROW, Band, Edge, Key, Route, Spot, meets
 from aiorts.layout.detour import Point, Rect, around, room
+from aiorts.layout.stacking import STEP, Shelf, columns, put_near, rooms_below, shelves_of
 
-Key: TypeAlias = tuple[str, ...]
-"""The name of a box, a band or an edge."""
-_Shelf: TypeAlias = "list[list[Spot]]"
-"""A row of a band: stacks of boxes, from the left."""
+_Way: TypeAlias = "tuple[float, float, float, int, int | None]"
+"""The heights of an edge at its source, between, and at its target; its track at the source, and at the target, if it
+is another."""
+_Blocks: TypeAlias = "tuple[list[float], list[float]]"
+"""Where stretches begin, from the top, and where each ends."""
 
-HEAD: Final = 52.0
-"""Height of a box above its ports."""
-ROW: Final = 24.0
-"""Height of a port."""
 GAP: Final = 40.0
 """Between two boxes of a column."""
 TRACK: Final = 12.0
@@ -53,7 +51,6 @@ _BESIDE: Final = LEFT + 20.0
 """Between the boxes, or the edges, at the side of a pile and the empty column beside it."""
 _EMPTY: Final = 56.0
 """Width of the empty column between two piles."""
-_STEP: Final = 16.0
 _CLEAR: Final = 14.0
 """Between a column and the first edge that runs down beside it."""
 _WIDER: Final = _CLEAR - 6.0
@@ -61,77 +58,8 @@ _WIDER: Final = _CLEAR - 6.0
 _MARGIN: Final = 10.0
 """Between an edge that runs across, and the boxes above and below it."""
 _FARTHEST: Final = 4_000
-_NARROW: Final = 12
-"""A graph of so many columns is never folded."""
-_WIDEST: Final = 0.9
-"""The most columns, as a part of the square root of the number of boxes."""
-_SHARE: Final = 0.6
-"""The part of the edges across columns that find no room between boxes."""
 _SPARE: Final = 2
 """Tracks of a channel for edges that come later."""
-
-
-@dataclass(slots=True)
-class Spot:
-    """A box, and its place.
-
-    Args:
-        key: its name.
-        band: the key of its band.
-        inputs, outputs: the names of its ports at the left and at the right, from the top.
-        title, kind: texts at its head.
-        w: its width; 0: what its texts need.
-    """
-
-    key: Key
-    band: Key
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    title: str = ""
-    kind: str = ""
-    column: int = 0
-    x: float = 0.0
-    y: float = 0.0
-    w: float = 0.0
-    h: float = 0.0
-
-    def __post_init__(self) -> None:
-        sides = [max((len(name) * 7.2 for name in side), default=0.0) for side in (self.inputs, self.outputs)]
-        wanted = max(len(self.title) * 8.4 + 64, len(self.kind) * 7.0 + 64, sum(sides) + 48)
-        self.w = self.w or min(320.0, max(152.0, wanted))
-        self.h = HEAD + ROW * max(1, len(self.inputs), len(self.outputs)) + 8
-
-    def port_y(self, name: str, *, out: bool) -> float:
-        """The height of a port below the top of the box."""
-        names = self.outputs if out else self.inputs
-        return HEAD + ROW * ((names.index(name) if name in names else 0) + 0.5)
-
-
-@dataclass(frozen=True, slots=True)
-class Edge:
-    """An edge from a port at the right of a box to one at the left of another."""
-
-    key: Key
-    source: Key
-    out: str
-    target: Key
-    into: str
-
-
-@dataclass(frozen=True, slots=True)
-class Route:
-    """The way of an edge: its corners, and where its figures end."""
-
-    points: tuple[Point, ...]
-    label: Point
-
-
-@dataclass(frozen=True, slots=True)
-class Band:
-    """The place of a band, from the top down."""
-
-    top: float
-    height: float
 
 
 @dataclass(slots=True)
@@ -168,6 +96,10 @@ class Layout:
     """By height in steps: the columns over which an edge runs there."""
     _heights: dict[Key, int] = field(default_factory=dict)
     """The height in steps at which an edge runs across columns."""
+    _ways: dict[Key, _Way] = field(default_factory=dict)
+    """The ways of edges between the boxes as they stand."""
+    _blocks: dict[tuple[int, int], _Blocks] = field(default_factory=dict)
+    """By the first and the last of some columns: where boxes are in the way there."""
 
     @property
     def right(self) -> float:
@@ -201,13 +133,42 @@ class Layout:
             groups: of each band, the group that it stands in; bands of one group follow one another.
             piles: of each group, the number of its pile, from 0 without gaps; None: there is one pile.
         """
+        self._stack(spots, edges, groups, piles)
+        self._put_columns(edges)
+
+    def sketch(
+        self,
+        spots: Sequence[Spot],
+        edges: Sequence[Edge],
+        groups: Mapping[Key, str],
+        piles: Mapping[str, int] | None = None,
+    ) -> Point:
+        """The width and the height that `place` would come to, the width by estimate: no edge is led.
+
+        The bands get their places; the boxes get none across, so that nothing else can be asked before `place`.
+        """
+        self._stack(spots, edges, groups, piles)
+        widths, tracks = self._column_widths(), _tracks_wanted(self.spots, edges)
+        rooms = [self._room_before(column, tracks.get(column - 1, 0)) for column in range(1, len(widths))]
+        bottom = max((one.top + one.height for one in self.bands.values()), default=0.0)
+        return LEFT + sum(widths) + sum(rooms), bottom
+
+    def _stack(
+        self,
+        spots: Sequence[Spot],
+        edges: Sequence[Edge],
+        groups: Mapping[Key, str],
+        piles: Mapping[str, int] | None,
+    ) -> None:
+        """Find the column of each box, its height, and the places of bands."""
         self.spots = {one.key: one for one in spots}
         self.groups, self.piles = dict(groups), dict(piles or {})
         self._loose.clear()
         for made in (self.bands, self._lefts, self._widths, self._taken, self._tracks, self._runs, self._heights):
             made.clear()
+        self._forget_ways()
         self._spans = []
-        shelves: dict[Key, list[_Shelf]] = {}
+        shelves: dict[Key, list[Shelf]] = {}
         rooms: dict[tuple[Key, int], float] = {}
         first = 0
         for pile in range(max(self.piles.values(), default=0) + 1):
@@ -217,12 +178,12 @@ class Layout:
             cells: dict[tuple[Key, int], list[Spot]] = {}
             for one in own.values():
                 cells.setdefault((one.band, ranks[one.key]), []).append(one)
-            _order(cells, ranks, inner)
-            found, folded = _shelves(cells, len(own))
+            put_near(cells, ranks, inner)
+            found, folded = shelves_of(cells, len(own))
             for one in own.values():
                 one.column += first
             shelves |= found
-            rooms |= _rooms(found, inner) if folded else {}
+            rooms |= rooms_below(found, inner) if folded else {}
             end = max((one.column for one in own.values()), default=first) + 1
             self._spans.append((first, end))
             first = end + 1
@@ -233,7 +194,6 @@ class Layout:
             for number, shelf in enumerate(shelves.get(band, ())):
                 bottom = self._put_shelf(shelf, bottom) + rooms.get((band, number), 0.0) + GAP
             self.bands[band] = Band(top, max(bottom - GAP, top + BAND_HEAD) + BAND_FOOT - top)
-        self._put_columns(edges)
 
     def _begin(self, band: Key) -> float:
         """The top of a band that comes below all others of its pile."""
@@ -265,20 +225,28 @@ class Layout:
         """The room between the edges that run down before a column, and its boxes."""
         return _BESIDE - TRACK * 2 if self._is_empty(column) else self.label
 
+    def _column_widths(self) -> list[float]:
+        """The width of each column: that of its widest box."""
+        widths = [_EMPTY if self._is_empty(column) else 0.0 for column in range(self._spans[-1][1])]
+        for one in self.spots.values():
+            widths[one.column] = max(widths[one.column], one.w)
+        return widths
+
+    def _room_before(self, column: int, tracks: int) -> float:
+        """The room between a column and the one before, with so many tracks of edges."""
+        if self._is_empty(column - 1) and not tracks:
+            return _BESIDE
+        return _CLEAR + self._before(column) + TRACK * (tracks + _SPARE)
+
     def _put_columns(self, edges: Sequence[Edge]) -> None:
         """Put columns beside one another, with room for as many tracks between them as edges take there."""
-        count = self._spans[-1][1]
-        self._widths += [_EMPTY if self._is_empty(column) else 0.0 for column in range(count)]
-        for one in self.spots.values():
-            self._widths[one.column] = max(self._widths[one.column], one.w)
-        self._lefts += [LEFT] * count
+        self._widths += self._column_widths()
+        self._lefts += [LEFT] * len(self._widths)
         for edge in edges:
-            self.route(edge)  # which track it takes depends on heights alone
-        for column in range(1, count):
+            self._find_way(edge)  # which track it takes depends on heights alone
+        for column in range(1, len(self._widths)):
             tracks = max((track + 1 for track, _, _ in self._tracks.get(column - 1, {}).values()), default=0)
-            room = _CLEAR + self._before(column) + TRACK * (tracks + _SPARE)
-            if self._is_empty(column - 1) and not tracks:
-                room = _BESIDE
+            room = self._room_before(column, tracks)
             self._lefts[column] = self._lefts[column - 1] + self._widths[column - 1] + room
         for one in self.spots.values():
             one.x = self._lefts[one.column] + (self._widths[one.column] - one.w) / 2
@@ -336,8 +304,7 @@ class Layout:
                     return False  # higher than its band
                 spot.column += 1
         spot.y, spot.x = y, self._lefts[spot.column] + max(0.0, (self._widths[spot.column] - spot.w) / 2)
-        self.spots[spot.key] = spot
-        insort(self._taken.setdefault(spot.column, []), (spot.y, spot.y + spot.h))
+        self._put(spot, None)
         return True
 
     def _begin_column(self, width: float) -> None:
@@ -389,6 +356,7 @@ class Layout:
     def _put(self, spot: Spot, loose: tuple[int, ...] | None) -> None:
         """Let a box stand where it says, in its column; or in the way of others in these."""
         self.spots[spot.key] = spot
+        self._forget_ways()
         if loose is not None:
             self._loose[spot.key] = loose
         for column in (spot.column,) if loose is None else loose:
@@ -409,6 +377,7 @@ class Layout:
         """Forget a box; its room is free again."""
         spot = self.spots.pop(key, None)
         if spot is not None:
+            self._forget_ways()
             for column in self._loose.pop(key, (spot.column,)):
                 if (spot.y, spot.y + spot.h) in self._taken.get(column, ()):
                     self._taken[column].remove((spot.y, spot.y + spot.h))
@@ -438,16 +407,14 @@ class Layout:
     def _along(self, edge: Edge) -> Route:
         """The way through the channels between columns."""
         source, target = self.spots[edge.source], self.spots[edge.target]
-        x1, y1 = source.x + source.w, source.y + source.port_y(edge.out, out=True)
-        x2, y2 = target.x - 7, target.y + target.port_y(edge.into, out=False)
-        first, last = source.column, target.column - 1
-        if last == first:
-            x = self._track(first, edge.key, y1, y2)
+        x1, x2 = source.x + source.w, target.x - 7
+        y1, height, y2, track, other = self._ways.get(edge.key) or self._find_way(edge)
+        x = self._x_of(source.column, track)
+        if other is None:
             points = [(x1, y1), (x, y1), (x, y2), (x2, y2)]
         else:
-            height = self._run((first + 1, last) if last > first else (last + 1, first), edge.key, y1, y2)
-            x, other = self._track(first, edge.key, y1, height), self._track(last, (*edge.key, "end"), height, y2)
-            points = [(x1, y1), (x, y1), (x, height), (other, height), (other, y2), (x2, y2)]
+            beyond = self._x_of(target.column - 1, other)
+            points = [(x1, y1), (x, y1), (x, height), (beyond, height), (beyond, y2), (x2, y2)]
         kept = tuple(
             (round(x, 1), round(y, 1))
             for i, (x, y) in enumerate(points)
@@ -455,13 +422,30 @@ class Layout:
         )
         return Route(kept, (round(x2 - 7, 1), round(y2, 1)))
 
-    def _track(self, channel: int, key: Key, y1: float, y2: float) -> float:
-        """The x of a vertical in a channel: the first track on which no other edge is beside it."""
+    def _find_way(self, edge: Edge) -> _Way:
+        """The heights and the tracks of an edge; they hold until a box comes, goes or is moved."""
+        source, target = self.spots[edge.source], self.spots[edge.target]
+        y1 = source.y + source.port_y(edge.out, out=True)
+        y2 = target.y + target.port_y(edge.into, out=False)
+        first, last = source.column, target.column - 1
+        height, other = y2, None
+        if last != first:
+            height = self._run((first + 1, last) if last > first else (last + 1, first), edge.key, y1, y2)
+            other = self._track(last, (*edge.key, "end"), height, y2)
+        way = self._ways[edge.key] = y1, height, y2, self._track(first, edge.key, y1, height), other
+        return way
+
+    def _track(self, channel: int, key: Key, y1: float, y2: float) -> int:
+        """The first track of a channel on which no other edge is beside this one."""
         known, low, high = self._tracks.setdefault(channel, {}), min(y1, y2), max(y1, y2)
         known.pop(key, None)
         used = {track for track, begin, end in known.values() if begin <= high + 8 and end >= low - 8}
         track = next(one for one in range(len(used) + 1) if one not in used)
         known[key] = track, low, high
+        return track
+
+    def _x_of(self, channel: int, track: int) -> float:
+        """The x of a vertical on a track of a channel."""
         if channel < 0:
             return self._lefts[0] - self.label - TRACK * (track + 1)
         right = self._lefts[channel] + self._widths[channel]
@@ -473,28 +457,42 @@ class Layout:
         """A height that is free in all columns of a run, near to one of its ends: then it has a bend less."""
         if (before := self._heights.pop(key, None)) is not None:
             self._runs[before].pop(key, None)
-        merged: list[list[float]] = []
-        taken = (pair for column in range(over[0], over[1] + 1) for pair in self._taken.get(column, ()))
-        for begin, end in sorted(taken):
-            if merged and begin - 2 * _MARGIN <= merged[-1][1]:
-                merged[-1][1] = max(merged[-1][1], end)
-            else:
-                merged.append([begin, end])
-        begins = [one[0] for one in merged]
+        begins, ends = self._blocks_of(over)
         for away in range(_FARTHEST):
-            for wanted in (y1, y2) if away == 0 else (y2 - away * _STEP, y2 + away * _STEP):
+            for wanted in (y1, y2) if away == 0 else (y2 - away * STEP, y2 + away * STEP):
                 at = bisect_left(begins, wanted + _MARGIN) - 1
-                height = round(wanted / _STEP)
+                if at >= 0 and ends[at] + _MARGIN > wanted:
+                    continue
+                height = round(wanted / STEP)
                 runs = self._runs.setdefault(height, {})
-                free = at < 0 or merged[at][1] + _MARGIN <= wanted
-                if free and all(end < over[0] or begin > over[1] for begin, end in runs.values()):
+                if all(end < over[0] or begin > over[1] for begin, end in runs.values()):
                     runs[key] = over
                     self._heights[key] = height
                     return wanted
         return y2
 
+    def _blocks_of(self, over: tuple[int, int]) -> _Blocks:
+        """From where to where boxes are in the way in some of the columns, those without room between as one."""
+        if (known := self._blocks.get(over)) is not None:
+            return known
+        begins, ends = list[float](), list[float]()
+        for begin, end in sorted(pair for at in range(over[0], over[1] + 1) for pair in self._taken.get(at, ())):
+            if ends and begin - 2 * _MARGIN <= ends[-1]:
+                ends[-1] = max(ends[-1], end)
+            else:
+                begins.append(begin)
+                ends.append(end)
+        self._blocks[over] = begins, ends
+        return begins, ends
+
+    def _forget_ways(self) -> None:
+        """Have ways sought anew when they are asked for: boxes stand elsewhere."""
+        self._blocks.clear()
+        self._ways.clear()
+
     def forget(self, key: Key) -> None:
         """Give the room of an edge free."""
+        self._ways.pop(key, None)
         for tracks in self._tracks.values():
             tracks.pop(key, None)
             tracks.pop((*key, "end"), None)
@@ -506,122 +504,16 @@ def _rect(spot: Spot) -> Rect:
     return spot.x, spot.y, spot.x + spot.w, spot.y + spot.h
 
 
-def _shelves(cells: Mapping[tuple[Key, int], list[Spot]], count: int) -> tuple[dict[Key, list[_Shelf]], bool]:
-    """The shelves of each band, from the top; each box gets its column. And whether the graph is folded.
-
-    Where there would be more columns than look well, it is: a band begins at the left, has no empty column, puts the
-    boxes of a high stack into several columns, and goes on below.
-    """
-    widest, ranks = max(_NARROW, round(sqrt(count) * _WIDEST)), sorted({rank for _, rank in cells})
-    folded = len(ranks) > widest
-    sizes: dict[Key, int] = {}
-    for (band, _), stack in cells.items():
-        sizes[band] = sizes.get(band, 0) + len(stack)
-    found: dict[Key, dict[int, _Shelf]] = {}
-    used = dict[Key, int]()
-    for (band, rank), stack in sorted(cells.items(), key=lambda cell: cell[0][1]):
-        highest = -(-sizes[band] // widest) + 1 if folded else len(stack)
-        for first in range(0, len(stack), highest):
-            place = used.get(band, 0) if folded else rank
-            used[band] = place + 1
-            part = stack[first : first + highest]
-            for one in part:
-                one.column = place % widest
-            found.setdefault(band, {}).setdefault(place // widest, []).append(part)
-    return {band: list(shelves.values()) for band, shelves in found.items()}, folded
-
-
-def _rooms(shelves: Mapping[Key, Sequence[_Shelf]], edges: Sequence[Edge]) -> dict[tuple[Key, int], float]:
-    """The room below each shelf for the edges that come across columns to its boxes."""
-    homes = {
-        one.key: ((band, number), one.column)
-        for band, found in shelves.items()
-        for number, shelf in enumerate(found)
-        for stack in shelf
-        for one in stack
-    }
-    counts: dict[tuple[Key, int], dict[int, int]] = {}
+def _tracks_wanted(spots: Mapping[Key, Spot], edges: Iterable[Edge]) -> dict[int, int]:
+    """By channel, the most edges that run down it side by side, as if each kept the height of its in-port elsewhere."""
+    turns: dict[int, list[tuple[float, int]]] = {}
     for edge in edges:
-        first, (home, column) = homes[edge.source][1], homes[edge.target]
-        known = counts.setdefault(home, {})
-        for over in range(min(first + 1, column), max(first, column - 1) + 1) if first != column - 1 else ():
-            known[over] = known.get(over, 0) + 1
-    return {home: _STEP * ceil(_SHARE * max(known.values(), default=0)) for home, known in counts.items()}
-
-
-def _order(cells: Mapping[tuple[Key, int], list[Spot]], ranks: Mapping[Key, int], edges: Sequence[Edge]) -> None:
-    """Put each box near its neighbours: by the mean place of those before it, then of those after it, and again."""
-    near: dict[Key, list[Key]] = {key: [] for key in ranks}
-    for edge in edges:
-        near[edge.source].append(edge.target)
-        near[edge.target].append(edge.source)
-    place = {one.key: float(i) for stack in cells.values() for i, one in enumerate(stack)}
-    for sweep in range(6):
-        forwards = sweep % 2 == 0
-        for (_, rank), stack in sorted(cells.items(), key=lambda cell: cell[0][1], reverse=not forwards):
-            wanted = dict[Key, float]()
-            for one in stack:
-                found = [place[n] for n in near[one.key] if (ranks[n] < rank) is forwards]
-                wanted[one.key] = sum(found) / len(found) if found else place[one.key]
-            stack.sort(key=lambda one: (wanted[one.key], str(one.key)))
-            place.update((one.key, float(i)) for i, one in enumerate(stack))
-
-
-def meets(route: Route, spot: Spot) -> bool:
-    """Whether an edge runs through a box."""
-    left, right, top, bottom = spot.x + 0.5, spot.x + spot.w - 0.5, spot.y + 0.5, spot.y + spot.h - 0.5
-    return any(
-        max(ax, bx) > left and min(ax, bx) < right and max(ay, by) > top and min(ay, by) < bottom
-        for (ax, ay), (bx, by) in pairwise(route.points)
-    )
-
-
-def columns(keys: Iterable[Key], edges: Sequence[Edge]) -> dict[Key, int]:
-    """The column of each box: the longest way from a box that nothing leads to, ways back left out.
-
-    A box that nothing leads to stands right before the first that it leads to.
-    """
-    after: dict[Key, list[Key]] = {key: [] for key in keys}
-    for edge in edges:
-        if edge.source != edge.target:
-            after[edge.source].append(edge.target)
-    order, back = _depth_first(after)
-    found = dict.fromkeys(after, 0)
-    for key in order:
-        for other in after[key]:
-            if (key, other) not in back:
-                found[other] = max(found[other], found[key] + 1)
-    led_to = {other for key in after for other in after[key]}
-    for key in after.keys() - led_to:
-        found[key] = max(0, min((found[other] for other in after[key]), default=1) - 1)
-    return found
-
-
-def _depth_first(after: Mapping[Key, Sequence[Key]]) -> tuple[list[Key], set[tuple[Key, Key]]]:
-    """The boxes in an order in which edges lead forwards, and the edges that lead back all the same."""
-    leads_to = {other for targets in after.values() for other in targets}
-    starts = [*(key for key in after if key not in leads_to), *after]
-    state: dict[Key, int] = {}
-    order: list[Key] = []
-    back: set[tuple[Key, Key]] = set()
-    for start in starts:
-        if start in state:
-            continue
-        state[start] = 1
-        stack = [(start, iter(after[start]))]
-        while stack:
-            key, rest = stack[-1]
-            other = next(rest, None)
-            if other is None:
-                state[key] = 2
-                order.append(key)
-                stack.pop()
-            elif other not in state:
-                state[other] = 1
-                stack.append((other, iter(after[other])))
-            elif state[other] == 1:
-                back.add((key, other))
-    return order[::-1], back
+        source, target = spots[edge.source], spots[edge.target]
+        y1, y2 = source.y + HEAD, target.y + HEAD
+        turns.setdefault(source.column, []).extend(((min(y1, y2) - 8, 1), (max(y1, y2) + 8, -1)))
+        if target.column != source.column + 1:
+            turns.setdefault(target.column - 1, []).extend(((y2 - STEP, 1), (y2 + STEP, -1)))
+    return {channel: max(accumulate(by for _, by in sorted(found))) for channel, found in turns.items()}
 
 
 def _turns(points: Sequence[Point], at: int) -> bool:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 from aiorts.cli.app import run_command
+from aiorts.layout import Place, Places, text_of_places
 
 ROOT = Path(__file__).parents[2]
 ROOMBA = str(ROOT / "examples" / "roomba" / "system.toml")
@@ -60,3 +62,21 @@ def test_a_system_with_mistakes_of_its_parts_is_drawn_all_the_same_and_they_are_
     assert (tmp_path / "s.svg").exists()
     (tmp_path / "s.toml").write_text("schema = 1\n[component.a]\n")
     assert run_command(["graph", str(tmp_path / "s.toml")]) == 2
+
+
+def test_the_layout_file_beside_a_system_places_its_boxes(tmp_path: Path, capsys: Out) -> None:
+    folder = shutil.copytree(Path(ROOMBA).parent, tmp_path / "roomba")
+    system, beside = str(folder / "system.toml"), folder / "system.layout.json"
+    assert run_command(["graph", system, "--format", "svg"]) == 0
+    usual = capsys.readouterr().out
+    beside.write_text(text_of_places("here", Places({"turn_rate": Place(900.0, 60.0, 0.0)})), encoding="utf-8")
+    assert run_command(["graph", system, "--format", "svg"]) == 0
+    placed = capsys.readouterr()
+    assert placed.out != usual
+    assert placed.err == ""
+    beside.write_text("{}", encoding="utf-8")
+    assert run_command(["graph", system, "--format", "svg"]) == 0
+    broken = capsys.readouterr()
+    assert broken.out == usual
+    assert "system.layout.json: expected schema = 1; not used" in broken.err
+    assert beside.read_text(encoding="utf-8") == "{}"

@@ -139,6 +139,46 @@ async def test_a_composite_is_a_frame_that_folds_into_a_box_with_its_ports() -> 
         assert len(shown.lines()) == 3
 
 
+async def test_a_frame_that_is_folded_is_as_large_as_its_box_wants() -> None:
+    async with arm(), site() as client, page(client) as shown:
+        await shown.until(lambda: len(shown.lines()) == 3 and shown.named("frames", "loop"))
+        for kind, name in (("context", "loop"), ("kernel", "unit")):
+            before = await shown.until(lambda name=name: shown.named("frames", name))
+            assert before["kind"] == kind
+            await shown.say("fold", id=before["id"], on=True)
+            box = await shown.until(lambda name=name: shown.boxes() == [name] and shown.named("boxes", name))
+            frame = shown.named("frames", name)
+            assert frame["w"] < before["w"]
+            assert frame["h"] < before["h"]
+            assert frame["x"] < box["x"]
+            assert box["x"] + box["w"] < frame["x"] + frame["w"] <= box["x"] + box["w"] + 60
+            assert frame["y"] + 40 < box["y"]
+            assert box["y"] + box["h"] < frame["y"] + frame["h"] <= box["y"] + box["h"] + 40
+            assert frame["id"] == box["around"]
+            assert not [one for one in shown.things["frames"].values() if one["parent"] == frame["id"]]
+            await shown.say("fold", id=before["id"], on=False)
+            await shown.until(lambda: len(shown.boxes()) == 4)
+
+
+class Failing(Component):
+    """Fails at once."""
+
+    async def on_execute(self) -> None:
+        raise RuntimeError("no current")
+
+
+async def test_the_last_error_says_where_and_when() -> None:
+    async with controlled() as kernel, site() as client, page(client) as shown:
+        await shown.until(lambda: shown.named("boxes", "counter0"))
+        before = kernel.clock.time_ns()
+        failing = await kernel.create(Failing, "failing0")
+        await kernel.start(PeriodicContext(rate=50.0, name="other"), failing, activate=True)
+        error = await shown.until(lambda: (shown.named("boxes", "failing0") or {}).get("error"))
+        assert error["message"] == "RuntimeError: no current"
+        assert error["file"].endswith("test_frames.py")
+        assert before <= int(error["at_ns"]) <= kernel.clock.time_ns()
+
+
 async def test_a_filter_that_was_put_in_is_infrastructure_and_one_of_the_system_is_not() -> None:
     async with controlled() as kernel, site() as client, page(client) as shown:
         pins = await kernel.create(Pins, "pins0")
@@ -174,7 +214,9 @@ async def test_the_age_of_samples_is_measured_while_a_page_asks_for_it() -> None
             assert 0.0 < await shown.until(lambda: shown.rows[edge][5]) < 1000.0
             await shown.say("measure", edges=[edge], on=False)
             await shown.until(lambda: shown.rows[edge][5] is None)
-            assert not wire.profile.measure
+            async with asyncio.timeout(WAIT):  # the page knows before the kernel has done it
+                while wire.profile.measure:
+                    await asyncio.sleep(0.02)
             await shown.say("measure", edges=[edge], on=True)
             await shown.until(lambda: shown.rows[edge][5])
             assert wire.profile.measure

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations, count, pairwise
+from random import Random
+from time import process_time
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aiorts.layout import Edge, Key, Layout, Spot, columns, meets
+from aiorts.layout.detour import room
 from aiorts_studio.watching.frames import frames_of
 from aiorts_studio.watching.piles import placed
 from aiorts_studio.watching.view import View
+from campaign import CAMPAIGN
 
 pytestmark = pytest.mark.row(120)
 PORTS = 3
@@ -98,6 +102,16 @@ def test_a_box_that_is_moved_finds_room(graph: tuple[list[Spot], list[Edge], dic
     layout.move({spots[0].key: (x, y)})
     check(layout, edges)
     assert all((one.x, one.y) == before[one.key] for one in spots[1:])
+
+
+def test_a_wide_box_that_finds_room_far_to_the_right_overlaps_none_there() -> None:
+    place = room(
+        (320.0, 108.0),
+        (0.0, 0.0),
+        (0.0, 0.0, 2_000.0, 100.0 + 108.0),
+        [(0.0, 0.0, 400.0, 300.0), (560.0, 0.0, 900.0, 300.0)],
+    )
+    assert place is None or place[0] + 320.0 <= 560.0 or place[0] >= 900.0
 
 
 def test_boxes_that_are_moved_together_do_not_stand_in_the_way_of_one_another() -> None:
@@ -321,3 +335,49 @@ def test_boxes_of_a_pile_without_room_where_they_are_wished_stay(pile: int) -> N
         key: place for key, place in before.items() if key not in moved
     }
     assert layout.moved == moved
+
+
+def kernels_of(number: int, each: int) -> tuple[list[Spot], list[Edge], dict[Key, str]]:
+    """As many groups of five bands, each box with two edges to boxes not far behind it; a few lead to other groups."""
+    chance = Random(1)
+    bands: list[Key] = [("band", str(group), str(at)) for group in range(number) for at in range(5)]
+    keys = [[(str(group), str(at)) for at in range(each)] for group in range(number)]
+    spots = [
+        Spot(key, bands[group * 5 + at * 5 // each], ("in0", "in1"), ("out0", "out1"), f"component{at}")
+        for group, own in enumerate(keys)
+        for at, key in enumerate(own)
+    ]
+    edges = []
+    for name in range(2 * number * each):
+        group, at = chance.randrange(number), chance.randrange(each - 1)
+        there = group if chance.random() < 0.97 else chance.randrange(number)
+        target = keys[there][min(each - 1, at + 1 + chance.randrange(40))]
+        ports = f"out{chance.randrange(2)}", f"in{chance.randrange(2)}"
+        edges.append(Edge((str(name),), keys[group][at], ports[0], target, ports[1]))
+    return spots, edges, {band: band[1] for band in bands}
+
+
+@pytest.mark.parametrize(("number", "each"), [(1, 9), (2, 30), (5, 20)])
+def test_a_sketch_is_about_as_large_as_what_is_placed(number: int, each: int) -> None:
+    spots, edges, groups = kernels_of(number, each)
+    for piles in ({}, {str(group): group % 3 for group in range(number)} if number > 2 else {}):
+        wide, high = Layout().sketch(spots, edges, groups, piles)
+        layout = Layout()
+        layout.place(spots, edges, groups, piles)
+        assert wide == pytest.approx(layout.right, rel=0.2)
+        assert high == max(band.top + band.height for band in layout.bands.values())
+
+
+@pytest.mark.slow(kept_by="test_a_sketch_is_about_as_large_as_what_is_placed")
+def test_a_thousand_boxes_in_five_kernels_are_laid_out_in_a_third_of_a_second() -> None:
+    spots, edges, groups = kernels_of(5, 200)
+    took = []
+    for _ in range(3):
+        began = process_time()
+        layout = placed(spots, edges, groups, {group: group for group in groups.values()})
+        routes = [layout.route(edge) for edge in edges]
+        took.append(process_time() - began)
+    print(f"1,000 boxes, 2,000 edges, 5 kernels: {min(took):.2f} s")
+    assert min(took) < (0.5 if CAMPAIGN else 1.5)
+    assert len({*layout.piles.values()}) > 1
+    assert not [1 for route in routes[::50] for spot in spots if meets(route, spot)]

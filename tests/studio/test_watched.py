@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import aiorts_studio
 from aiorts_studio.beside import PORTS, port_of
-from aiorts_studio.watching.figures import Figures, different
+from aiorts_studio.watching.figures import LEFT_OUT, Figures, different
 from aiorts_studio.watching.page import Page
 from aiorts_studio.watching.plots import Columns, field_of
 from aiorts_studio.watching.studio import Studio
@@ -50,7 +53,7 @@ def test_rates_are_of_the_last_second_and_sums_are_exact(steps: list[tuple[int, 
     both = figures.edge(["a", "b", "nothing"])
     assert both is not None
     assert both[1:3] == [2 * lost, 6]
-    assert figures.is_lossy("a") is bool(lost)
+    assert ("a" in figures.lossy) is bool(lost)
 
 
 def test_what_is_gone_is_forgotten() -> None:
@@ -134,3 +137,10 @@ def test_a_column_holds_the_smallest_and_the_largest(values: list[float]) -> Non
         columns.add(0.0, {"x": value})
     assert columns.take() == {"x": [(0.0, min(values), max(values))]}
     assert columns.take() == {}
+
+
+def test_the_page_and_the_server_leave_out_the_same() -> None:
+    text = (Path(aiorts_studio.__file__).parent / "page/words.js").read_text(encoding="utf-8")
+    found = re.search(r"LEFT_OUT = new Set\(\[(.*)\]\)", text)
+    assert found
+    assert set(re.findall(r'"(\w+)"', found[1])) == LEFT_OUT

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aiorts import Catalogue
+from aiorts.layout import Place, Places
 from aiorts.system import GRAPH_FORMATS, graph, load, parse
 from campaign import cases, time_limit
 from system_parts import CHAIN
@@ -21,6 +22,7 @@ from system_parts import CHAIN
 CATALOGUE = Catalogue()
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").rglob("system.toml"))
+ROOMBA = load(ROOT / "examples" / "roomba" / "system.toml")
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -128,6 +130,57 @@ def test_the_roomba_flows_from_left_to_right() -> None:
     assert where["imu"] < where["odometry"] < where["metres"] < where["checker"]
     assert where["imu"] < where["turn_rate"] < where["show"]
     assert document.count('<path class="wire"') == 7
+
+
+def placed_in(document: str) -> dict[str, tuple[float, float]]:
+    """The corner of each box of a drawing, by name."""
+    names = re.findall(r'class="name"[^>]*>(\w+)<', document)
+    return {name: (x, y) for name, (x, y, _, _) in zip(names, boxes_of(document), strict=True)}
+
+
+def apart(boxes: list[tuple[float, float, float, float]]) -> bool:
+    """Whether no box covers another."""
+    return all(
+        x >= u + w or u >= x + wide or y >= v + h or v >= y + high
+        for number, (x, y, wide, high) in enumerate(boxes)
+        for u, v, w, h in boxes[:number]
+    )
+
+
+def test_boxes_stand_where_they_stood_and_a_new_one_beside_them() -> None:
+    system = load(ROOT / "examples" / "roomba" / "system.toml")
+    usual = placed_in(graph(system, "svg"))
+    stored = {"imu": (0.0, 48.0), "metres": (636.0, 110.0), "odometry": (330.0, 48.0), "turn_rate": (450.0, 192.0)}
+    places = Places({name: Place(x, y, 0.0) for name, (x, y) in stored.items()})
+    document = graph(system, "svg", places=places)
+    found = placed_in(document)
+    assert found.keys() == usual.keys()
+    assert apart(boxes_of(document))
+    assert found["odometry"][0] < found["turn_rate"][0] < found["metres"][0]
+    wider = (found["metres"][0] - found["odometry"][0]) / (636.0 - 330.0)
+    assert wider > 1.0
+    for name, (x, y) in stored.items():
+        assert found[name][0] - found["imu"][0] == pytest.approx(x * wider, abs=0.5)
+        assert found[name][1] - found["odometry"][1] == pytest.approx(y - 48.0, abs=0.5) or name == "imu"
+    assert graph(system, "svg", places=Places()) == graph(system, "svg")
+    assert graph(system, "dot", places=places) == graph(system, "dot")
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from(["imu", "odometry", "turn_rate", "metres", "checker", "show", "gone"]),
+        st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)),
+    )
+)
+@settings(max_examples=cases(2_000), deadline=None)
+def test_wherever_boxes_are_said_to_have_stood_none_covers_another(stored: dict[str, tuple[float, float]]) -> None:
+    places = Places({name: Place(x, y, 0.0) for name, (x, y) in stored.items()})
+    document = graph(ROOMBA, "svg", CATALOGUE, places)
+    boxes, root = boxes_of(document), ElementTree.fromstring(document)
+    assert len(boxes) == 6
+    assert apart(boxes)
+    left, top, width, height = map(float, root.get("viewBox", "").split())
+    assert all(left <= x and x + w <= left + width and top <= y and y + h <= top + height for x, y, w, h in boxes)
 
 
 def test_another_form_is_refused() -> None:

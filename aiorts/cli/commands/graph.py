@@ -14,6 +14,7 @@ from aiorts.cli.commands.unrun import catalogue_of, quietly
 from aiorts.cli.commands.written import give
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.finding import below, line_of
+from aiorts.layout import LARGEST_LAYOUT, Places, layout_beside, places_of
 from aiorts.system import AS_WRITTEN, GRAPH_FORMATS, Choices, check, graph, load, running_graph
 
 _ENDINGS: Final = {
@@ -53,7 +54,8 @@ def graph_command(
 
     A word that is no file is a kernel that runs: it is drawn as it is now, with states, rates and what was dropped.
 
-    mermaid is shown by GitHub and many editors, dot is for Graphviz, svg needs no other program. Nothing is run. What
+    mermaid is shown by GitHub and many editors, dot is for Graphviz, svg needs no other program. In an svg the boxes
+    stand as in the studio, where its layout file lies beside SYSTEM.toml: system.layout.json. Nothing is run. What
     `aiorts check` reports as an error is printed on standard error; the rest is drawn, and the exit status is 2.
     """
     language = language or _language_of(output)
@@ -68,13 +70,27 @@ def graph_command(
     system = load(file, changes, choices)
     with quietly():
         catalogue = catalogue_of(system)
-        text = graph(system, language, catalogue)
+        text = graph(system, language, catalogue, _places_beside(Path(file)) if language == "svg" else None)
         wrong = [one for one in check(file, changes, catalogue.folders, choices) if one.severity == "error"]
     give(output, text)
     tell_of(file, "graph")
     for one in wrong:
         click.echo("\n".join((line_of(one), *below(one))), err=True)
     return exits.REFUSED if wrong else exits.DONE
+
+
+def _places_beside(file: Path) -> Places | None:
+    """Where boxes stand by the layout file of a system file; None where there is none, or it is of no use."""
+    path = layout_beside(file)
+    try:
+        if path.is_file():
+            with path.open("rb") as source:
+                return places_of(source.read(LARGEST_LAYOUT + 1))
+    except OSError as error:
+        click.echo(f"aiorts: {path}: cannot be read: {error.strerror}", err=True)
+    except ValueError as error:
+        click.echo(f"aiorts: {path}: {error}; not used", err=True)
+    return None
 
 
 def _language_of(output: str | None) -> str:

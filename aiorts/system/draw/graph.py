@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 from aiorts.kernel.extensions.catalogue import Catalogue
+from aiorts.layout import Places
 from aiorts.system.draw.picture import Box, Group, Picture, names_of, picture
 from aiorts.system.draw.svg import svg
 from aiorts.system.file.values import SystemFile
@@ -14,24 +15,31 @@ GRAPH_FORMATS: Final = ("mermaid", "dot", "svg")
 """The languages that `graph` draws in."""
 
 
-def graph(system: SystemFile, language: str = "mermaid", catalogue: Catalogue | None = None) -> str:
+def graph(
+    system: SystemFile,
+    language: str = "mermaid",
+    catalogue: Catalogue | None = None,
+    places: Places | None = None,
+) -> str:
     """Draw a system: components with their ports, grouped by context, and the connectors.
 
     Args:
         language: "mermaid", "dot" or "svg".
         catalogue: where types are looked up; installed packages and the file's plugin folders by default.
+        places: where boxes are to stand in an SVG, such as those of the layout file beside a system file; boxes that
+            are not in it find places beside them.
 
     Raises:
         ValueError: there is no such language.
     """
-    return drawn(picture(system, catalogue), language)
+    return drawn(picture(system, catalogue), language, places)
 
 
-def drawn(seen: Picture, language: str) -> str:
+def drawn(seen: Picture, language: str, places: Places | None = None) -> str:
     """The text of a picture; ValueError: there is no such language."""
     if language not in GRAPH_FORMATS:
         raise ValueError(f"language = {language!r}: expected {', '.join(GRAPH_FORMATS)}")
-    return _WRITERS[language](seen)
+    return svg(seen, places) if language == "svg" else _WRITERS[language](seen)
 
 
 # -- Mermaid -----------------------------------------------------------------------------------------------------------
@@ -134,4 +142,4 @@ def _quoted(text: str) -> str:
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-_WRITERS: Final[dict[str, Callable[[Picture], str]]] = {"mermaid": _mermaid, "dot": _dot, "svg": svg}
+_WRITERS: Final[dict[str, Callable[[Picture], str]]] = {"mermaid": _mermaid, "dot": _dot}

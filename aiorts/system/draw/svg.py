@@ -6,9 +6,10 @@ The same picture gives the same text. `aiorts.layout` decides the places; the fu
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import permutations
 from typing import Final
 
-from aiorts.layout import BAND_FOOT, HEAD, Edge, Key, Layout, Point, Route, Spot
+from aiorts.layout import BAND_FOOT, HEAD, Edge, Key, Layout, Place, Places, Point, Route, Spot
 from aiorts.system.draw.picture import Arrow, Box, Picture, Pin
 
 _CHAR: Final = 6.8
@@ -20,6 +21,10 @@ _EDGE: Final = 16.0
 _INSET: Final = 8.0
 """Between the frame of a context and that of a composite in it."""
 _BEND: Final = 6.0
+_ABOVE: Final = 40.0
+"""Boxes whose left sides are nearer stand above one another, not beside."""
+_WIDEST: Final = 4.0
+"""The most by which boxes stand farther apart than in the studio."""
 _LANES: Final = ("#eef4fb", "#f1f8ee", "#fdf5e9", "#f6f0fa", "#eef8f7", "#fbf0f0")
 _STYLE: Final = (
     "text{font-family:'DejaVu Sans',Verdana,sans-serif;font-size:11px;fill:#1f2933}"
@@ -31,17 +36,24 @@ _STYLE: Final = (
 )
 
 
-def svg(seen: Picture) -> str:
-    """The picture as an SVG document."""
+def svg(seen: Picture, stored: Places | None = None) -> str:
+    """The picture as an SVG document.
+
+    Args:
+        stored: where boxes stood in the studio; they stand so here, and those that are new beside them.
+    """
     labels = _labels(seen)
     layout = Layout(label=max(0, *map(len, labels.values()), 0) * _LABEL_CHAR + 2 * _EDGE)
     edges = [_edge(number, arrow) for number, arrow in enumerate(seen.arrows)]
     lanes = [pair for group in seen.groups for pair in group.flat()]
     spots = [_spot(box, (str(number),)) for number, (group, _) in enumerate(lanes) for box in group.boxes]
     layout.place(spots, edges, {(str(number),): "" for number in range(len(lanes))})
+    if stored is not None:
+        _restore(layout, spots, edges, stored)
     routes = [layout.route(edge) for edge in edges]
     bends = [x for route in routes for x, _ in route.points]
-    left, right = min(0.0, *bends, 0.0) - _EDGE, max(layout.right, *bends, 0.0) + _EDGE
+    left = min(0.0, *bends, *(one.x - _EDGE for one in spots), 0.0) - _EDGE
+    right = max(layout.right, *bends, 0.0) + _EDGE
     heights = [y for route in routes for _, y in route.points]
     top = min((*(band.top for band in layout.bands.values()), *heights), default=0.0)
     bottom = max((*(band.top + band.height for band in layout.bands.values()), *heights), default=0.0)
@@ -92,6 +104,39 @@ def _spot(box: Box, band: Key) -> Spot:
 
 def _text_width(pin: Pin) -> float:
     return len(pin.name) * _CHAR + 10 + len(pin.type) * _CHAR
+
+
+def _restore(layout: Layout, spots: Sequence[Spot], edges: Sequence[Edge], stored: Places) -> None:
+    """Put boxes where they stood; wider ones than the studio's stand as much farther apart."""
+    known = {spot.key: stored.boxes[spot.title] for spot in spots if spot.title in stored.boxes}
+    if not known:
+        return
+    wider = _stretch([(spot, known[spot.key]) for spot in spots if spot.key in known], layout.label)
+    places = {}
+    for key, place in known.items():
+        left, top = layout.corner(layout.spots[key].band)
+        places[key] = left + place.x * wider, top + place.y
+    new = [spot for spot in spots if spot.key not in known]
+    for spot in new:
+        layout.remove(spot.key)
+    layout.move(places)
+    for spot in new:
+        sources = [edge.source for edge in edges if edge.target == spot.key]
+        targets = [edge.target for edge in edges if edge.source == spot.key]
+        if not layout.add(spot, layout.groups[spot.band], sources, targets):
+            layout.place(spots, edges, dict(layout.groups))  # there is no room: the others give way
+            layout.move(places)
+            return
+
+
+def _stretch(placed: Sequence[tuple[Spot, Place]], label: float) -> float:
+    """By how much boxes stand farther apart, so that all that stand beside one another have room."""
+    found = 1.0
+    for (one, here), (other, there) in permutations(placed, 2):
+        beside = here.y < there.y + other.h and there.y < here.y + one.h
+        if one.band == other.band and beside and there.x - here.x > _ABOVE:
+            found = max(found, (one.w + label + _EDGE) / (there.x - here.x))
+    return min(found, _WIDEST)
 
 
 def _edge(number: int, arrow: Arrow) -> Edge:

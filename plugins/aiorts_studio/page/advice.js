@@ -9,11 +9,10 @@ import { boxFigures, boxes, bursts, cures, frames, kernels } from "./store.js";
 /** @typedef {{says: string, line?: string}} Cure line: to be copied */
 /** @typedef {{why: string, helps: string, cures: Cure[], note: string}} Advice */
 
-/** Why samples are dropped, by the reason, and what helps; a slow reader and one that is not active have their own. */
+/** Why samples are lost, by the reason, and what helps; a slow reader and one that is not active have their own. */
 const REASONS = /** @type {Record<string, [string, string]>} */ ({
   overwritten: ["The buffer was full when a sample came, and the oldest one made room.", ""],
   rejected: ["The buffer was full when a sample came, and the new one was refused.", ""],
-  superseded: ["A newer sample came before this one was passed on.", "It is what push = \"new\" asks for; push = \"all\" passes on every sample."],
   timeout: ["The writer waited for room in the buffer, and gave up.", "Find out why the reader stands still; timeout says how long a writer waits."],
   inactive: ["The reader's component was not active.", ""],
   expired: ["The sample was older than its lifespan when it was to be read.", "The reader is late: let it run more often, or lengthen lifespan."],

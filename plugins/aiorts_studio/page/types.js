@@ -9,7 +9,7 @@
  *
  * @typedef {{name: string, side: "in" | "out", kind: "data" | "service", type: string, unit: string, y: number}} Port
  *
- * @typedef {{message: string, file?: string, line?: number}} Failure
+ * @typedef {{message: string, file?: string, line?: number, at_ns?: number | string}} Failure
  *
  * @typedef {{id: number, kernel: string, name: string, type: string, kind: "component" | "folded" | "remote",
  *   state: string, said: string, error: Failure | null, infrastructure: boolean, frame: number | null, around: number | null, x: number,
@@ -21,7 +21,7 @@
  *   label: Point, policy: string, state: "up" | "down" | "waiting", why?: string, link: boolean,
  *   bundle: number}} Edge
  *
- * Figures of an edge: rate in Hz, dropped samples in all and by reason, samples that wait, dropped per second, age and
+ * Figures of an edge: rate in Hz, lost samples in all, what was dropped by reason, samples that wait, lost per second, age and
  * round trip in ms. null: not known. `lossy` alone is known in the far view.
  * @typedef {{rate: number | null, dropped: number, backlog: number, loss: number, reasons: Record<string, number> | null,
  *   age: number | null, trip: number | null, lossy: boolean}} EdgeFigures

@@ -47,8 +47,14 @@ export function toneOf(edge, row) {
 /** How many samples an edge holds; Infinity: not known. @param {Edge} edge */
 export const capacityOf = (edge) => Number(/(\d+) long/.exec(edge.policy)?.[1] ?? Infinity);
 
-/** @param {EdgeFigures} row */
-export const reasonsOf = (row) => Object.entries(row.reasons ?? {}).filter(([, times]) => times > 0);
+/** The reasons of drops that options ask for: what is left out is not lost. The server has the same. */
+const LEFT_OUT = new Set(["skipped", "superseded"]);
+
+/** How many samples were lost, and how many left out, by the reason. @param {Record<string, number> | null} dropped @returns {{lost: [string, number][], leftOut: [string, number][]}} */
+export function reasonsOf(dropped) {
+  const all = Object.entries(dropped ?? {}).filter(([, times]) => times > 0);
+  return { lost: all.filter(([reason]) => !LEFT_OUT.has(reason)), leftOut: all.filter(([reason]) => LEFT_OUT.has(reason)) };
+}
 
 /**
  * The two parts of an edge's label: what passes, and what does not; in as many words as have room.
@@ -60,7 +66,7 @@ export function labelOf(edge, row, crowded, fits) {
   if (edge.state !== "up") return [edge.state, ""];
   if (!row) return ["", ""];
   const rate = row.rate === null ? "" : `${number(row.rate)} Hz`, trip = row.trip === null ? "" : `${number(row.trip)} ms`;
-  const reasons = reasonsOf(row), why = reasons.length === 1 && !crowded ? lostBy(reasons[0][0]) : "lost";
+  const reasons = reasonsOf(row.reasons).lost, why = reasons.length === 1 && !crowded ? lostBy(reasons[0][0]) : "lost";
   const firsts = [[rate, trip].filter(Boolean).join(" · "), rate, ""];
   const seconds = row.dropped ? [`${count(row.dropped)} ${why}`, `${count(row.dropped)} lost`, `${short(row.dropped)} lost`, `-${short(row.dropped)}`]
     : row.backlog ? [`${count(row.backlog)} waiting`, `${short(row.backlog)} waiting`, ""] : [""];
@@ -93,8 +99,8 @@ export function edgeLines(edge, row) {
   const lines = [edge.policy, edge.link ? "link between two kernels" : "", edge.bundle > 1 ? `${edge.bundle} connectors` : ""];
   if (edge.state !== "up") lines.push(edge.why || (edge.state === "down" ? "the connection is down" : "waits for the other end"));
   if (row && row.rate !== null) lines.push(`${number(row.rate)} samples/s arrive`);
-  if (row?.dropped) lines.push(`${count(row.dropped)} dropped${row.loss ? `, ${number(row.loss)}/s now` : ""}`);
-  for (const [why, times] of row ? reasonsOf(row) : []) lines.push(`  ${count(times)} ${why.replaceAll("_", " ")}`);
+  if (row?.dropped) lines.push(`${count(row.dropped)} lost${row.loss ? `, ${number(row.loss)}/s now` : ""}`);
+  for (const [why, times] of reasonsOf(row?.reasons ?? null).lost) lines.push(`  ${count(times)} ${why.replaceAll("_", " ")}`);
   if (row?.backlog) {
     const room = capacityOf(edge);
     lines.push(`${count(row.backlog)}${Number.isFinite(room) ? ` of ${room}` : ""} wait for the reader`);
@@ -106,7 +112,7 @@ export function edgeLines(edge, row) {
 
 /** What a screen reader says of an edge; without figures that change at each moment. @param {Edge} edge @param {Map<number, Box>} boxes @param {Tone} tone */
 export function edgeSpoken(edge, boxes, tone) {
-  const trouble = { lossy: "drops samples", full: "nearly full", down: "down", waiting: "waits for the other end" };
+  const trouble = { lossy: "loses samples", full: "nearly full", down: "down", waiting: "waits for the other end" };
   return [endsOf(edge, boxes).join(" to "), edge.link ? "link" : "", edge.policy, trouble[/** @type {"lossy"} */ (tone)] ?? ""].filter(Boolean).join(", ");
 }
 

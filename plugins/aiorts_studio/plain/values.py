@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from math import isfinite
 from typing import Any, Final, NoReturn
 
 from aiorts.errors import ControlError, RecordError
@@ -50,6 +51,10 @@ def value_out(value: Any) -> Any:
         return value
     if kind is int:
         return value if -LARGEST <= value <= LARGEST else str(value)
+    if kind is float and isfinite(value):
+        return value
+    if kind is list:  # before what takes longer to find out: pictures and figures have thousands
+        return [value_out(one) for one in value]
     if isinstance(value, Mapping):
         return {str(key): value_out(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

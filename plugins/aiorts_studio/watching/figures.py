@@ -13,7 +13,7 @@ from aiorts_studio.watching.words import said_of, state_of
 
 Row: TypeAlias = list[Any]
 _KINDS: Final = ("connectors", "service_connectors", "contexts", "components")
-_LEFT_OUT: Final = frozenset(("skipped", "superseded"))
+LEFT_OUT: Final = frozenset(("skipped", "superseded"))
 """The reasons of drops that options ask for: every nth sample, the newest alone."""
 _LOOKS: Final = 6
 """Looks over which rates are taken: one second of five a second."""
@@ -33,6 +33,10 @@ class Figures:
         """The median ages of samples in ms when they are read, of connectors that are measured."""
         self.late: dict[str, str] = {}
         """The most frequent cause of lateness, by context."""
+        self.lossy: set[str] = set()
+        """The connectors that have lost samples."""
+        self._boxes: dict[str, Row] = {}
+        """The rows of components that have been asked for since they changed last."""
         self._earlier: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_LOOKS)
 
     def take(self, item: Mapping[str, Any]) -> None:
@@ -40,6 +44,8 @@ class Figures:
         if item["whole"]:
             self._earlier.clear()
             self.now = {kind: {} for kind in _KINDS}
+            self.lossy.clear()
+            self._boxes.clear()
         elif self.at_ns:
             self._earlier.append((self.at_ns, dict(self.now["connectors"])))
         self.at_ns = item["at_ns"]
@@ -47,6 +53,11 @@ class Figures:
             self.now[kind].update(item[kind])
             for name in item["gone"].get(kind, ()):
                 self.now[kind].pop(name, None)
+        for name, row in item["connectors"].items():
+            (self.lossy.add if row[3] and lost(row[3]) else self.lossy.discard)(name)
+        self.lossy.difference_update(item["gone"].get("connectors", ()))
+        for name in (*item["components"], *item["gone"].get("components", ())):
+            self._boxes.pop(name, None)
         for kept, kind in ((self.trips, "connectors"), (self.late, "contexts")):
             for name in kept.keys() - self.now[kind].keys():
                 del kept[name]
@@ -92,10 +103,6 @@ class Figures:
             losing = _digits((lost(dropped) - lost(dropped_then)) / seconds)
         return [rate, lost(dropped), buffered, losing, dropped or None, self.ages.get(name), self.trips.get(name)]
 
-    def is_lossy(self, name: str) -> bool:
-        """Whether the connector has lost samples."""
-        return self.lost(name) > 0
-
     def lost(self, name: str) -> int:
         """The samples that the connector has lost."""
         counted = self.now["connectors"].get(name)
@@ -117,11 +124,13 @@ class Figures:
 
     def box(self, name: str) -> Row | None:
         """The state of a component, and what is said of it; None: it is not known, or not now."""
-        found = self.now["components"].get(name)
-        if found is None or self.are_old:
+        if self.are_old:
             return None
-        states, overdue = found["states"], found.get("overdue") or {}
-        return [state_of(states, failed=found["failed"]), said_of(states, overdue)]
+        row = self._boxes.get(name)
+        if row is None and (found := self.now["components"].get(name)) is not None:
+            states, overdue = found["states"], found.get("overdue") or {}
+            row = self._boxes[name] = [state_of(states, failed=found["failed"]), said_of(states, overdue)]
+        return row
 
     def frame(self, context: str) -> Row | None:
         """The lateness of a context in ms (p99; None without a rate), its overruns, and what made it late most."""
@@ -134,7 +143,7 @@ class Figures:
 
 def lost(dropped: Mapping[str, int]) -> int:
     """The samples that were lost, of all that were dropped, by reason: what an option leaves out is no loss."""
-    return sum(count for reason, count in dropped.items() if reason not in _LEFT_OUT)
+    return sum(count for reason, count in dropped.items() if reason not in LEFT_OUT)
 
 
 def _digits(value: float) -> float:

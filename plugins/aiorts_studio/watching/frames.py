@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, Final, TypeAlias
 
-from aiorts.layout import GROUP_HEAD, LEFT, Band, Key, Layout, Route
-from aiorts_studio.watching.graph import HOST, IN_COMPOSITE
+from aiorts.layout import BAND_FOOT, BAND_HEAD, GROUP_HEAD, LEFT, Band, Key, Layout, Route
+from aiorts_studio.watching.graph import FOLDED, HOST, IN_COMPOSITE
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import composite_said, context_said
 
@@ -29,7 +29,8 @@ def frames_of(
 ) -> dict[int, Thing]:
     """The frames of all kernels, by number.
 
-    Those of a pile are as wide as the boxes, and the edges, that reach farthest.
+    Those of a pile are as wide as the boxes, and the edges, that reach farthest; one that is folded is as large as its
+    box wants.
 
     Args:
         number: the number of a thing, by the words of its key.
@@ -70,11 +71,12 @@ class _Frames:
             height = GROUP_HEAD + extent.height + _PAD
             left, width = self._reach(next(iter(bands)))
             place = {"x": left - _PAD, "y": extent.top - GROUP_HEAD, "w": width + 2 * _PAD, "h": height}
+            near = self._near_box(key)
             said = f"process {view.about['pid']} on {view.about['host']}"
             host = (HOST, view.about["host"])
             parent = self._number("frame", *host) if host in layout.bands else None
-            made[number] = self._frame(key, "kernel", view, view.about["name"], said, place, parent)
-            for band in bands:
+            made[number] = self._frame(key, "kernel", view, view.about["name"], said, near or place, parent)
+            for band in bands if near is None else ():
                 made |= self._inner_frame(view, band, bands, number)
         return made | self._host_frames(made)
 
@@ -99,8 +101,17 @@ class _Frames:
             said = context_said(report) + "".join(f" · process {pid}" for pid in apart)
             place = {"x": left, "y": extent.top, "w": width, "h": extent.height}
             kind = "process" if apart else "context"
+            place = self._near_box(key) or place
             frame = self._frame(key, kind, view, context or "in no context", said, place, parent)
         return {frame["id"]: frame}
+
+    def _near_box(self, key: Key) -> Thing | None:
+        """The place of a frame that is folded: around the box that stands for what is in it."""
+        box = self._layout.spots.get((FOLDED, *key[1:]))
+        if box is None:
+            return None
+        place = {"x": box.x - LEFT, "y": box.y - BAND_HEAD, "w": box.w + 2 * LEFT, "h": box.h + BAND_HEAD + BAND_FOOT}
+        return {side: round(value, 1) for side, value in place.items()}
 
     def _host_frames(self, kernels: Mapping[int, Thing]) -> dict[int, Thing]:
         """A frame around the kernels of each host, where they are of several."""

@@ -112,6 +112,8 @@ class Graph:
 
     def _fold_of(self, band: Key) -> Key | None:
         """The outermost frame that is folded of those around a band."""
+        if not self._folded:
+            return None
         frames = (("frame", *band[1:end]) for end in range(2, len(band) + 1))
         return next((frame for frame in frames if frame in self._folded), None)
 

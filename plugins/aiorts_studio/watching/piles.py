@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import accumulate
 from typing import Final
 
-from aiorts.layout import BAND_GAP, GROUP_GAP, GROUP_HEAD, Edge, Key, Layout, Spot, columns
+from aiorts.layout import BAND_GAP, GROUP_GAP, GROUP_HEAD, Edge, Key, Layout, Point, Spot, columns
 
 _WIDE: Final = 1.55
 """Width of the room for the scene, where its height is 1."""
@@ -31,24 +31,25 @@ def placed(
         kept: the piles of groups that were laid out before; they stay, unless others show the whole far larger.
     """
     layout = Layout()
-    layout.place(spots, edges, groups)
+    size = layout.sketch(spots, edges, groups)
     heights: dict[str, float] = {}
     for band, place in layout.bands.items():
         unit = units[layout.groups[band]]
         heights[unit] = heights.get(unit, GROUP_GAP + GROUP_HEAD) + place.height + BAND_GAP
     linked = _linked(layout, edges, units)
-    tried = {1: _scale(layout)}
+    wanted, best = dict[str, int](), _scale(size)
     for count in range(2, min(len(heights), _MOST) + 1):
-        layout.place(spots, edges, groups, _dealt(linked, heights, count, units))
-        tried[count] = _scale(layout)
-    best = max(tried, key=lambda count: (tried[count], -count))
+        if size[0] > _WIDE * size[1]:
+            break  # more piles are wider still
+        piles = _dealt(linked, heights, count, units)
+        size = layout.sketch(spots, edges, groups, piles)
+        if _scale(size) > best:
+            wanted, best = piles, _scale(size)
     if kept:
-        layout.place(spots, edges, groups, _as_before(kept, heights, units))
-        if _scale(layout) >= _GOOD * tried[best]:
-            return layout
-        layout.place(spots, edges, groups, _dealt(linked, heights, best, units))
-    elif best != len(tried):
-        layout.place(spots, edges, groups, _dealt(linked, heights, best, units))
+        before = _as_before(kept, heights, units)
+        if _scale(layout.sketch(spots, edges, groups, before)) >= _GOOD * best:
+            wanted = before
+    layout.place(spots, edges, groups, wanted)
     return layout
 
 
@@ -64,11 +65,9 @@ def _as_before(kept: Mapping[str, int], heights: Mapping[str, float], units: Map
     return {group: pile[unit] for group, unit in units.items() if unit in pile}
 
 
-def _scale(layout: Layout) -> float:
-    """The scale at which a screen shows all of a layout."""
-    right = max((one.x + one.w for one in layout.spots.values()), default=1.0)
-    bottom = max((one.top + one.height for one in layout.bands.values()), default=1.0)
-    return min(_WIDE / right, 1 / bottom)
+def _scale(size: Point) -> float:
+    """The scale at which a screen shows all of a layout of this size."""
+    return min(_WIDE / size[0], 1 / max(1.0, size[1]))
 
 
 def _linked(layout: Layout, edges: Sequence[Edge], units: Mapping[str, str]) -> list[str]:

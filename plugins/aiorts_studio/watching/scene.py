@@ -17,7 +17,7 @@ from aiorts_studio.watching.frames import Thing, frames_of
 from aiorts_studio.watching.graph import FOLDED, IN_COMPOSITE, Graph, side_of
 from aiorts_studio.watching.piles import placed
 from aiorts_studio.watching.view import View
-from aiorts_studio.watching.words import class_of, error_of, link_state, policy_of, said_of, state_of
+from aiorts_studio.watching.words import class_of, link_state, policy_of, said_of, state_of
 
 Message: TypeAlias = dict[str, Any]
 
@@ -33,18 +33,22 @@ class Scene:
         views: the kernels by key.
         things: what pages show, by kind and number.
         connectors: by the key of a kernel, the number of the edge of each connector whose figures the edge has.
+        wires: the same by the number of the edge.
         folds: by the key of a kernel, the components of each folded box by its number.
         inside: by the key of a kernel, its connectors that are inside folded boxes.
         numbers: the number of each thing by key.
+        laid_out: by the key of a kernel, how many components and connectors it had when all was laid out last.
     """
 
     def __init__(self) -> None:
         self.views: dict[str, View] = {}
         self.things: dict[str, dict[int, Thing]] = {kind: {} for kind in KINDS}
         self.connectors: dict[str, dict[str, int]] = {}
+        self.wires: dict[str, dict[int, list[str]]] = {}
         self.folds: dict[str, dict[int, list[str]]] = {}
         self.inside: dict[str, list[str]] = {}
         self.numbers: dict[Key, int] = {}
+        self.laid_out: dict[str, tuple[int, int]] = {}
         self._next = count(1)
         self._graph = Graph({})
         self._layout = Layout()
@@ -144,6 +148,7 @@ class Scene:
         if again or not self._adapt(graph):
             before = self._layout
             kept = {} if tidy else {group: before.pile_of(band) for band, group in before.groups.items()}
+            self.laid_out = {key: view.size for key, view in self.views.items()}
             spots, edges, moved = list(graph.spots.values()), list(graph.edges.values()), dict(self._moved)
             made = await asyncio.to_thread(_laid_out, spots, edges, graph.bands(), graph.units(), kept, moved)
             self._layout, self._routes = made
@@ -153,11 +158,14 @@ class Scene:
             self.folds[key[1]][self.number(*key)] = members
         self.inside = graph.inside
         self.connectors = {key: {} for key in self.views}
+        self.wires = {key: {} for key in self.views}
         for key, bundle in graph.bundles.items():
             writer = bundle[0][0]
             for view, name in bundle:
                 if view is writer:  # the reader's end of a link counts the same samples again
-                    self.connectors.setdefault(view.key, {})[name] = self.number(*key)
+                    number = self.number(*key)
+                    self.connectors.setdefault(view.key, {})[name] = number
+                    self.wires.setdefault(view.key, {}).setdefault(number, []).append(name)
         change = self._change()
         self._forget()
         return change
@@ -237,7 +245,7 @@ class Scene:
             frame = ("frame", *(key if key[0] == FOLDED else spot.band)[1:])
             place = {
                 "id": number, "kernel": view.address, "name": spot.title, "frame": self.number(*frame),
-                "around": self.number("frame", *spot.band[1:]),
+                "around": self.number("frame", *(key if key == (FOLDED, key[1]) else spot.band)[1:]),
                 "x": round(spot.x, 1), "y": round(spot.y, 1), "w": round(spot.w, 1), "h": spot.h,
             }  # fmt: skip
             box = _box(view, key[2], spot) if key[0] == "box" else _other_box(spot, key[0])
@@ -329,7 +337,7 @@ def _box(view: View, name: str, spot: Spot) -> Thing:
 def _condition(view: View, report: Mapping[str, Any]) -> Thing:
     """How a component is; of one that has not failed, the state of a kernel that does not answer."""
     states, failed = report["states"], report["last_error"]
-    error, known = error_of(failed), view.about["state"]
+    error, known = view.failure_of(report), view.about["state"]
     if known != "live" and failed is None:
         return {"state": known, "said": "", "error": error}
     return {

@@ -40,6 +40,10 @@ _SETTLING: Final = 10
 """Looks whether a kernel that has just begun is assembled."""
 _KEEP: Final = 1.0
 """Seconds after a change until places are written: many come one after the other."""
+_MANY: Final = 100
+"""Components of a kernel from which on its sums are not made at each look."""
+_SUM_UP: Final = 900_000_000
+"""Nanoseconds of a kernel's clock for which its sums are good."""
 _OPEN: Final = 3.0
 _AGAIN: Final = 1.0
 """Seconds until a kernel that refuses is asked once more."""
@@ -87,6 +91,8 @@ class Studio:
         self._taps: dict[tuple[str, str], Tap] = {}
         self._history: deque[dict[str, Any]] = deque(maxlen=_KEPT)
         self._keeps = False
+        self._totals: dict[str, tuple[int, dict[int, Row]]] = {}
+        """By the key of the view: when it was summed up last, and what it came to."""
         self._dirty, self._drawn = asyncio.Event(), asyncio.Event()
         self._unwritten = asyncio.Event()
         self._places = places
@@ -258,6 +264,7 @@ class Studio:
 
     async def _draw(self) -> None:
         change = await self.scene.draw()
+        self._totals.clear()  # they name boxes
         self._drawn.set()
         self._unwritten.set()
         if change is not None:
@@ -332,7 +339,8 @@ class Studio:
             if view.size == count and view.components:
                 break
         view.settled = True
-        self.scene.lay_out()
+        if self.scene.laid_out.get(view.key) != view.size:
+            self.scene.lay_out()
         self.changed()
 
     def _end(self, there: Collection[str]) -> None:
@@ -429,20 +437,21 @@ class Studio:
         if not pages or not watch.figures.at_ns:
             return
         figures, key = watch.figures, watch.view.key
-        edges: dict[int, list[str]] = {}
-        for name, number in self.scene.connectors.get(key, {}).items():
-            if name in figures.now["connectors"]:
-                edges.setdefault(number, []).append(name)
+        wires = self.scene.wires.get(key, {})
         wanted = frozenset[int]().union(*(page.seen["e"] for page in pages if not page.is_far))
-        near = {number: row for number in wanted & edges.keys() if (row := figures.edge(edges[number])) is not None}
-        far: dict[int, Row] = {number: [int(any(map(figures.is_lossy, names)))] for number, names in edges.items()}
-        boxes = self._rows("box", key, figures.now["components"], figures.box) | self._folded(watch)
+        near = {number: row for number in wanted & wires.keys() if (row := figures.edge(wires[number])) is not None}
+        far: dict[int, Row] = {}
+        if any(page.is_far for page in pages):
+            far = {number: [int(not figures.lossy.isdisjoint(names))] for number, names in wires.items()}
+        seen = frozenset[int]().union(*(page.seen["b"] for page in pages))
+        boxes = self._rows("box", key, figures.now["components"], figures.box, seen) | self._folded(watch)
         totals = self._total(watch)
         frames = self._rows("frame", key, figures.now["contexts"], figures.frame)
         for page in pages:
-            rows, seen = (far, frozenset(far)) if page.is_far else (near, page.seen["e"])
             message = {
-                "e": different(rows, page.told["e"], seen),
+                "e": different(
+                    *((far, page.told["e"], far) if page.is_far else (near, page.told["e"], page.seen["e"]))
+                ),
                 "b": different(boxes, page.told["b"], page.seen["b"]),
                 "f": different(frames, page.told["f"], frames),
                 "k": different(totals, page.told["k"], totals),
@@ -451,17 +460,23 @@ class Studio:
                 page.put({"t": "figures", "at": {watch.view.address: figures.at_ns}, **message})
 
     def _total(self, watch: Watch) -> dict[int, Row]:
-        """The totals of a kernel and of its folded frames, by the number of the frame."""
-        key, numbers = watch.view.key, self.scene.numbers
+        """The totals of a kernel, by the number of its frame; those of many components are summed up once a second."""
+        key, numbers, figures = watch.view.key, self.scene.numbers, watch.figures
+        at_ns, known = self._totals.get(key, (0, {}))
+        many = len(watch.view.components) > _MANY
+        if many and known and not figures.are_old and 0 <= figures.at_ns - at_ns < _SUM_UP:
+            return known
         boxes: dict[str, int | None] = {name: numbers.get(("box", key, name)) for name in watch.view.components}
         for number, members in self.scene.folds.get(key, {}).items():
             boxes |= dict.fromkeys(members, number)
         connectors: dict[str, int | None] = dict.fromkeys(self.scene.inside.get(key, ()))
-        total = total_of(watch.view, watch.figures, connectors | self.scene.connectors.get(key, {}), boxes)
-        return {self.scene.number("frame", key): total}
+        total = total_of(watch.view, figures, connectors | self.scene.connectors.get(key, {}), boxes)
+        known = {self.scene.number("frame", key): total}
+        self._totals[key] = figures.at_ns, known
+        return known
 
     def _folded(self, watch: Watch) -> dict[int, Row]:
-        """How those are that folded boxes stand for, by the number of the box."""
+        """The states of folded boxes, by the number of the box."""
         key, found = watch.view.key, dict[int, Row]()
         names = [*self.scene.connectors.get(key, ()), *self.scene.inside.get(key, ())]
         for number, members in self.scene.folds.get(key, {}).items():
@@ -470,10 +485,20 @@ class Studio:
             found[number] = folded_row(watch.figures, members, ends)
         return found
 
-    def _rows(self, kind: str, key: str, names: Mapping[str, Any], row: Callable[[str], Row | None]) -> dict[int, Row]:
+    def _rows(
+        self,
+        kind: str,
+        key: str,
+        names: Mapping[str, Any],
+        row: Callable[[str], Row | None],
+        wanted: Collection[int] | None = None,
+    ) -> dict[int, Row]:
+        """Rows by the numbers of things; of those alone that are wanted, where that is said."""
         numbers = self.scene.numbers
         return {
             number: found
             for name in names
-            if (number := numbers.get((kind, key, name))) is not None and (found := row(name)) is not None
+            if (number := numbers.get((kind, key, name))) is not None
+            and (wanted is None or number in wanted)
+            and (found := row(name)) is not None
         }

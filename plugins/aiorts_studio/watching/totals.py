@@ -27,20 +27,23 @@ def total_of(view: View, figures: Figures, connectors: Mapping[str, Place], boxe
         connectors: the numbers of edges by connector; None of one that is inside a folded frame.
         boxes: the numbers of boxes by component.
     """
+    reports = view.components
     found = [
-        [name, said, boxes.get(name)] for name in figures.now["components"] if (said := _trouble(view, figures, name))
+        [name, said, boxes.get(name)]
+        for name in figures.now["components"]
+        if (said := _trouble(reports.get(name), figures.box(name)))
     ]
-    losing = [(count, name) for name in connectors if (count := figures.lost(name))]
-    losing.sort(key=lambda one: -one[0])
+    losing = [(figures.lost(name), name) for name in connectors.keys() & figures.lossy]
+    losing.sort(key=lambda one: (-one[0], one[1]))
     dropped = sum(count for count, _ in losing)
     lossy = [_loss(view, figures, name, connectors[name], boxes) for _, name in losing[:_MOST]]
     return [len(view.components), len(connectors), figures.rate(connectors), dropped, found[:_MOST], lossy]
 
 
-def _trouble(view: View, figures: Figures, name: str) -> str:
+def _trouble(report: Mapping[str, Any] | None, row: Row | None) -> str:
     """Words for what is wrong with a component; "" is nothing."""
-    state, said = figures.box(name) or ("", "")
-    failed = (view.components.get(name) or {}).get("last_error")
+    state, said = row or ("", "")
+    failed = (report or {}).get("last_error")
     return said or (str(failed or state) if state == "error" or failed else "")
 
 
@@ -61,6 +64,6 @@ def folded_row(figures: Figures, components: Iterable[str], connectors: Iterable
         connectors: those that have an end, or both, inside.
     """
     states = [str(row[0]) for name in components if (row := figures.box(name)) is not None]
-    failed, lossy = states.count("error"), sum(map(figures.is_lossy, connectors))
+    failed, lossy = states.count("error"), len(figures.lossy.intersection(connectors))
     said = [f"{failed} failed"] * (failed > 0) + [f"{lossy} lose{'s' * (lossy == 1)} samples"] * (lossy > 0)
     return [next((one for one in _WORST_FIRST if one in states), ""), ", ".join(said)]

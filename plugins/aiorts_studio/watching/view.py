@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from aiorts.sessions import Entry
-from aiorts_studio.watching.words import class_of
+from aiorts_studio.watching.words import class_of, error_of
 
 _FILTER: Final = "FlexiFilter"
 _LOOK_ON: Final = frozenset(("FlexiDump", "FlexiLogger"))
@@ -120,6 +120,18 @@ class View:
             return component, port
         name, _, port = composite["exported"][port].rpartition(".")
         return self.member_port(name, port)
+
+    def failure_of(self, report: Mapping[str, Any]) -> dict[str, Any] | None:
+        """The last error of a component, as pages have it: where and when, too, as far as its last lines say."""
+        failed = report["last_error"]
+        if failed is None:
+            return None
+        lines = [line for line in report["log"] if failed in line["text"]]
+        if not lines:
+            return error_of(failed)
+        clock, line = self.profile["clock"], lines[-1]
+        at_ns = int(line["monotonic_ns"]) + int(clock["time_ns"]) - int(clock["monotonic_ns"])
+        return {**(error_of(line["text"]) or {}), "message": failed, "at_ns": at_ns}
 
     def _composites(self) -> dict[str, Mapping[str, Any]]:
         return {name: one["composite"] for name, one in self.components.items() if one["composite"] is not None}

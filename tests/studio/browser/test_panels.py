@@ -119,7 +119,9 @@ def test_the_tree_is_walked_by_arrows(page: Opened) -> None:
 def test_an_error_leads_from_what_needs_a_look_and_from_the_log_to_its_component(page: Opened) -> None:
     page.page.locator(".troubles").get_by_text("fails").click()
     heading(page, "fails")
-    assert "RuntimeError" in page.page.locator("aside .failure").inner_text()
+    failure = page.page.locator("aside .failure")
+    failure.get_by_text("parts.py:52").wait_for()
+    assert re.search(r"Last error at \d\d:\d\d:\d\d\.\d{3}\n+RuntimeError", failure.inner_text())
     page.page.keyboard.press("Escape")
     page.show("Log")
     page.page.locator(".log .line .who").get_by_text("fails").first.click()

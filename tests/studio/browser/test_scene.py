@@ -116,7 +116,7 @@ def test_a_connector_that_loses_samples_says_so_and_why(page: Opened) -> None:
     edge.wait_for(state="attached")
     assert edge.count() == 1
     assert "metres.output0 to panel.late" in (edge.get_attribute("aria-label") or "")
-    assert "drops samples" in (edge.get_attribute("aria-label") or "")
+    assert "loses samples" in (edge.get_attribute("aria-label") or "")
     page.page.wait_for_function("() => /\\d+ overwritten/.test(document.querySelector('.label.lossy').textContent)")
     page.page.locator("header .fact.bad").click()  # it leads there
     assert focused(page.page) == "metres.output0 to panel.late"
@@ -235,6 +235,40 @@ def test_a_selection_of_a_name_that_is_not_there_selects_nothing(chromium: Brows
         found.wait_for_boxes(7)
         assert found.page.locator(".chosen").count() == 0
         assert found.complaints == []
+
+
+DOWN = """() => Promise.all([import('/store.js'), import('/scene/paths.js')]).then(([store, { crossOn }]) => {
+  const { scene } = studio, { x, y } = scene.view, edge = [...store.edges.value.values()].find((one) => !one.link);
+  const words = getComputedStyle(scene.host).getPropertyValue('--down').match(/\\w\\w/g);
+  const colour = words.map((one) => parseInt(one, 16)), { width, height } = scene.canvas;
+  const copy = new OffscreenCanvas(width, height).getContext('2d', { willReadFrequently: true });
+  const at = (k) => {   // how many of the four ends of its cross are in the colour of what is down, far away
+    scene.setView({ x, y, k });
+    scene.drawNow();
+    copy.drawImage(scene.canvas, 0, 0);
+    return crossOn(edge.points, 3.5 / k).flat().filter(([px, py]) => {
+      const [left, top] = [px * k + x, py * k + y].map((one) => one * devicePixelRatio);
+      const { data } = copy.getImageData(left, top, 1, 1);
+      return colour.every((one, i) => Math.abs(one - data[i]) < 60);
+    }).length;
+  };
+  const seen = (state) => {
+    store.take({ t: 'change', edges: [{ ...edge, state }] });
+    scene.setView({ x, y, k: 1 });
+    scene.drawNow();
+    const { length } = scene.svg.querySelectorAll(`[data-edge="${edge.id}"] .cross`);
+    return [length, at(0.4)];
+  };
+  return [seen('down'), seen('up')];
+})"""
+"""Of an edge that is down, and again of one that is up: its crosses nearby, and what is seen of one in the far view."""
+
+
+def test_a_connection_that_is_down_is_crossed_out_nearby_and_in_the_far_view(page: Opened) -> None:
+    assert page.page.evaluate(DOWN) == [[1, 4], [0, 0]]
+    page.page.get_by_role("button", name="Legend").click()
+    assert page.page.locator(".legend li", has_text="down").locator(".cross").count() == 1
+    assert page.page.locator(".legend li", has_text="loses samples").locator(".cross").count() == 0
 
 
 # -- what stops, and what comes back -----------------------------------------------------------------------------------

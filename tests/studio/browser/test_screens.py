@@ -80,7 +80,7 @@ def test_what_is_selected_is_shown_in_full(page: Opened, pictures: Path) -> None
     assert checks.cut_without_tip(page) == []
     shot(page, pictures, "component")
     page.choose_edge("wave.out-slow.in")
-    aside.get_by_text("written = delivered + wait + dropped").wait_for()
+    aside.get_by_text("written = delivered + wait + lost").wait_for()
     words = aside.inner_text()
     for part in ("Why samples are lost", "overwritten", "length helps only bursts", " of 4", "aiorts con --both-ends"):
         assert part in words, part

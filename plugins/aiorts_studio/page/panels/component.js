@@ -5,7 +5,7 @@ import { count, endsOf, kernelTrouble, number, portKind, reasonsOf } from "../wo
 import { useAnswer } from "./asked.js";
 import { StateChart } from "./chart.js";
 import { Commands, CopyIcon } from "./as_commands.js";
-import { Cut, html, said } from "./parts.js";
+import { Cut, html, moment, said } from "./parts.js";
 import { canPlot, plot } from "./plots.js";
 import { Timing } from "./timing.js";
 import { lostOn } from "./troubles.js";
@@ -57,7 +57,7 @@ function LastError({ box, text }) {
   const message = box.error?.message || text;
   if (!message) return null;
   const where = box.error?.file ? `${box.error.file}${box.error.line ? `:${box.error.line}` : ""}` : "";
-  return html`<section class="failure" aria-label="Last error"><h3 class="over">Last error</h3><p>${message}</p>
+  return html`<section class="failure" aria-label="Last error"><h3 class="over">Last error${box.error?.at_ns !== undefined && html` <span>at ${moment(box.error.at_ns)}</span>`}</h3><p>${message}</p>
     ${where && html`<p><button class="lead" onClick=${() => void copy(where)} title="Copy the place"><code>${where}</code></button></p>`}</section>`;
 }
 
@@ -82,7 +82,7 @@ function ConnectorRow({ edge, box }) {
   return html`<tr class="whole"><td colspan="3"><button class="lead" onClick=${() => choose("edge", edge.id)}><${Cut} text=${words} /></button></td></tr>
     <tr class="under"><td><small>${edge.state === "up" ? edge.policy : edge.state}</small></td>
     <td class="figure">${service || row?.rate === null || row?.rate === undefined ? "–" : `${number(row.rate)} Hz`}${row?.backlog ? html`<small>${count(row.backlog)} wait</small>` : null}</td>
-    <td class=${`figure ${lost ? "bad" : ""}`}>${service || lost === null ? "–" : count(lost)}<small>${row && reasonsOf(row).map(([why]) => why).join(", ")}</small></td></tr>`;
+    <td class=${`figure ${lost ? "bad" : ""}`}>${service || lost === null ? "–" : count(lost)}<small>${reasonsOf(row?.reasons ?? null).lost.map(([why]) => why).join(", ")}</small></td></tr>`;
 }
 
 /** @param {Box} box @param {string} port */

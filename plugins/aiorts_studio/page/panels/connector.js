@@ -19,13 +19,13 @@ export function ConnectorPart({ edge }) {
   const report = value?.connectors?.[edge.name], tone = toneOf(edge, row), room = capacityOf(edge);
   const others = [...edges.value.values()].filter((one) => one.id !== edge.id && ((one.from[0] === edge.from[0] && one.to[0] === edge.to[0]) || (one.from[0] === edge.to[0] && one.to[0] === edge.from[0])));
   // Of the same moment as the ledger below, where there is one.
-  const reasons = report ? Object.entries(/** @type {Record<string, number>} */ (report.ledger.dropped)) : row ? reasonsOf(row) : [];
+  const { lost, leftOut } = reasonsOf(report ? report.ledger.dropped : row?.reasons ?? null);
   return html`<h2><${Cut} text=${`${from} → ${to}`} /></h2>
     <p class="quiet">${edge.link ? "link between two kernels" : both ? counted(edge.bundle, "connector") : "connector"}${edge.policy && `, ${edge.policy}`}</p>
-    <p class="pills"><span class=${`pill tone-${tone || "idle"}`}>${{ "": "connected", busy: "samples pass", idle: "nothing passes", full: "nearly full", lossy: "drops samples", down: "down", waiting: "waits for the other end" }[tone]}</span></p>
+    <p class="pills"><span class=${`pill tone-${tone || "idle"}`}>${{ "": "connected", busy: "samples pass", idle: "nothing passes", full: "nearly full", lossy: "loses samples", down: "down", waiting: "waits for the other end" }[tone]}</span></p>
     <section aria-label="Ends"><table><tbody>${/** @type {const} */ (["from", "to"]).map((end) => html`<tr key=${end}><td>${end}</td>
       <td class="figure"><button class="lead" onClick=${() => choose("box", edge[end][0])}><${Cut} text=${end === "from" ? from : to} /></button></td></tr>`)}</tbody></table></section>
-    <${WhyLost} edge=${edge} reasons=${reasons} />
+    <${WhyLost} edge=${edge} reasons=${lost} />
     <section><h3 class="over">Now</h3><table><tbody>
       <${Figure} name="arrive" value=${row?.rate} unit="samples/s" />
       <${Figure} name="lost now" value=${row?.loss} unit="samples/s" bad=${(row?.loss ?? 0) > 0} />
@@ -36,12 +36,16 @@ export function ConnectorPart({ edge }) {
     ${report && html`<section><h3 class="over">Since it was made</h3><table><tbody>
       <${Figure} name="written" value=${report.ledger.written} whole=${true} /><${Figure} name="delivered" value=${report.ledger.delivered} whole=${true} />
       <${Figure} name="wait" value=${report.ledger.buffered} whole=${true} />
-      <${Figure} name="dropped" value=${Object.values(/** @type {Record<string, number>} */ (report.ledger.dropped)).reduce((sum, one) => sum + one, 0)} whole=${true} bad=${reasons.length > 0} />
-      </tbody></table><p class="quiet">written = delivered + wait + dropped</p></section>`}
+      <${Figure} name="lost" value=${sumOf(lost)} whole=${true} bad=${lost.length > 0} />
+      ${leftOut.length > 0 && html`<${Figure} name="left out, as the options ask" value=${sumOf(leftOut)} whole=${true} />`}
+      </tbody></table><p class="quiet">written = delivered + wait + lost${leftOut.length > 0 && " + left out"}</p></section>`}
     ${others.length > 0 && html`<section><h3 class="over">Also between these two</h3><ul class="plain">${others.map((one) => html`<li key=${one.id}>
       <button class="lead" onClick=${() => choose("edge", one.id)}><${Cut} text=${endsOf(one, boxes.value).join(" → ")} /></button></li>`)}</ul></section>`}
     <${Commands} commands=${commandsOf({ kind: "edge", id: edge.id })} />`;
 }
+
+/** @param {[string, number][]} reasons */
+const sumOf = (reasons) => reasons.reduce((sum, [, times]) => sum + times, 0);
 
 /** @param {{name: string, value: number | null | undefined, unit?: string, whole?: boolean, bad?: boolean}} props */
 export function Figure({ name, value, unit = "", whole = false, bad = false }) {

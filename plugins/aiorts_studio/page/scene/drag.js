@@ -59,7 +59,8 @@ const HEAD = 48, EDGE = 8;
 
 /** The place next to a wish at which a box is inside of its frame. @param {number} id @param {number} x @param {number} y */
 function inFrame(id, x, y) {
-  const box = store.boxes.peek().get(id), frame = store.frames.peek().get(box?.around ?? NaN);
+  const box = store.boxes.peek().get(id), frames = store.frames.peek(), own = frames.get(box?.frame ?? NaN);
+  const frame = frames.get((own?.folded ? own.parent : box?.around) ?? NaN);   // a folded frame goes with its box
   if (!box || !frame) return { x: Math.round(x), y: Math.round(y) };
   const within = (/** @type {number} */ at, /** @type {number} */ low, /** @type {number} */ high) => Math.round(Math.max(low, Math.min(at, high)));
   return { x: within(x, frame.x + EDGE, frame.x + frame.w - box.w - EDGE), y: within(y, frame.y + HEAD, frame.y + frame.h - box.h - EDGE) };

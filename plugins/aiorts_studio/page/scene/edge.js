@@ -5,7 +5,7 @@
 import { edgeSpoken, labelOf, toneOf } from "../words.js";
 import { widthOf } from "./fitting.js";
 import { font } from "./fonts.js";
-import { rounded } from "./paths.js";
+import { crossOn, rounded } from "./paths.js";
 import { make } from "./svg.js";
 
 /** @import {Box, Edge, EdgeFigures, Point} from "../types.js" */
@@ -27,6 +27,7 @@ export function makeEdge(edge, row, look, boxes, joints, over) {
   make("path", { class: "glow", d }), ...(over ? [make("path", { class: "ground", d: over })] : []), make("path", { class: "line", d }),
   ...(edge.link ? [make("path", { class: "core", d })] : []),
   make("path", { class: "hit", d }),
+  ...(edge.state === "down" ? [make("path", { class: "cross", d: crossOn(edge.points, 8).map(([from, to]) => `M${from}L${to}`).join("") })] : []),
   ...joints.map(([cx, cy]) => make("circle", { class: "joint", cx, cy, r: 3.5 })));
   const [first, second] = [document.createTextNode(""), document.createTextNode("")];
   const below = look.crowded ? make("tspan", { class: "more", dx: 6 }, second) : make("tspan", { class: "more", x, y: y + 17 }, second);

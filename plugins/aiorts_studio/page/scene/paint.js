@@ -2,6 +2,7 @@
 import { letterOf, toneOf } from "../words.js";
 import { cut } from "./fitting.js";
 import { FAR_PORT, FAR_TEXT } from "./fonts.js";
+import { crossOn } from "./paths.js";
 
 /** @import {Box, Edge, EdgeFigures, Frame} from "../types.js" */
 /** @typedef {{x: number, y: number, k: number}} View */
@@ -15,7 +16,9 @@ const PORTS = 0.46, MOST_WITH_PORTS = 150;
 const COLOURS = ["edge", "busy", "lossy", "down", "box", "box-line", "lane", "line", "ink", "quiet", "accent", "on-state",
   "active", "inactive", "error", "created", "ended", "silent", "full", "kernel", "in", "out", "service"];
 /** The strokes of edges: those drawn later lie above. Each has one path: 2,000 strokes of their own cost far more. */
-const STROKES = /** @type {[string, string, number][]} */ ([["edge", "edge", 1.25], ["waiting", "edge", 1.25], ["link", "edge", 3], ["full", "full", 1.75], ["down", "down", 2], ["lossy", "lossy", 2.25], ["chosen", "accent", 2.5]]);
+const STROKES = /** @type {[string, string, number][]} */ ([["edge", "edge", 1.25], ["waiting", "edge", 1.25], ["link", "edge", 3], ["full", "full", 1.75], ["down", "down", 2], ["cross", "down", 2.25], ["lossy", "lossy", 2.25], ["chosen", "accent", 2.5]]);
+/** Dashes of edges that lose samples, dots of those that are down, in px; the cross on the latter is as large each way. */
+const DASHES = /** @type {Record<string, number[]>} */ ({ lossy: [6, 3], down: [1.5, 3.5] }), CROSS = 5;
 
 /** @param {Element} host @returns {Record<string, string>} */
 export function coloursOf(host) {
@@ -96,11 +99,16 @@ function paintEdges(context, k, world, colours) {
     const path = paths.get(world.own(edge) ? "chosen" : tone) ?? paths.get(edge.link ? "link" : "edge");
     path?.moveTo(...edge.points[0]);
     for (const point of edge.points) path?.lineTo(...point);
+    if (edge.state !== "down") continue;
+    for (const [from, to] of crossOn(edge.points, CROSS / k)) {
+      paths.get("cross")?.moveTo(...from);
+      paths.get("cross")?.lineTo(...to);
+    }
   }
   for (const [tone, colour, width] of STROKES) {
     context.strokeStyle = colours[colour];
     context.lineWidth = width / k;
-    context.setLineDash(tone === "lossy" || tone === "down" ? [5 / k, 3 / k] : []);
+    context.setLineDash((DASHES[tone] ?? []).map((length) => length / k));
     context.stroke(/** @type {Path2D} */ (paths.get(tone)));
   }
   context.setLineDash([]);

@@ -58,6 +58,17 @@ export function away(points, [x, y]) {
 
 const MOST_CROSSINGS = 16;
 
+/** Two strokes across the middle of the longest piece of a path. @param {Point[]} points @param {number} size @returns {[Point, Point][]} */
+export function crossOn(points, size) {
+  const pieces = points.slice(1).map((end, i) => /** @type {[Point, Point]} */ ([points[i], end]));
+  const longest = pieces.reduce((best, one) => (lengthOf(one) > lengthOf(best) ? one : best), pieces[0]);
+  const [x, y] = [(longest[0][0] + longest[1][0]) / 2, (longest[0][1] + longest[1][1]) / 2];
+  return [[[x - size, y - size], [x + size, y + size]], [[x + size, y - size], [x - size, y + size]]];
+}
+
+/** @param {[Point, Point]} piece along an axis */
+const lengthOf = ([[ax, ay], [bx, by]]) => Math.abs(ax - bx) + Math.abs(ay - by);
+
 /**
  * Short pieces of a path around the points where it crosses others, to be drawn below it in the colour of the ground.
  * @param {Point[]} points @param {Iterable<Point[]>} others @param {number} [reach]

@@ -17,7 +17,7 @@ const SIGNS = [
   ["connector", html`<g class="edge-of busy"><path class="line" d="M0 8H20" /></g>`],
   ["loses samples", html`<g class="edge-of lossy"><path class="line" d="M0 8H20" /></g>`],
   ["nearly full", html`<g class="edge-of full"><path class="line" d="M0 8H20" /></g>`],
-  ["down", html`<g class="edge-of down"><path class="line" d="M0 8H20" /></g>`],
+  ["down", html`<g class="edge-of down"><path class="line" d="M0 8H20" /><path class="cross" d="M5.5 3.5L14.5 12.5M14.5 3.5L5.5 12.5" /></g>`],
 ];
 
 /** @param {{first: boolean}} props first: whether it is open at first, as there is room for it */
