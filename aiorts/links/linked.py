@@ -10,6 +10,7 @@ import asyncio
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import replace
+from threading import get_ident
 from types import MappingProxyType
 from typing import Any, Final, Protocol
 
@@ -45,6 +46,10 @@ class Drain(Protocol):
         """Take what the window has room for, and send."""
         ...
 
+    def make_room(self) -> None:
+        """Take what the window has room for; it is sent soon."""
+        ...
+
 
 @dataclass(eq=False, slots=True)
 class Confirmation(Waiting):
@@ -64,6 +69,14 @@ class Linked(FeaturedTransport):
     def direct(self) -> bool:
         """A write goes straight into the queue: the link hears of each, and makes room in a full one."""
         return len(features_of(self.connector.profile)) == 1 and super(FeaturedTransport, self).direct
+
+    def must_wait(self) -> bool:
+        if not super().must_wait():
+            return False
+        receiver, link = self.receiver, self._link
+        if link is not None and receiver.lock is None and get_ident() == receiver.thread:
+            link.make_room()
+        return super().must_wait()
 
     def statistics(self) -> ConnectorStatistics:
         found = super().statistics()

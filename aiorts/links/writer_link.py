@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 
 from anyio import WouldBlock
 
 from aiorts.errors import AiortsError
 from aiorts.kernel.ports.connector import transport_of
-from aiorts.kernel.ports.in_port import InPort, receiver_of
+from aiorts.kernel.ports.in_port import InPort, read_all, receiver_of
 from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.links.layout import layout_of
@@ -51,6 +52,8 @@ class WriterLink(LinkSide[WriterEnd]):
 
     Args:
         encode: makes the bytes of a sample, with what travels beside them.
+        encode_all: makes the bytes of several samples at once, beside which nothing travels; none of them where it does
+            not take one. None: there is no such way.
     """
 
     def __init__(
@@ -60,12 +63,13 @@ class WriterLink(LinkSide[WriterEnd]):
         epoch: int,
         owner: Owner,
         encode: Callable[[Any], tuple[bytes, Sequence[memoryview]]],
+        encode_all: Callable[[Sequence[Any]], Sequence[bytes]] | None = None,
     ) -> None:
         profile = connector.profile
         window = _NEWEST if profile.push is Push.NEW else _WINDOW
         end = WriterEnd(0, epoch, window=window, least=_least(profile))
         super().__init__(kernel, connector, end, owner)
-        self._encode = encode
+        self._encode, self._encode_all = encode, encode_all
         self._turn_due = self._taking = False
         self._sent_ns = 0
         """When a write has sent its sample last."""
@@ -140,9 +144,18 @@ class WriterLink(LinkSide[WriterEnd]):
             self._kernel.loop.call_soon(self._turn)
         if self._drains_full:
             transport = transport_of(self.connector)
+            if transport.blocks and not isinstance(transport, Confirmed):
+                return False  # until the turn: `make_room` is asked by who finds the buffer full before
             if len(transport.queue) >= transport.length:
                 self._drain(self._now())  # else the next sample would find it full, with room in the window
         return True
+
+    def make_room(self) -> None:
+        """Take from the connector what the window has room for; it is sent in the turn of the loop that is due."""
+        if self._turn_due:
+            self._drain(self._now())
+        else:
+            self.pump()
 
     def _send_alone(self, now: int) -> bool:
         """`_drain` and `_poll` of the only sample that waits, written out; False: there is more to do."""
@@ -168,6 +181,7 @@ class WriterLink(LinkSide[WriterEnd]):
 
     def _turn(self) -> None:
         self._turn_due = False
+        receiver_of(self.connector.in_).enable_notify()  # before it looks: a thread may write meanwhile
         self.pump()
 
     def _take(self, now: int) -> None:
@@ -176,6 +190,11 @@ class WriterLink(LinkSide[WriterEnd]):
         transport.settle()
         queue, read = transport.queue, self._read_aged if self._ages else far.read_nowait
         confirm = not self._drains_full  # its window is too small for an acknowledgement that is kept back
+        if (encode_all := self._encode_all) is not None:
+            direct = receiver_of(far).direct
+            while (count := min(len(direct), end.room)) > 1 and (heads := encode_all(list(islice(direct, count)))):
+                read_all(far, count)
+                end.offer_all(now, heads, confirm=confirm)
         while (queue or isinstance(transport, Confirmed)) and end.room > 0:
             if queue:
                 try:

@@ -40,7 +40,9 @@ def schedule(seed: int) -> Pair:
     value = 0
     for _ in range(random.randrange(5, 40)):
         act = random.randrange(10)
-        if act < 6:
+        if act < 6 and random.random() < pair.alone:
+            value += pair.offer_all(value, random.randrange(1, 40), confirm=random.random() < 0.1)
+        elif act < 6:
             for _ in range(random.randrange(1, 40)):
                 value += pair.offer(value, confirm=random.random() < 0.1)
         elif act == 6 and pair.up:

@@ -122,6 +122,33 @@ def test_a_class_keeps_its_own_rules_when_it_is_decoded() -> None:
             CODEC.decode_parts(head, (), cls)
 
 
+def test_several_records_of_numbers_have_the_heads_that_each_has_alone() -> None:
+    encode_all, decode_all = CODEC.heads_encoder(Shares), CODEC.heads_decoder(Shares)
+    assert encode_all is not None
+    assert decode_all is not None
+    records = [Shares(Share(0.1 * number), number, Share(1.0)) for number in range(10)]
+    heads = [CODEC.encode_parts(each)[0] for each in records]
+    assert list(encode_all(records)) == heads
+    assert list(decode_all([memoryview(head) for head in heads])) == records
+    assert not encode_all([*records, TimedDouble(1, 2.0)])
+
+
+@pytest.mark.parametrize("wrong", [b"", struct.pack("<dqd", 0.5, 3, 2.0)])
+def test_those_before_a_head_that_is_none_are_records(wrong: bytes) -> None:
+    decode_all = CODEC.heads_decoder(Shares)
+    assert decode_all is not None
+    one = Shares(Share(0.5), 3, Share(1.0))
+    found = decode_all([CODEC.encode_parts(one)[0], wrong])
+    assert next(found) == one
+    with pytest.raises(ValueError if wrong else struct.error):
+        next(found)
+
+
+def test_records_of_more_than_numbers_are_looked_at_one_by_one() -> None:
+    assert CODEC.heads_encoder(TimedStringSeq) is None
+    assert CODEC.heads_decoder(TimedStringSeq) is None
+
+
 def test_arrays_of_16_kib_travel_beside_the_head_and_are_not_copied() -> None:
     array = np.arange(LARGE // 8, dtype="f8").reshape(2, -1)
     sample = Cloud(1, "c", array, (TimedNDArray(2, np.zeros(LARGE // 8 - 1)), TimedNDArray(3, np.ones(LARGE, "b1"))))

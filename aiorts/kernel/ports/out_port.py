@@ -23,7 +23,7 @@ from aiorts.model.profile import NO_THREAD_WRITES
 if TYPE_CHECKING:
     import asyncio
     from collections import deque
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import PortHost
@@ -559,6 +559,29 @@ class OutPort(Port[T]):
     def _wake_waiter(self) -> None:
         if self._thread_writes is not None and self._removed():
             self._thread_writes.set_open(False)
+
+
+def write_all(port: OutPort[Any], samples: Sequence[Any]) -> int:
+    """Write the first of these samples as far as they go straight into one queue; how many that were.
+
+    Only the first one notifies. Where the reader hears of each, one is written, or none.
+    """
+    if port._stale:
+        port._update_fast_path()
+    queue, receiver = port._fast, port._receiver
+    count = min(len(samples), port._room - len(queue))
+    if count <= 0 or receiver is None or {*map(type, samples)} != {port._class}:
+        return 0
+    if not receiver.notify_enabled:
+        queue.extend(samples if count == len(samples) else samples[:count])
+        port._sent += count
+        return count
+    port.write_nowait(samples[0])
+    if receiver.notify_enabled or port._fast is not queue:
+        return 1
+    queue.extend(samples[1:count])
+    port._sent += count - 1
+    return count
 
 
 class _Others(list["Waiting"]):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import enum
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import accumulate, pairwise
 from typing import Final, TypeAlias
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
@@ -179,13 +180,10 @@ def samples_of(frame: Buffer, count: int, ages: int = 0) -> list[memoryview]:
         raise BadFrame("no such number of samples")
     if len(view) - start > BATCH_BYTES:
         raise BadFrame("of more bytes than several samples have together")
-    found = []
-    for length in struct.unpack_from(f"<{count}I", view, _NUMBERED.size):
-        found.append(view[start : start + length])
-        start += length
-    if start != len(view):
+    places = list(accumulate(struct.unpack_from(f"<{count}I", view, _NUMBERED.size), initial=start))
+    if places[-1] != len(view):
         raise BadFrame("of another length")
-    return found
+    return [view[start:end] for start, end in pairwise(places)]
 
 
 def fates_of(frame: Buffer, count: int) -> dict[int, str]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from itertools import repeat
+from itertools import islice, repeat
+from operator import itemgetter
 from typing import Final, TypeAlias
 
 from aiorts.late import dataclass
@@ -12,6 +13,8 @@ from aiorts.model.links import frames
 from aiorts.model.links.frames import BadFrame, Buffer, Send, check_window
 from aiorts.model.links.state import LinkState
 
+_HEAD, _PARTS = itemgetter(1), itemgetter(2)
+"""Of a sample that has come."""
 _ERA: Final = 1 << 64
 ACK_NS: Final = 50_000_000
 """How long an acknowledgement may be kept back."""
@@ -249,6 +252,21 @@ class ReaderEnd:
             self.date = self._dates.pop(ticket, None)
         self._bytes -= len(head) if not parts else len(head) + sum(map(len, parts))
         return found
+
+    def heads(self, count: int) -> list[Buffer]:
+        """The heads of the next samples, as many as are held but at most so many: `take_all` takes them.
+
+        None where one has parts, or they expire.
+        """
+        first = list(islice(self._held, max(count, 0)))
+        return [] if self._dates or any(map(_PARTS, first)) else list(map(_HEAD, first))
+
+    def take_all(self, count: int) -> int:
+        """Take so many samples that `heads` has given; the ticket of the last. `done` says that they are taken."""
+        held = self._held
+        taken = [held.popleft() for _ in repeat(None, count)]
+        self._bytes -= sum(map(len, map(_HEAD, taken)))
+        return taken[-1][0]
 
     @property
     def held(self) -> int:
