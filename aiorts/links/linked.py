@@ -50,12 +50,17 @@ class Drain(Protocol):
         """Take what the window has room for; it is sent soon."""
         ...
 
+    def confirm(self, transport: Confirmed, entry: Confirmation) -> bool:
+        """Send a sample before which none waits, and see to the time of its write; False: it was not taken."""
+        ...
+
 
 @dataclass(eq=False, slots=True)
 class Confirmation(Waiting):
     """A sample whose writer waits until the reader's end has acknowledged it."""
 
     refused: bool = False  # type: ignore[misc] # the kind that a reader far away may refuse later
+    late: bool = False  # type: ignore[misc] # as above
     number: int = 0
     """Under which it was sent; 0: it was not."""
 
@@ -131,19 +136,35 @@ class Confirmed(Linked):
         self.receiver.on_loop(self._pump)
         return entry
 
+    def send_now(self, sample: Any, loop: asyncio.AbstractEventLoop) -> Waiting | None:
+        link = self._link
+        if link is None or self.queue or self.waiting or self.receiver.lock is not None:
+            return None
+        entry = Confirmation(self.connector, self.stamp_in(sample), loop.create_future())
+        return entry if link.confirm(self, entry) else None
+
+    def taken(self, entry: Confirmation) -> None:
+        """The link has taken a sample that waited."""
+        self.written += 1
+        if not self.waiting:
+            self.miss(entry.sample)  # it never was in the queue: the out-port has it for `keep_last`
+
     def next_waiting(self) -> Confirmation | None:
         """The oldest sample that waits to be sent, where nothing lies in the queue before it; it is taken."""
         if self.queue or not self.waiting:
             return None
         entry, _ = self.waiting.popitem(last=False)
         assert isinstance(entry, Confirmation)  # noqa: S101 - `queue_up` makes no others
-        self.written += 1
-        if not self.waiting:
-            self.miss(entry.sample)  # it never was in the queue: the out-port has it for `keep_last`
+        self.taken(entry)
         return entry
 
     def settle_fate(self, entry: Confirmation, *, refused: bool) -> None:
         """The reader's end has said what became of it: its writer goes on."""
+        if self.receiver.lock is None:
+            entry.refused, entry.done = refused, True
+            if entry.future is not None and not entry.future.done():
+                entry.future.set_result(None)
+            return
         with self.guard():
             entry.refused = refused
             self.resolve(entry)

@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 from anyio import WouldBlock
 
+from aiorts.clock import to_ns
 from aiorts.errors import AiortsError
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.in_port import InPort, read_all, receiver_of
 from aiorts.kernel.ports.last_sample import last_written
+from aiorts.kernel.ports.out_port import time_out
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.links.layout import layout_of
 from aiorts.links.linked import LINK, Aged, Confirmation, Confirmed, Linked, added
-from aiorts.links.sides import LinkSide, report
+from aiorts.links.sides import LinkSide, Wakening, report
 from aiorts.links.transport import LinkOffer
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.links import WriterEnd, versions
@@ -86,6 +88,10 @@ class WriterLink(LinkSide[WriterEnd]):
         self._confirmations: deque[Confirmation] = deque()
         self._confirmed_at = 0
         """How much was written when a sample was taken last whose writer waits for its acknowledgement."""
+        self._limits: list[tuple[int, Confirmation]] = []
+        """When the time of a write is over that waits for its acknowledgement: of those that wait, and some before."""
+        self._limit = Wakening(kernel, self._expire)
+        """The timer of all these."""
         self._unsendable = False
         self._idle: asyncio.Future[None] | None = None
         """The future that the end of the kernel awaits."""
@@ -179,6 +185,44 @@ class WriterLink(LinkSide[WriterEnd]):
         self._wakening.at(end.offer_and_send(now, head, parts, not self._drains_full, channel.send))
         return not transport.queue  # a writer that waited had room, and its sample comes in its turn
 
+    def confirm(self, transport: Confirmed, entry: Confirmation) -> bool:
+        """`_drain` and `_poll` of the only sample that waits, whose writer waits for its answer; False: there is more
+        to do."""
+        channel, end = self._channel, self.end
+        if channel is None or self._ages or self._taking or self._ended or end.room < 1:
+            return False
+        try:
+            head, parts = self._encode(entry.sample)
+        except AiortsError:
+            return False  # in its turn it is taken, and that is reported
+        now = self._now()
+        transport.taken(entry)
+        self._confirmed_at = transport.missed
+        entry.number = end.numbered + 1
+        self._confirmations.append(entry)
+        if (limit := self.connector.profile.timeout) is not None:
+            self._watch(now + to_ns(limit), entry)
+        self._wakening.at(end.offer_and_send(now, head, parts, True, channel.send))
+        return True
+
+    def _watch(self, until_ns: int, entry: Confirmation) -> None:
+        """Have the write of a sample wait no longer than to this time."""
+        limits = self._limits
+        while limits and _is_over(limits[0][1]):
+            del limits[0]
+        limits.append((until_ns, entry))
+        self._limit.at(until_ns)
+
+    def _expire(self) -> None:
+        """Let those wait no more whose time is over."""
+        now, waiting = self._now(), [each for each in self._limits if not _is_over(each[1])]
+        self._limits = [each for each in waiting if each[0] > now]
+        for until_ns, entry in waiting:
+            if until_ns <= now and entry.future is not None:
+                entry.late = time_out(entry)
+                entry.future.set_result(None)
+        self._limit.at(min((until_ns for until_ns, _ in self._limits), default=None))
+
     def _turn(self) -> None:
         self._turn_due = False
         receiver_of(self.connector.in_).enable_notify()  # before it looks: a thread may write meanwhile
@@ -192,9 +236,11 @@ class WriterLink(LinkSide[WriterEnd]):
         confirm = not self._drains_full  # its window is too small for an acknowledgement that is kept back
         if (encode_all := self._encode_all) is not None:
             direct = receiver_of(far).direct
-            while (count := min(len(direct), end.room)) > 1 and (heads := encode_all(list(islice(direct, count)))):
+            while (count := min(len(direct), end.room_for_all)) > 1:
+                if not (heads := encode_all(list(islice(direct, count)))):
+                    break
                 read_all(far, count)
-                end.offer_all(now, heads, confirm=confirm)
+                end.offer_all(heads, confirm=confirm)
         while (queue or isinstance(transport, Confirmed)) and end.room > 0:
             if queue:
                 try:
@@ -315,7 +361,9 @@ class WriterLink(LinkSide[WriterEnd]):
         for head, _ in frames:
             end.receive(now, head)
         self._settle()
-        self.pump()
+        transport = transport_of(self.connector)
+        if end.ledger.in_flight or end.query or transport.queue or transport.waiting:
+            self.pump()
         if end.lost:
             self._report_lost()
         if self._idle is not None:
@@ -347,6 +395,7 @@ class WriterLink(LinkSide[WriterEnd]):
             return
         self._ended = True
         self._wakening.cancel()
+        self._limit.cancel()
         channel, self._channel = self._channel, None
         self.end.end(self._now(), channel.send if channel is not None and for_good else _nowhere)
         self._settle()
@@ -390,6 +439,10 @@ def _least(profile: ConnectorProfile) -> int | None:
     if profile.full is FullPolicy.OVERWRITE or profile.subscription is Subscription.FLUSH:
         return None  # the reader's end takes all that comes, or the writer waits for each
     return max(_LEAST, profile.length)
+
+
+def _is_over(entry: Confirmation) -> bool:
+    return entry.future is None or entry.future.done()
 
 
 def _nowhere(_head: bytes, _parts: Sequence[memoryview]) -> bool:

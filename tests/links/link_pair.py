@@ -92,8 +92,8 @@ class Pair:
 
     def offer_all(self, value: int, count: int, *, confirm: bool = False) -> int:
         """Offer so many values from this one on, together; how many there was room for."""
-        values = range(value, value + min(count, max(self.writer.room, 0)))
-        self.writer.offer_all(self.now, [each.to_bytes(4, "little") for each in values], confirm=confirm)
+        values = range(value, value + min(count, max(self.writer.room_for_all, 0)))
+        self.writer.offer_all([each.to_bytes(4, "little") for each in values], confirm=confirm)
         self.offered.extend(values)
         return len(values)
 

@@ -62,7 +62,9 @@ async def test_who_hears_of_each_sample_hears_of_each_of_several(anyio_backend: 
         assert write_all(source.out, [long(1), long(2)]) == 1
 
 
-@pytest.mark.parametrize("options", [({}, {}), ({"stamp": "send"},), ({"subscription": "new", "push": "skip", "skip": 1},)])
+@pytest.mark.parametrize(
+    "options", [({}, {}), ({"stamp": "send"},), ({"subscription": "new", "push": "skip", "skip": 1},)]
+)
 async def test_samples_that_somebody_looks_at_are_not_written_at_once(options: Any, anyio_backend: Any) -> None:
     async with Kernel() as kernel:
         source, _ = await fan(kernel, *options)

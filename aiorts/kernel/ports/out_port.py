@@ -244,7 +244,7 @@ class OutPort(Port[T]):
         late = []
         try:
             for entry, limit, until_ns in waits:
-                if not self._wait_in_thread(entry, until_ns) and _time_out(entry):
+                if not self._wait_in_thread(entry, until_ns) and time_out(entry):
                     late.append((entry.connector, limit))
         finally:
             for entry in entries:
@@ -387,6 +387,9 @@ class OutPort(Port[T]):
         if host.realtime:  # its thread never waits
             return self._write_general(sample)
         if not self._blocking or len(self._connectors) > 1:
+            sent = self._connectors[0]._transport.send_now(sample, host.loop) if len(self._connectors) == 1 else None
+            if sent is not None:
+                return await self._wait_for_answer(sent)
             done, entries = self._offer(sample, host.loop)
             if entries:
                 await self._wait_for(entries)
@@ -401,6 +404,17 @@ class OutPort(Port[T]):
             if not entry.done:  # else the reader has moved it in: nothing is left to give up
                 _give_up(entry, False)
         return True
+
+    async def _wait_for_answer(self, entry: Waiting) -> bool:
+        """Wait until the reader has the sample, or has refused it; its transport sees to the time."""
+        try:
+            await entry.future  # type: ignore[misc] # `send_now` has made it
+        finally:
+            if not (entry.done or entry.late):
+                _give_up(entry, False)
+        if entry.late:
+            _raise_late(self.path, [(entry.connector, entry.connector.profile.timeout)])
+        return not entry.refused
 
     def _offer(self, sample: T, loop: asyncio.AbstractEventLoop | None) -> tuple[bool, list[Waiting]]:
         """Deliver where there is room and queue up where there is none; without a loop a thread is to wait."""
@@ -422,7 +436,7 @@ class OutPort(Port[T]):
         late: list[tuple[Connector, float | None]] = []
 
         def expire(entry: Waiting, limit: float) -> None:
-            if _time_out(entry):
+            if time_out(entry):
                 late.append((entry.connector, limit))
             if entry.future is not None and not entry.future.done():
                 entry.future.set_result(None)
@@ -611,8 +625,8 @@ def _give_up(entry: Waiting, written: bool) -> bool:
         return True
 
 
-def _time_out(entry: Waiting) -> bool:
-    """Its time is over; False when the sample was moved in the meantime."""
+def time_out(entry: Waiting) -> bool:
+    """Let a write wait no more whose time is over; False when its sample was moved in the meantime."""
     transport = entry.connector._transport
     with transport.guard():
         if not _give_up(entry, True):

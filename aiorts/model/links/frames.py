@@ -105,12 +105,12 @@ def data(
     return b"".join((_NUMBERED.pack(DATA, confirm, len(samples), link, first, oldest), lengths, *samples))
 
 
-def is_sole(frame: Buffer, link: int, number: int) -> bool:
-    """Whether a frame is data of the sample of this number alone, without flags; the rest of it is the sample."""
+def flags_of_sole(frame: Buffer, link: int, number: int) -> int | None:
+    """The flags of a frame that is data of the sample of this number alone, which is its rest; None: it is another."""
     if len(frame) < _NUMBERED.size:
-        return False
+        return None
     kind, flags, count, of, first, _ = _NUMBERED.unpack_from(frame)
-    return kind == DATA and count == 1 and first == number and of == link and not flags
+    return flags if kind == DATA and count == 1 and first == number and of == link else None
 
 
 def acknowledgement(link: int, done: int, received: int, fates: Mapping[int, str]) -> bytes:

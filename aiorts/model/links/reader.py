@@ -151,8 +151,13 @@ class ReaderEnd:
         The sample is what stands in the frame from `frames.SOLE` on. 0: it is no such frame, and was not received.
         """
         number = self._received + 1
-        if self._held or self._fates or self._wanted or self._dates or not frames.is_sole(head, self.number, number):
+        if self._held or self._fates or self._wanted or self._dates:
             return 0
+        flags = frames.flags_of_sole(head, self.number, number)
+        if flags is None or flags & ~frames.CONFIRM:
+            return 0
+        if flags:
+            self._confirm = number
         self._unacknowledged += len(head) - frames.SOLE
         self._received = number
         self.ledger.received += 1

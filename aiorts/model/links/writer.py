@@ -162,6 +162,11 @@ class WriterEnd:
         return self._open - kept
 
     @property
+    def room_for_all(self) -> int:
+        """Samples that `offer_all` takes now; 0 where each may change how many more there is room for."""
+        return 0 if self._narrows or self.date is not None else self.room
+
+    @property
     def numbered(self) -> int:
         """The number of the sample that was offered last; 0: none was since numbers began."""
         return self._next - 1
@@ -192,12 +197,8 @@ class WriterEnd:
         self.ledger.in_flight += 1
         return number
 
-    def offer_all(self, now: int, heads: Sequence[bytes], *, confirm: bool) -> None:
-        """`offer` of samples that nothing travels beside. There is room for their number."""
-        if self._narrows or self.date is not None:
-            for head in heads:
-                self.offer(now, head, confirm=confirm)
-            return
+    def offer_all(self, heads: Sequence[bytes], *, confirm: bool) -> None:
+        """`offer` of samples that nothing travels beside. `room_for_all` is not less than their number."""
         number, count = self._next, len(heads)
         self._next = number + count
         self._kept.update(enumerate(zip(heads, repeat(()), repeat(confirm)), number))
@@ -303,7 +304,7 @@ class WriterEnd:
         first = self._oldest
         if done < first:
             return
-        for number in sorted(number for number in fates if first <= number <= done):
+        for number in sorted(number for number in fates if first <= number <= done) if fates else ():
             self._settle(self._oldest, number - 1, "acknowledged")
             fate = fates[number]
             self._settle(number, number, fate if fate in frames.FATES else frames.REFUSED)
