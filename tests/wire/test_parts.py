@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import random
 import struct
+import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import FrozenInstanceError, dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import msgpack
 import numpy as np
@@ -283,6 +284,64 @@ def test_a_bomb_and_a_frame_of_texts_take_10_ms_of_the_processor(bomb: bytes) ->
         return time.thread_time() - began
 
     assert min(read() for _ in range(5)) < 0.010
+
+
+@record
+class Small:
+    """A record that many fit into a frame of."""
+
+    of: int
+
+
+@dataclass
+class Listed:
+    """A mutable dataclass that many fit into a frame of."""
+
+    of: list[int]
+
+
+@record
+class Many:
+    """Tiny records, of all sorts."""
+
+    smalls: tuple[Small, ...]
+    listed: tuple[Listed, ...]
+    maps: tuple[TimedMap, ...]
+
+
+_MOST: Final = LINK.values - 16
+_EMPTY: Final = pack_array(np.zeros(0))
+
+
+@pytest.mark.parametrize(
+    ("cls", "content"),
+    [
+        (Many, [[[1]] * (_MOST // 2), [], []]),
+        (Many, [[], [[[]]] * (_MOST // 2), []]),
+        (Many, [[], [], [[1, {}]] * (_MOST // 3)]),
+        (TimedMap, [1, {str(number): number for number in range(_MOST // 2)}]),
+        (TimedMap, [1, {str(number): {} for number in range(_MOST // 2)}]),
+        (TimedMap, [1, {str(number): [b""] for number in range(_MOST // 3)}]),
+        (TimedMap, [1, {str(number): _EMPTY for number in range(_MOST // 2)}]),
+    ],
+    ids=["records", "dataclasses", "records of maps", "scalars", "maps", "bytes", "arrays"],
+)
+def test_each_value_of_a_frame_of_thousands_takes_a_dozen_calls(cls: type, content: Any) -> None:
+    """In calls, not in time: some 10 ms for the worst of them, which is all that a peer may hold the loop up for."""
+    head, decode, calls = msgpack.packb(content), CODEC.parts_decoder(cls), 0
+    decode(head, ())
+
+    def count(_frame: Any, event: str, _what: Any) -> None:
+        nonlocal calls
+        calls += event in ("call", "c_call")
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        decode(head, ())
+    finally:
+        sys.setprofile(before)
+    assert LINK.values < calls < 12 * LINK.values
 
 
 def test_a_codec_without_parts_gets_them_from_its_frames() -> None:
