@@ -326,7 +326,7 @@ _EMPTY: Final = pack_array(np.zeros(0))
     ],
     ids=["records", "dataclasses", "records of maps", "scalars", "maps", "bytes", "arrays"],
 )
-def test_each_value_of_a_frame_of_thousands_takes_a_dozen_calls(cls: type, content: Any) -> None:
+def test_each_value_of_a_frame_of_thousands_takes_fourteen_calls_at_the_most(cls: type, content: Any) -> None:
     """In calls, not in time: some 10 ms for the worst of them, which is all that a peer may hold the loop up for."""
     head, decode, calls = msgpack.packb(content), CODEC.parts_decoder(cls), 0
     decode(head, ())
@@ -341,7 +341,7 @@ def test_each_value_of_a_frame_of_thousands_takes_a_dozen_calls(cls: type, conte
         decode(head, ())
     finally:
         sys.setprofile(before)
-    assert LINK.values < calls < 12 * LINK.values
+    assert LINK.values < calls < 14 * LINK.values
 
 
 def test_a_codec_without_parts_gets_them_from_its_frames() -> None:
