@@ -465,7 +465,8 @@ def writer_end(
     port = connector.in_
     assert isinstance(port, FarInPort)  # noqa: S101 - it is one of a link
     kind = PulledWriterLink if connector.profile.dataflow is Dataflow.PULL else WriterLink
-    link = partial(kind, encode=codec.parts_encoder(connector.out.type))
+    cls = connector.out.type
+    link = partial(kind, encode=codec.parts_encoder(cls), encode_all=codec.heads_encoder(cls))
     return LinkEnd(links, connector, port.far, LinkRole.OFFERS, own=own, link=link, departures=departures)
 
 
@@ -475,12 +476,12 @@ def reader_end(
     """The reader's end of a link."""
     port, kind, shape = connector.out, connector.in_.type, connector.in_.shape
     assert isinstance(port, FarOutPort)  # noqa: S101 - it is one of a link
-    decode = codec.parts_decoder(kind)
+    decode, decode_all = codec.parts_decoder(kind), codec.heads_decoder(kind)
     if shape is not None:
-        decode = of_shape(decode, port_type(kind).check_shape, shape)
+        decode, decode_all = of_shape(decode, port_type(kind).check_shape, shape), None
     side: Any = PullingReaderLink if connector.profile.dataflow is Dataflow.PULL else ReaderLink
 
-    link = partial(side, decode=decode)
+    link = partial(side, decode=decode, decode_all=decode_all)
     role = LinkRole.REQUESTS if own else LinkRole.ANSWERS
     return LinkEnd(links, connector, port.far, role, own=own, link=link, departures=departures)
 

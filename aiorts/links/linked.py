@@ -10,6 +10,7 @@ import asyncio
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import replace
+from threading import get_ident
 from types import MappingProxyType
 from typing import Any, Final, Protocol
 
@@ -45,12 +46,21 @@ class Drain(Protocol):
         """Take what the window has room for, and send."""
         ...
 
+    def make_room(self) -> None:
+        """Take what the window has room for; it is sent soon."""
+        ...
+
+    def confirm(self, transport: Confirmed, entry: Confirmation) -> bool:
+        """Send a sample before which none waits, and see to the time of its write; False: it was not taken."""
+        ...
+
 
 @dataclass(eq=False, slots=True)
 class Confirmation(Waiting):
     """A sample whose writer waits until the reader's end has acknowledged it."""
 
     refused: bool = False  # type: ignore[misc] # the kind that a reader far away may refuse later
+    late: bool = False  # type: ignore[misc] # as above
     number: int = 0
     """Under which it was sent; 0: it was not."""
 
@@ -64,6 +74,14 @@ class Linked(FeaturedTransport):
     def direct(self) -> bool:
         """A write goes straight into the queue: the link hears of each, and makes room in a full one."""
         return len(features_of(self.connector.profile)) == 1 and super(FeaturedTransport, self).direct
+
+    def must_wait(self) -> bool:
+        if not super().must_wait():
+            return False
+        receiver, link = self.receiver, self._link
+        if link is not None and receiver.lock is None and get_ident() == receiver.thread:
+            link.make_room()
+        return super().must_wait()
 
     def statistics(self) -> ConnectorStatistics:
         found = super().statistics()
@@ -118,19 +136,35 @@ class Confirmed(Linked):
         self.receiver.on_loop(self._pump)
         return entry
 
+    def send_now(self, sample: Any, loop: asyncio.AbstractEventLoop) -> Waiting | None:
+        link = self._link
+        if link is None or self.queue or self.waiting or self.receiver.lock is not None:
+            return None
+        entry = Confirmation(self.connector, self.stamp_in(sample), loop.create_future())
+        return entry if link.confirm(self, entry) else None
+
+    def taken(self, entry: Confirmation) -> None:
+        """The link has taken a sample that waited."""
+        self.written += 1
+        if not self.waiting:
+            self.miss(entry.sample)  # it never was in the queue: the out-port has it for `keep_last`
+
     def next_waiting(self) -> Confirmation | None:
         """The oldest sample that waits to be sent, where nothing lies in the queue before it; it is taken."""
         if self.queue or not self.waiting:
             return None
         entry, _ = self.waiting.popitem(last=False)
         assert isinstance(entry, Confirmation)  # noqa: S101 - `queue_up` makes no others
-        self.written += 1
-        if not self.waiting:
-            self.miss(entry.sample)  # it never was in the queue: the out-port has it for `keep_last`
+        self.taken(entry)
         return entry
 
     def settle_fate(self, entry: Confirmation, *, refused: bool) -> None:
         """The reader's end has said what became of it: its writer goes on."""
+        if self.receiver.lock is None:
+            entry.refused, entry.done = refused, True
+            if entry.future is not None and not entry.future.done():
+                entry.future.set_result(None)
+            return
         with self.guard():
             entry.refused = refused
             self.resolve(entry)

@@ -5,7 +5,7 @@ Also the connector that it writes to: its options, and the check of the shape.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,6 +14,7 @@ from anyio import WouldBlock
 from aiorts.errors import StateError, WiringError, format_error
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.far import FarOutPort
+from aiorts.kernel.ports.out_port import write_all
 from aiorts.kernel.quality.dated import Dated
 from aiorts.kernel.quality.succession import pass_on
 from aiorts.links.sides import LinkSide, Wakening, report
@@ -48,6 +49,8 @@ class ReaderLink(LinkSide[ReaderEnd]):
 
     Args:
         decode: makes the sample of bytes and what travelled beside them.
+        decode_all: makes several samples of bytes, beside which nothing travelled, one after the other. None: there is
+            no such way.
     """
 
     def __init__(
@@ -57,9 +60,10 @@ class ReaderLink(LinkSide[ReaderEnd]):
         epoch: int,
         owner: Owner,
         decode: Callable[[Buffer, Sequence[Buffer]], Any],
+        decode_all: Callable[[Sequence[Buffer]], Iterator[Any]] | None = None,
     ) -> None:
         super().__init__(kernel, connector, ReaderEnd(0, epoch), owner)
-        self._decode = decode
+        self._decode, self._decode_all = decode, decode_all
         self._waits = 0
         """The number of the sample that waits for room in the reader's buffer; 0: none does."""
         self.undecodable = 0
@@ -230,6 +234,8 @@ class ReaderLink(LinkSide[ReaderEnd]):
         ages = self._ages
         transport = transport_of(self.connector) if self._displaces else None
         taken = last = 0
+        if self._decode_all is not None and self._takes_alone and end.held > 1 and not (self._waits or self._ended):
+            self._deliver_all(now, self._decode_all)
         while not self._waits and not self._ended and (received := end.take()) is not None:
             ticket, head, parts = received
             try:
@@ -259,6 +265,16 @@ class ReaderLink(LinkSide[ReaderEnd]):
         end.done(now, last, taken)
         if ages and not self._waits:
             self._date(None)
+
+    def _deliver_all(self, now: int, decode_all: Callable[[Sequence[Buffer]], Iterator[Any]]) -> None:
+        """Write the first samples that have come, as far as they go together; `_deliver` looks at each of the rest."""
+        transport, end = transport_of(self.connector), self.end
+        records: list[Any] = []
+        with suppress(Exception):  # as in `_deliver`, which looks at it again and says what is wrong
+            for record in decode_all(end.heads(transport.length - len(transport.queue))):
+                records.append(record)  # noqa: PERF402 - those before one that is none are samples
+        if records and (count := write_all(self.connector.out, records)):
+            end.done(now, end.take_all(count), count)
 
     def _date(self, written_ns: int | None) -> None:
         """The next sample was written at this time of the kernel's clock; None: those that come are written now."""

@@ -178,6 +178,8 @@ def _any_array(value: Any, where: str) -> AnyArray:
     """Any value as an array whose type numpy finds; lists of mixed or ragged content are refused."""
     import numpy as np
 
+    if type(value) is np.ndarray:
+        return value
     if isinstance(value, np.ndarray) or hasattr(value, "__array__") or isinstance(value, memoryview):
         return _unmasked(value, where)
     leaves = set(_leaf_types(value))

@@ -100,6 +100,11 @@ def build(cls: type, values: dict[str, Any]) -> Any:
     return instance
 
 
+def is_built_plainly(cls: type) -> bool:
+    """Whether `build` only calls the class."""
+    return not any(_making.get(cls) or _know_making(cls))
+
+
 _making: dict[type, tuple[list[tuple[str, Callable[[Any], Any]]], tuple[str, ...]]] = {}
 """How `build` makes each class: what its fields become first, and the fields that its constructor does not take."""
 

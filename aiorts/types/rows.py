@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from operator import is_
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
@@ -166,12 +167,13 @@ class TupleKind(Kind):
 
     def check(self, value: Any, where: str) -> tuple[Any, ...]:
         item = self.item
-        text_for_text = isinstance(value, str) and getattr(item, "limit", None) is None
-        if text_for_text or isinstance(value, (dict, set, frozenset)) or not isinstance(value, Iterable):
-            raise wrong_type(where, f"a sequence of {item.spelling}", value)
+        if type(value) is not list and type(value) is not tuple:
+            text_for_text = isinstance(value, str) and getattr(item, "limit", None) is None
+            if text_for_text or isinstance(value, (dict, set, frozenset)) or not isinstance(value, Iterable):
+                raise wrong_type(where, f"a sequence of {item.spelling}", value)
         exact, check = item.exact, item.check
         kept = tuple(
-            entry if type(entry) is exact else check(entry, f"{where}[{index}]") for index, entry in enumerate(value)
+            [entry if type(entry) is exact else check(entry, f"{where}[{index}]") for index, entry in enumerate(value)]
         )
         return _same_or(value, kept)
 
@@ -243,10 +245,15 @@ class MapKind(Kind):
         if not hasattr(value, "keys") or not hasattr(value, "__getitem__"):
             raise wrong_type(where, "a mapping of text to scalars or arrays", value)
         kept: dict[str, Any] = {}
+        declares = bool(self.entries)
         for key in value:
-            name = SCALARS["str"].check(key, f"{where} key")
-            entry, place = value[key], f"{where}[{shown(key)}]"
-            kept[name] = self._entry(entry, place, levels) if self.entries else _undeclared(entry, place, levels)
+            name = key if type(key) is str and key.isascii() else SCALARS["str"].check(key, f"{where} key")
+            entry = value[key]
+            if declares:
+                entry = self._entry(entry, f"{where}[{shown(key)}]", levels)
+            elif not _is_as_it_travels(entry):
+                entry = _undeclared(entry, where, key, levels)
+            kept[name] = entry
         return MappingProxyType(kept)
 
     def _entry(self, value: Any, where: str, levels: int) -> Any:
@@ -272,14 +279,28 @@ class MapKind(Kind):
         raise TypeError("a record that holds a map cannot be hashed")
 
 
-def _undeclared(value: Any, where: str, levels: int) -> Any:
+def _undeclared(value: Any, where: str, key: Any, levels: int) -> Any:
     """The value of a map that declares no kind for it."""
+    if type(value).__name__ == "ndarray":
+        # Where it stands is only said where it is refused: to write that takes as long as to look at it.
+        with suppress(RecordError):
+            return _ARRAY.check(value, where)
+    where = f"{where}[{shown(key)}]"
     if isinstance(value, Mapping):
         return _ANY._check(value, where, levels - 1)
     return _entry_kind(value).check(value, where)
 
 
-_ANY = MapKind()
+def _is_as_it_travels(value: Any) -> bool:
+    """Whether a value that most maps have needs no look at its kind."""
+    cls = type(value)
+    if cls is str:
+        return bool(value.isascii())
+    return cls is float or cls is bool or cls is bytes or (cls is int and _LOWEST <= value <= _HIGHEST)
+
+
+_ANY, _ARRAY = MapKind(), NDArrayKind()
+_LOWEST, _HIGHEST = -(2**63), 2**64 - 1
 _ENTRY = {bool: "bool", int: "i64", float: "f64", str: "str", bytes: "bytes"}
 
 
@@ -288,7 +309,7 @@ def _entry_kind(value: Any) -> Kind:
     for cls, name in _ENTRY.items():
         if isinstance(value, cls):
             return SCALARS["u64" if name == "i64" and value > SCALARS["i64"].high else name]  # type: ignore[attr-defined]
-    return NDArrayKind()
+    return _ARRAY
 
 
 def as_dict(entries: Any) -> dict[str, Any]:

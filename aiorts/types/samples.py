@@ -15,6 +15,7 @@ from typing import Any, NoReturn, TypeVar
 
 from aiorts.errors import DeclarationError, RecordError, RecordTypeError
 from aiorts.types.arrays import ArrayKind
+from aiorts.types.generated import generate
 from aiorts.types.kinds import SCALARS, STAMP_LIMIT, IntKind, Kind, StampKind
 from aiorts.types.rows import RecordArray, RowsKind, TupleKind
 from aiorts.types.structure import STRUCTURE, Field, Structure, describe, kind_of
@@ -128,31 +129,25 @@ def settling(cls: type) -> Callable[[Any, Sequence[Any]], Any]:
 
     These are as they may travel, and only what the class made of them is looked at.
     """
-    fields = describe(cls).fields
-    checks = [(one.kind.check, f"{cls.__qualname__}.{one.name}") for one in fields]
-    names = [field.name for field in fields]
-    values_of, frozen = _values_of(names), cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
-    target, new, store = cls if frozen else frozen_class(cls), object.__new__, object.__setattr__
-
-    def settle(sample: Any, given: Sequence[Any]) -> Any:
-        try:
-            values = values_of(sample)
-        except AttributeError:
-            _say_missing(sample)
-            raise
-        if not all(map(is_, values, given)):
-            given = [
-                one if value is one or _is_listed(value, one) else check(value, where)
-                for value, one, (check, where) in zip(values, given, checks, strict=True)
-            ]
-        if frozen and all(map(is_, values, given)):
-            return sample
-        copied: Any = new(target)
-        for name, value in zip(names, given, strict=True):
-            store(copied, name, value)
-        return copied
-
-    return settle
+    fields, frozen = describe(cls).fields, cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    known: dict[str, Any] = {"listed": _is_listed, "say_missing": _say_missing}
+    known |= {"new": object.__new__, "target": cls if frozen else frozen_class(cls), "store": object.__setattr__}
+    lines = []
+    if fields:
+        lines.append(f"{', '.join(f'g{i}' for i in range(len(fields)))}, = given")
+    for i, field in enumerate(fields):
+        known |= {f"check{i}": field.kind.check, f"where{i}": f"{cls.__qualname__}.{field.name}"}
+        lines += [
+            f"try: v{i} = getattr(sample, {field.name!r})",
+            "except AttributeError: say_missing(sample); raise",
+            f"if v{i} is not g{i} and not listed(v{i}, g{i}): g{i} = check{i}(v{i}, where{i})",
+        ]
+    if frozen:
+        lines.append(f"if {' and '.join(f'v{i} is g{i}' for i in range(len(fields))) or True}: return sample")
+    lines.append("copied = new(target)")
+    lines += [f"store(copied, {field.name!r}, g{i})" for i, field in enumerate(fields)]
+    lines.append("return copied")
+    return generate("settle(sample, given)", lines, known)  # type: ignore[no-any-return]
 
 
 def _is_listed(value: Any, kept: Any) -> bool:

@@ -29,6 +29,10 @@ _empty: dict[bytes, npt.NDArray[Any]] = {}
 """Arrays of one dimension without elements, by their bytes: one of each element type serves for all."""
 
 
+_little: dict[str, np.dtype[Any]] = {}
+"""The little-endian types of numpy, by their names without the order: to make one takes as long as an array."""
+
+
 def pack_array(array: npt.NDArray[np.generic]) -> bytes:
     """The bytes of a checked array (contiguous, an element type that may travel)."""
     head, little = _head(array), _little_endian(array)
@@ -88,7 +92,7 @@ def _array(data: Any, part: bytes | bytearray | memoryview | None, where: str) -
     dtype = DTYPES[element]
     elements, offset = (data, head.size) if part is None else (part, 0)
     size = math.prod(shape) * int(dtype[1:])
-    if size != len(elements) - offset or any(length > _LONGEST for length in shape):
+    if size != len(elements) - offset or (shape and max(shape) > _LONGEST):
         raise WireError(f"{where}: expected {size} bytes for {element} of shape {shape}, got {len(elements) - offset}")
     array = _view(elements, dtype, offset, shape, where)
     if part is None and shape == (0,):
@@ -109,7 +113,10 @@ def _view(
         return np.empty(shape, dtype=dtype)
     if dtype == "b1" and int(np.frombuffer(data, dtype="u1", offset=offset).max()) > 1:
         raise WireError(f"{where}: expected truth values as bytes 0 and 1, got others")
-    return np.frombuffer(data, dtype=f"<{dtype}", offset=offset).reshape(shape)
+    if (little := _little.get(dtype)) is None:
+        little = _little[dtype] = np.dtype(f"<{dtype}")
+    array = np.frombuffer(data, little, -1, offset)
+    return array if len(shape) == 1 else array.reshape(shape)
 
 
 _LITTLE = struct.pack("=H", 1) == b"\1\0"

@@ -8,6 +8,7 @@ bytes for.
 from __future__ import annotations
 
 import struct
+from itertools import starmap
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import msgpack  # type: ignore[import-untyped]
@@ -24,7 +25,7 @@ from aiorts.wire.parts import Buffer, Packed, Positions, Take, flat, layout_of
 from aiorts.wire.scan import count_values
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 FORMAT = 1
 """The version of the frames, which each begins with."""
@@ -231,6 +232,32 @@ class MsgpackCodec:
             return decode_packed
 
         return self.taking_parts(name, take)
+
+    def heads_encoder(self, cls: type) -> Callable[[Sequence[Any]], Sequence[bytes]] | None:
+        """What makes the heads of several records of exactly this class, beside which nothing travels.
+
+        What it gives makes none where one of them is of another class. None: `parts_encoder` has to look at each.
+        """
+        target, _, packed, _ = _parts_of(cls)
+        if packed is None:
+            return None
+        pack, read = packed.layout.pack, packed.read
+
+        def encode_all(records: Sequence[Any]) -> Sequence[bytes]:
+            return list(starmap(pack, map(read, records))) if {*map(type, records)} == {target} else ()
+
+        return encode_all
+
+    def heads_decoder(self, cls: type) -> Callable[[Sequence[Buffer]], Iterator[Any]] | None:
+        """What makes the records of such heads, one after the other; the first that is none raises.
+
+        None: `parts_decoder` has to look at each.
+        """
+        packed = _parts_of(cls)[2]
+        if packed is None:
+            return None
+        unpack, build = packed.layout.unpack, packed.build
+        return lambda heads: starmap(build, map(unpack, heads))
 
     def taking_parts(self, name: str, take: Take) -> Callable[[Buffer, Sequence[Buffer]], Any]:
         """What decodes heads and parts of a type of this name by a function that takes its value out of them.

@@ -8,6 +8,7 @@ what is absent is nil, and a datetime its nanoseconds since the epoch.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from enum import IntEnum
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -228,7 +229,17 @@ def map_entries(entries: Any, where: str) -> Any:
 
 
 def _take_entries(entries: Any, where: str, levels: int) -> Any:
-    return {name: _take_entry(entry, f"{where}[{shown(name)}]", levels) for name, entry in entries.items()}
+    found = {}
+    for name, entry in entries.items():
+        cls = type(entry)
+        if cls is bytes:
+            # Where it stands is only said where it is none: to write that takes as long as to look at it.
+            with suppress(WireError):
+                found[name] = unpack_array(entry, where)
+                continue
+        is_scalar = cls is int or cls is float or cls is str or cls is bool
+        found[name] = entry if is_scalar else _take_entry(entry, f"{where}[{shown(name)}]", levels)
+    return found
 
 
 def _put_entry(entry: Any) -> Any:

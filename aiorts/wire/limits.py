@@ -40,5 +40,5 @@ LINK = Limits(values=4_096, length=4_096, head=2 * MIB)
 """Smaller limits, for what another kernel sends, so that a bomb does not hold up the loop: it is refused in 10 ms.
 
 A frame that is no bomb takes 1 us a value for texts, up to 4 ms for a MiB of them, 3 us for arrays without elements,
-and 4 us for a record of a plain dataclass, however deep it lies in others: 15 ms at the most.
+and 4 us for a record of a plain dataclass, however deep it lies in others: some 10 ms at the most.
 """

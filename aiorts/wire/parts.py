@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from aiorts.errors import WireError
 from aiorts.types.arrays import MAX_DIMENSIONS, ArrayKind, NDArrayKind, element_dtype
+from aiorts.types.generated import generate
 from aiorts.types.kinds import BytesKind, Kind, OptionalKind, shown
 from aiorts.types.nested import RecordKind
-from aiorts.types.plain import build
+from aiorts.types.plain import build, is_built_plainly
 from aiorts.types.rows import FixedTupleKind, RowsKind, TupleKind
 from aiorts.types.samples import PLAIN_TYPES, settling
 from aiorts.types.structure import describe, kind_of
@@ -108,18 +109,6 @@ def record_positions(structure: Structure, *, nested: bool = False) -> Positions
     wheres = [f"{cls.__qualname__}.{field.name}" for field in fields]
     checks = [None if structure.checked else field.kind.check for field in fields]
     putting = list(zip([field.name for field in fields], [way.put for way in ways], wheres, checks, strict=True))
-    taking = [(way.take, where) for way, where in zip(ways, wheres, strict=True)]
-    looking = [
-        (
-            None if way.take is _as_it_is else way.take,
-            where,
-            field.kind.exact,
-            None if _settled(field.kind) else field.kind.check,
-        )
-        for field, way, where in zip(fields, ways, wheres, strict=True)
-    ]
-    names = [field.name for field in fields]
-    settle = settling(cls) if nested and not structure.checked else None
 
     def put(record: Any, parts: list[memoryview]) -> Any:
         values = []
@@ -128,21 +117,34 @@ def record_positions(structure: Structure, *, nested: bool = False) -> Positions
             values.append(put_one(value if check is None else check(value, where), parts))
         return values
 
-    def take_checked(values: Any, where: str, parts: Iterator[Buffer]) -> Any:
-        list_of(values, where, len(fields))
-        return cls(*[take_one(value, place, parts) for (take_one, place), value in zip(taking, values, strict=True)])
+    return Positions(put, _record_taker(structure, [way.take for way in ways], wheres, nested=nested))
 
-    def take_unchecked(values: Any, where: str, parts: Iterator[Buffer]) -> Any:
-        list_of(values, where, len(fields))
-        kept = []
-        for (take_one, place, kept_as_is, check), value in zip(looking, values, strict=True):
-            if take_one is not None:
-                value = take_one(value, place, parts)
-            kept.append(value if check is None or type(value) is kept_as_is else check(value, place))
-        made = build(cls, dict(zip(names, kept, strict=True)))
-        return made if settle is None else settle(made, kept)
 
-    return Positions(put, take_checked if structure.checked else take_unchecked)
+def _record_taker(structure: Structure, takes: Sequence[Take], wheres: Sequence[str], *, nested: bool) -> Take:
+    """What takes a record out of the list of its fields, written out for them: frames have thousands of them."""
+    cls, fields = structure.cls, structure.fields
+    values = [f"v{i}" for i in range(len(fields))]
+    known: dict[str, Any] = {"cls": cls, "list_of": list_of, "build": build}
+    lines = [f"if type(values) is not list or len(values) != {len(fields)}: list_of(values, where, {len(fields)})"]
+    if fields:
+        lines.append(f"{', '.join(values)}, = values")
+    for i, (field, take, where) in enumerate(zip(fields, takes, wheres, strict=True)):
+        known |= {f"take{i}": take, f"where{i}": where, f"exact{i}": field.kind.exact, f"check{i}": field.kind.check}
+        if take is not _as_it_is:
+            lines.append(f"v{i} = take{i}(v{i}, where{i}, parts)")
+        if not structure.checked and not _settled(field.kind):
+            lines.append(f"if type(v{i}) is not exact{i}: v{i} = check{i}(v{i}, where{i})")
+    if structure.checked:
+        lines.append(f"return cls({', '.join(values)})")
+    else:
+        entries = ", ".join(f"{field.name!r}: {value}" for field, value in zip(fields, values, strict=True))
+        lines.append(f"made = {'cls(**' if is_built_plainly(cls) else 'build(cls, '}{{{entries}}})")
+        if nested:
+            known["settle"] = settling(cls)
+            lines.append(f"return settle(made, [{', '.join(values)}])")
+        else:
+            lines.append("return made")
+    return generate("take(values, where, parts)", lines, known)  # type: ignore[no-any-return]
 
 
 def _settled(kind: Kind) -> bool:

@@ -62,6 +62,7 @@ BROAD_EXCEPT = {
     # Round a sample of another kernel: its class may check values in its own way, and the next ones still come.
     "aiorts/links/call_values.py:restored",
     "aiorts/links/reader_link.py:_deliver",
+    "aiorts/links/reader_link.py:_deliver_all",
     "aiorts/links/reader_link.py:_deliver_alone",
     # Round a recorded sample, as above: the others are replayed, and the run ends.
     "plugins/aiorts_log/playing/read_ahead.py:_read",

@@ -30,7 +30,7 @@ class Pair:
         self.loss, self.double, self.delay_ms, self.jitter_ms = loss, double, delay_ms, jitter_ms
         self.window = window
         self.alone = alone
-        """How often a sample goes the way of one that is alone."""
+        """How often samples go the way of one that is alone, or of several together."""
         self.now = 1_000 * MS
         self.epochs = 1
         self.writer = WriterEnd(7, 1_000, window=window)
@@ -90,6 +90,13 @@ class Pair:
         self.offered.append(value)
         return True
 
+    def offer_all(self, value: int, count: int, *, confirm: bool = False) -> int:
+        """Offer so many values from this one on, together; how many there was room for."""
+        values = range(value, value + min(count, max(self.writer.room_for_all, 0)))
+        self.writer.offer_all([each.to_bytes(4, "little") for each in values], confirm=confirm)
+        self.offered.extend(values)
+        return len(values)
+
     def settle(self) -> None:
         for first, last, what in self.writer.fates():
             self.fates += [what] * (last - first + 1)
@@ -129,6 +136,8 @@ class Pair:
             self.reader.done(self.now, ticket)
 
     def deliver(self) -> None:
+        if self.random.random() < self.alone:
+            self.deliver_all()
         last = taken = 0
         while self.buffer > 0 and (sample := self.reader.take()) is not None:
             ticket, head, _ = sample
@@ -141,6 +150,14 @@ class Pair:
                 self.seen.append(int.from_bytes(head, "little"))
                 last, taken = ticket, taken + 1
         self.reader.done(self.now, last, taken)
+
+    def deliver_all(self) -> None:
+        """Give out several samples together: those of one frame, or of several, up to any of them."""
+        heads = self.reader.heads(min(self.buffer, 1 + self.random.randrange(2 * self.window)))
+        if heads:
+            self.buffer -= len(heads)
+            self.seen += [int.from_bytes(head, "little") for head in heads]
+            self.reader.done(self.now, self.reader.take_all(len(heads)), len(heads))
 
     @property
     def unexplained(self) -> int:

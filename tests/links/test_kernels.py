@@ -543,6 +543,42 @@ async def test_arrays_travel_whole() -> None:
         assert (other.inp.read_nowait().data == values).all()
 
 
+async def test_one_write_after_the_other_uses_the_window_before_it_would_have_to_wait() -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, sink = await one.add(Source()), await two.add(Sink())
+        connector = await one.connect(source.out, "two/sink0.inp", full="block", length=256)
+        taken = 0
+        with pytest.raises(WouldBlock):  # noqa: PT012 - each but the last one is taken
+            while True:
+                source.out.write_nowait(long(taken))
+                taken += 1
+        assert taken == 2 * 256
+        seen: list[int] = []
+        with fail_after(10):
+            while len(seen) < taken:
+                seen.append((await sink.inp.read()).data)
+            await until(lambda: not connector.statistics.in_flight)
+        assert seen == list(range(taken))
+        assert (connector.statistics.acknowledged, connector.statistics.dropped) == (taken, {})
+
+
+async def test_of_samples_that_come_together_one_that_its_class_refuses_is_dropped_alone(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, sink = await one.add(Guarded()), await two.add(Guarded("sink0"))
+        connector = await one.connect(source.out, "two/sink0.inp", length=100, full="block")
+        for value in range(100):
+            source.out.write_nowait(Level(-1 if value % 10 == 7 else value))
+        monkeypatch.setattr(Level, "lowest", 0)  # as in a kernel that runs another version of the class
+        wanted = [value for value in range(100) if value % 10 != 7]
+        with fail_after(10):
+            assert [(await sink.inp.read()).value for _ in wanted] == wanted
+            await until(lambda: not connector.statistics.in_flight)
+        assert dict(connector.statistics.dropped) == {"undecodable": 10}
+        assert caplog.text.count("dropped what cannot be decoded: ValueError: too low") == 1
+
+
 async def test_a_burst_inside_the_window_loses_nothing_whatever_the_length() -> None:
     async with reachable("two") as two, Kernel("one") as one:
         source, sink = await one.add(Source()), await two.add(Sink())

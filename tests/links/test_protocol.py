@@ -40,7 +40,9 @@ def schedule(seed: int) -> Pair:
     value = 0
     for _ in range(random.randrange(5, 40)):
         act = random.randrange(10)
-        if act < 6:
+        if act < 6 and random.random() < pair.alone:
+            value += pair.offer_all(value, random.randrange(1, 40), confirm=random.random() < 0.1)
+        elif act < 6:
             for _ in range(random.randrange(1, 40)):
                 value += pair.offer(value, confirm=random.random() < 0.1)
         elif act == 6 and pair.up:
@@ -225,8 +227,9 @@ def test_the_first_sample_of_an_idle_link_leaves_at_once_and_an_idle_link_says_n
     assert pair.reader.poll(pair.now, pair.send(pair.reader)) is None
 
 
-def test_a_sample_that_is_to_be_confirmed_is_acknowledged_at_once_and_others_within_50_ms() -> None:
-    pair = Pair(0)
+@pytest.mark.parametrize("alone", [0, 1])
+def test_a_sample_that_is_to_be_confirmed_is_acknowledged_at_once_and_others_within_50_ms(alone: int) -> None:
+    pair = Pair(0, alone=alone)
     pair.connect()
     pair.step(pair.now + 100 * MS)
     for confirm, least, most in ((True, 2, 3), (False, 50, 53)):

@@ -5,15 +5,17 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 from random import Random
+from typing import Any
 
 import pytest
 
 from aiorts import Component, Connector, InPort, Kernel, OutPort
-from aiorts.errors import LinkError
+from aiorts.errors import LinkError, WriteTimeout
 from aiorts.links import LinkLedger, Links
 from aiorts.testing import MemoryNetwork, simulate
 from aiorts.types import TimedLong
 from campaign import cases
+from links.memory_kernels import kernel_of, until
 
 
 class Source(Component):
@@ -199,3 +201,64 @@ def test_where_the_newest_counts_each_comes_that_the_way_has_time_for() -> None:
     seen, ledger = simulate(newest(200, 0.005))
     assert seen == [*range(200)]
     assert (ledger.delivered, ledger.unexplained) == (200, 0)
+
+
+def test_each_write_that_waits_for_an_answer_ends_in_its_own_time() -> None:
+    async def play() -> list[tuple[float, str]]:
+        network, ends = MemoryNetwork(delay=0.001), []
+        async with kernel_of(network, "two") as two, kernel_of(network, "one") as one:
+            source, sink = await one.add(Source()), await two.add(Sink())
+            options: dict[str, Any] = {"subscription": "flush", "full": "block", "length": 1, "timeout": 1.0}
+            connector = await one.connect(source.out, "two/sink0.inp", **options)
+            assert await source.out.write(TimedLong(0, 0))
+            loop = asyncio.get_running_loop()
+            began = loop.time()
+
+            async def write(value: int) -> None:
+                try:
+                    await source.out.write(TimedLong(0, value))
+                    ends.append((round(loop.time() - began, 3), "taken"))
+                except WriteTimeout:
+                    ends.append((round(loop.time() - began, 3), "late"))
+
+            writes = []
+            for value in range(1, 6):
+                writes.append(asyncio.ensure_future(write(value)))
+                await asyncio.sleep(0.3)
+            writes[3].cancel()
+            await until(lambda: len(ends) == 3)
+            seen = [(await sink.inp.read()).data for _ in range(6)]
+            await asyncio.wait(writes)
+            assert seen == [0, 1, 2, 3, 4, 5]  # all were sent
+            await until(lambda: not connector.statistics.in_flight)
+            assert (connector.statistics.acknowledged, connector.statistics.dropped) == (6, {})
+        return ends
+
+    *late, (moment, what) = simulate(play())
+    assert late == [(1.0, "late"), (1.3, "late"), (1.6, "late")]
+    assert what == "taken"
+    assert 1.6 < moment < 1.7
+
+
+def test_writes_that_wait_for_an_answer_share_one_timer(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def play() -> int:
+        network = MemoryNetwork(delay=0.001)
+        async with kernel_of(network, "two") as two, kernel_of(network, "one") as one:
+            source, sink = await one.add(Source()), await two.add(Sink())
+            await one.connect(source.out, "two/sink0.inp", subscription="flush", timeout=60.0)
+            timers = 0
+            for name in ("call_at", "call_later"):
+                made = getattr(one, name)
+
+                def counted(*args: Any, made: Any = made) -> Any:
+                    nonlocal timers
+                    timers += 1
+                    return made(*args)
+
+                monkeypatch.setattr(one, name, counted)
+            for value in range(100):
+                assert await source.out.write(TimedLong(0, value))
+                assert sink.inp.read_nowait().data == value
+            return timers
+
+    assert simulate(play()) <= 10

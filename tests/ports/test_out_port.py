@@ -15,6 +15,8 @@ from hypothesis import strategies as st
 
 from aiorts import Component, EventContext, ExternalContext, InPort, Kernel, OutPort, SimulatedClock, WouldBlock
 from aiorts.errors import DeclarationError, PortTypeError, RecordError, RecordTypeError, WiringError, WriteTimeout
+from aiorts.kernel.ports.in_port import receiver_of
+from aiorts.kernel.ports.out_port import write_all
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedBoolean, TimedDouble, TimedDoubleSeq, TimedLong, TimedString, record, u8
 from aiorts.wire import MsgpackCodec
@@ -34,6 +36,40 @@ async def fan(kernel: Kernel, *options: dict[str, Any]) -> tuple[Source, list[Si
 
 
 BLOCK: dict[str, Any] = {"full": "block", "length": 2}
+
+
+# -- several at once -------------------------------------------------------------------------------------------------
+
+
+async def test_several_samples_at_once_are_written_as_far_as_there_is_room_and_notify_once(anyio_backend: Any) -> None:
+    async with Kernel() as kernel:
+        source, (sink,) = await fan(kernel, BLOCK | {"length": 4})
+        told: list[int] = []
+        receiver_of(sink.inp).add_callback(lambda port: told.append(len(data(port.drain()))))
+        assert write_all(source.out, [long(value) for value in range(3)]) == 3
+        assert told == [1]  # with the first; the others are there when the loop turns
+        assert write_all(source.out, [long(value) for value in range(9)]) == 2
+        assert write_all(source.out, [long(9)]) == 0
+        assert data(sink.inp.drain()) == [1, 2, 0, 1]
+        statistics = sink.inp.connectors[0].statistics
+        assert (statistics.written, statistics.delivered, statistics.dropped) == (5, 5, {})
+
+
+async def test_who_hears_of_each_sample_hears_of_each_of_several(anyio_backend: Any) -> None:
+    async with Kernel() as kernel:
+        source, (sink,) = await fan(kernel, BLOCK | {"length": 4})
+        receiver_of(sink.inp).add_callback(lambda _: True)
+        assert write_all(source.out, [long(1), long(2)]) == 1
+
+
+@pytest.mark.parametrize(
+    "options", [({}, {}), ({"stamp": "send"},), ({"subscription": "new", "push": "skip", "skip": 1},)]
+)
+async def test_samples_that_somebody_looks_at_are_not_written_at_once(options: Any, anyio_backend: Any) -> None:
+    async with Kernel() as kernel:
+        source, _ = await fan(kernel, *options)
+        assert write_all(source.out, [long(1), long(2)]) == 0
+        assert write_all(source.out, []) == 0
 
 
 # -- what is checked ------------------------------------------------------------------------------------------------

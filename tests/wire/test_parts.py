@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import random
 import struct
+import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import FrozenInstanceError, dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import msgpack
 import numpy as np
@@ -120,6 +121,33 @@ def test_a_class_keeps_its_own_rules_when_it_is_decoded() -> None:
     for cls, head in ((Share, struct.pack("<d", -1.0)), (Shares, struct.pack("<dqd", 0.5, 3, 2.0))):
         with pytest.raises(ValueError, match="a share is from 0 to 1"):
             CODEC.decode_parts(head, (), cls)
+
+
+def test_several_records_of_numbers_have_the_heads_that_each_has_alone() -> None:
+    encode_all, decode_all = CODEC.heads_encoder(Shares), CODEC.heads_decoder(Shares)
+    assert encode_all is not None
+    assert decode_all is not None
+    records = [Shares(Share(0.1 * number), number, Share(1.0)) for number in range(10)]
+    heads = [CODEC.encode_parts(each)[0] for each in records]
+    assert list(encode_all(records)) == heads
+    assert list(decode_all([memoryview(head) for head in heads])) == records
+    assert not encode_all([*records, TimedDouble(1, 2.0)])
+
+
+@pytest.mark.parametrize("wrong", [b"", struct.pack("<dqd", 0.5, 3, 2.0)])
+def test_those_before_a_head_that_is_none_are_records(wrong: bytes) -> None:
+    decode_all = CODEC.heads_decoder(Shares)
+    assert decode_all is not None
+    one = Shares(Share(0.5), 3, Share(1.0))
+    found = decode_all([CODEC.encode_parts(one)[0], wrong])
+    assert next(found) == one
+    with pytest.raises(ValueError if wrong else struct.error):
+        next(found)
+
+
+def test_records_of_more_than_numbers_are_looked_at_one_by_one() -> None:
+    assert CODEC.heads_encoder(TimedStringSeq) is None
+    assert CODEC.heads_decoder(TimedStringSeq) is None
 
 
 def test_arrays_of_16_kib_travel_beside_the_head_and_are_not_copied() -> None:
@@ -256,6 +284,64 @@ def test_a_bomb_and_a_frame_of_texts_take_10_ms_of_the_processor(bomb: bytes) ->
         return time.thread_time() - began
 
     assert min(read() for _ in range(5)) < 0.010
+
+
+@record
+class Small:
+    """A record that many fit into a frame of."""
+
+    of: int
+
+
+@dataclass
+class Listed:
+    """A mutable dataclass that many fit into a frame of."""
+
+    of: list[int]
+
+
+@record
+class Many:
+    """Tiny records, of all sorts."""
+
+    smalls: tuple[Small, ...]
+    listed: tuple[Listed, ...]
+    maps: tuple[TimedMap, ...]
+
+
+_MOST: Final = LINK.values - 16
+_EMPTY: Final = pack_array(np.zeros(0))
+
+
+@pytest.mark.parametrize(
+    ("cls", "content"),
+    [
+        (Many, [[[1]] * (_MOST // 2), [], []]),
+        (Many, [[], [[[]]] * (_MOST // 2), []]),
+        (Many, [[], [], [[1, {}]] * (_MOST // 3)]),
+        (TimedMap, [1, {str(number): number for number in range(_MOST // 2)}]),
+        (TimedMap, [1, {str(number): {} for number in range(_MOST // 2)}]),
+        (TimedMap, [1, {str(number): [b""] for number in range(_MOST // 3)}]),
+        (TimedMap, [1, {str(number): _EMPTY for number in range(_MOST // 2)}]),
+    ],
+    ids=["records", "dataclasses", "records of maps", "scalars", "maps", "bytes", "arrays"],
+)
+def test_each_value_of_a_frame_of_thousands_takes_fourteen_calls_at_the_most(cls: type, content: Any) -> None:
+    """In calls, not in time: some 10 ms for the worst of them, which is all that a peer may hold the loop up for."""
+    head, decode, calls = msgpack.packb(content), CODEC.parts_decoder(cls), 0
+    decode(head, ())
+
+    def count(_frame: Any, event: str, _what: Any) -> None:
+        nonlocal calls
+        calls += event in ("call", "c_call")
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        decode(head, ())
+    finally:
+        sys.setprofile(before)
+    assert LINK.values < calls < 14 * LINK.values
 
 
 def test_a_codec_without_parts_gets_them_from_its_frames() -> None:

@@ -8,6 +8,7 @@ listener comes or goes.
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
+from itertools import repeat
 from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar, cast, overload
 
@@ -275,6 +276,17 @@ class _Samples(AsyncIterator[T]):
             return await self._port.read()
         except ClosedError:
             raise StopAsyncIteration from None
+
+
+def read_all(port: InPort[Any], count: int) -> None:
+    """Take so many samples of the queue that the port reads straight from (`Receiver.direct`), which has them."""
+    receiver = port._receiver
+    queue = receiver.direct
+    for _ in repeat(None, count - 1):
+        queue.popleft()
+    port._last = queue.popleft()
+    if receiver.sole is not None and receiver.sole.waiting:
+        receiver.sole.admit_waiting()
 
 
 def receiver_of(port: InPort[Any]) -> Receiver:

@@ -23,7 +23,7 @@ from aiorts.model.profile import NO_THREAD_WRITES
 if TYPE_CHECKING:
     import asyncio
     from collections import deque
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import PortHost
@@ -244,7 +244,7 @@ class OutPort(Port[T]):
         late = []
         try:
             for entry, limit, until_ns in waits:
-                if not self._wait_in_thread(entry, until_ns) and _time_out(entry):
+                if not self._wait_in_thread(entry, until_ns) and time_out(entry):
                     late.append((entry.connector, limit))
         finally:
             for entry in entries:
@@ -387,6 +387,9 @@ class OutPort(Port[T]):
         if host.realtime:  # its thread never waits
             return self._write_general(sample)
         if not self._blocking or len(self._connectors) > 1:
+            sent = self._connectors[0]._transport.send_now(sample, host.loop) if len(self._connectors) == 1 else None
+            if sent is not None:
+                return await self._wait_for_answer(sent)
             done, entries = self._offer(sample, host.loop)
             if entries:
                 await self._wait_for(entries)
@@ -401,6 +404,17 @@ class OutPort(Port[T]):
             if not entry.done:  # else the reader has moved it in: nothing is left to give up
                 _give_up(entry, False)
         return True
+
+    async def _wait_for_answer(self, entry: Waiting) -> bool:
+        """Wait until the reader has the sample, or has refused it; its transport sees to the time."""
+        try:
+            await entry.future  # type: ignore[misc] # `send_now` has made it
+        finally:
+            if not (entry.done or entry.late):
+                _give_up(entry, False)
+        if entry.late:
+            _raise_late(self.path, [(entry.connector, entry.connector.profile.timeout)])
+        return not entry.refused
 
     def _offer(self, sample: T, loop: asyncio.AbstractEventLoop | None) -> tuple[bool, list[Waiting]]:
         """Deliver where there is room and queue up where there is none; without a loop a thread is to wait."""
@@ -422,7 +436,7 @@ class OutPort(Port[T]):
         late: list[tuple[Connector, float | None]] = []
 
         def expire(entry: Waiting, limit: float) -> None:
-            if _time_out(entry):
+            if time_out(entry):
                 late.append((entry.connector, limit))
             if entry.future is not None and not entry.future.done():
                 entry.future.set_result(None)
@@ -561,6 +575,29 @@ class OutPort(Port[T]):
             self._thread_writes.set_open(False)
 
 
+def write_all(port: OutPort[Any], samples: Sequence[Any]) -> int:
+    """Write the first of these samples as far as they go straight into one queue; how many that were.
+
+    Only the first one notifies. Where the reader hears of each, one is written, or none.
+    """
+    if port._stale:
+        port._update_fast_path()
+    queue, receiver = port._fast, port._receiver
+    count = min(len(samples), port._room - len(queue))
+    if count <= 0 or receiver is None or {*map(type, samples)} != {port._class}:
+        return 0
+    if not receiver.notify_enabled:
+        queue.extend(samples if count == len(samples) else samples[:count])
+        port._sent += count
+        return count
+    port.write_nowait(samples[0])
+    if receiver.notify_enabled or port._fast is not queue:
+        return 1
+    queue.extend(samples[1:count])
+    port._sent += count - 1
+    return count
+
+
 class _Others(list["Waiting"]):
     """Those where a write waits, while other connectors have taken its sample."""
 
@@ -588,8 +625,8 @@ def _give_up(entry: Waiting, written: bool) -> bool:
         return True
 
 
-def _time_out(entry: Waiting) -> bool:
-    """Its time is over; False when the sample was moved in the meantime."""
+def time_out(entry: Waiting) -> bool:
+    """Let a write wait no more whose time is over; False when its sample was moved in the meantime."""
     transport = entry.connector._transport
     with transport.guard():
         if not _give_up(entry, True):

@@ -50,9 +50,14 @@ class PortType:
 
     def stamped(self, sample: Any, tm: int) -> Any:
         """A copy with another time stamp."""
-        from aiorts.types import with_tm
+        return stamped(sample, tm)
 
-        return with_tm(sample, tm)
+
+def stamped(sample: Any, tm: int) -> Any:
+    """A copy of the sample with another time stamp."""
+    from aiorts.types import with_tm
+
+    return with_tm(sample, tm)
 
 
 _KNOWN: WeakKeyDictionary[type[Any], PortType] = WeakKeyDictionary()

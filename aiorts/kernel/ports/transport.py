@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Protocol
 
 from aiorts.kernel.ports.figures import statistics_of
 from aiorts.kernel.ports.port import NOTHING, OFF, UNLOCKED
+from aiorts.kernel.ports.port_types import stamped
 from aiorts.late import dataclass
 from aiorts.model.buffer import FullPolicy, Verdict, decide
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, admits
@@ -78,6 +79,8 @@ class Waiting:
     done: bool = False
     refused: ClassVar[bool] = False
     """Whether the reader had no room for it after all, so that the write returns False."""
+    late: ClassVar[bool] = False
+    """Whether its time was over before, where the transport sees to that (`send_now`)."""
 
 
 class Transport:
@@ -467,6 +470,10 @@ class Transport:
             self.offer(sample)
             return None
 
+    def send_now(self, sample: Any, loop: asyncio.AbstractEventLoop) -> Waiting | None:
+        """Send a sample whose write waits for an answer, and see to its time; None: it is to wait as others do."""
+        return None
+
     def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
         """Queue up for room that there is known not to be; across threads the caller holds the lock."""
         entry = Waiting(self.connector, sample, future)
@@ -691,10 +698,3 @@ def _set_done(future: asyncio.Future[None]) -> None:
     """Wake the writer, unless it has given up."""
     if not future.done():
         future.set_result(None)
-
-
-def stamped(sample: Any, tm: int) -> Any:
-    """A copy of the sample with another time stamp."""
-    from aiorts.types import with_tm
-
-    return with_tm(sample, tm)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import enum
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import accumulate, pairwise
 from typing import Final, TypeAlias
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
@@ -104,12 +105,12 @@ def data(
     return b"".join((_NUMBERED.pack(DATA, confirm, len(samples), link, first, oldest), lengths, *samples))
 
 
-def is_sole(frame: Buffer, link: int, number: int) -> bool:
-    """Whether a frame is data of the sample of this number alone, without flags; the rest of it is the sample."""
+def flags_of_sole(frame: Buffer, link: int, number: int) -> int | None:
+    """The flags of a frame that is data of the sample of this number alone, which is its rest; None: it is another."""
     if len(frame) < _NUMBERED.size:
-        return False
+        return None
     kind, flags, count, of, first, _ = _NUMBERED.unpack_from(frame)
-    return kind == DATA and count == 1 and first == number and of == link and not flags
+    return flags if kind == DATA and count == 1 and first == number and of == link else None
 
 
 def acknowledgement(link: int, done: int, received: int, fates: Mapping[int, str]) -> bytes:
@@ -179,13 +180,10 @@ def samples_of(frame: Buffer, count: int, ages: int = 0) -> list[memoryview]:
         raise BadFrame("no such number of samples")
     if len(view) - start > BATCH_BYTES:
         raise BadFrame("of more bytes than several samples have together")
-    found = []
-    for length in struct.unpack_from(f"<{count}I", view, _NUMBERED.size):
-        found.append(view[start : start + length])
-        start += length
-    if start != len(view):
+    places = list(accumulate(struct.unpack_from(f"<{count}I", view, _NUMBERED.size), initial=start))
+    if places[-1] != len(view):
         raise BadFrame("of another length")
-    return found
+    return [view[start:end] for start, end in pairwise(places)]
 
 
 def fates_of(frame: Buffer, count: int) -> dict[int, str]:

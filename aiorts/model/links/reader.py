@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from itertools import repeat
+from itertools import islice, repeat
+from operator import itemgetter
 from typing import Final, TypeAlias
 
 from aiorts.late import dataclass
@@ -12,6 +13,8 @@ from aiorts.model.links import frames
 from aiorts.model.links.frames import BadFrame, Buffer, Send, check_window
 from aiorts.model.links.state import LinkState
 
+_HEAD, _PARTS = itemgetter(1), itemgetter(2)
+"""Of a sample that has come."""
 _ERA: Final = 1 << 64
 ACK_NS: Final = 50_000_000
 """How long an acknowledgement may be kept back."""
@@ -148,8 +151,13 @@ class ReaderEnd:
         The sample is what stands in the frame from `frames.SOLE` on. 0: it is no such frame, and was not received.
         """
         number = self._received + 1
-        if self._held or self._fates or self._wanted or self._dates or not frames.is_sole(head, self.number, number):
+        if self._held or self._fates or self._wanted or self._dates:
             return 0
+        flags = frames.flags_of_sole(head, self.number, number)
+        if flags is None or flags & ~frames.CONFIRM:
+            return 0
+        if flags:
+            self._confirm = number
         self._unacknowledged += len(head) - frames.SOLE
         self._received = number
         self.ledger.received += 1
@@ -249,6 +257,21 @@ class ReaderEnd:
             self.date = self._dates.pop(ticket, None)
         self._bytes -= len(head) if not parts else len(head) + sum(map(len, parts))
         return found
+
+    def heads(self, count: int) -> list[Buffer]:
+        """The heads of the next samples, as many as are held but at most so many: `take_all` takes them.
+
+        None where one has parts, or they expire.
+        """
+        first = list(islice(self._held, max(count, 0)))
+        return [] if self._dates or any(map(_PARTS, first)) else list(map(_HEAD, first))
+
+    def take_all(self, count: int) -> int:
+        """Take so many samples that `heads` has given; the ticket of the last. `done` says that they are taken."""
+        held = self._held
+        taken = [held.popleft() for _ in repeat(None, count)]
+        self._bytes -= sum(map(len, map(_HEAD, taken)))
+        return taken[-1][0]
 
     @property
     def held(self) -> int:

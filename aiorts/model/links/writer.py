@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import repeat
+from operator import itemgetter
 from typing import Final
 
 from aiorts.late import dataclass
@@ -10,6 +12,8 @@ from aiorts.model.links import frames
 from aiorts.model.links.frames import BATCH, BATCH_BYTES, BadFrame, Buffer, Send, check_window
 from aiorts.model.links.state import LinkState
 
+_HEAD, _PARTS, _CONFIRM = map(itemgetter, range(3))
+"""Of a sample that is kept."""
 _MS: Final = 1_000_000
 FIRST_NS: Final = 200 * _MS
 """After this time without an answer a frame is sent again, as long as no round trip was measured."""
@@ -158,6 +162,11 @@ class WriterEnd:
         return self._open - kept
 
     @property
+    def room_for_all(self) -> int:
+        """Samples that `offer_all` takes now; 0 where each may change how many more there is room for."""
+        return 0 if self._narrows or self.date is not None else self.room
+
+    @property
     def numbered(self) -> int:
         """The number of the sample that was offered last; 0: none was since numbers began."""
         return self._next - 1
@@ -187,6 +196,15 @@ class WriterEnd:
         self.ledger.offered += 1
         self.ledger.in_flight += 1
         return number
+
+    def offer_all(self, heads: Sequence[bytes], *, confirm: bool) -> None:
+        """`offer` of samples that nothing travels beside. `room_for_all` is not less than their number."""
+        number, count = self._next, len(heads)
+        self._next = number + count
+        self._kept.update(enumerate(zip(heads, repeat(()), repeat(confirm)), number))
+        self._bytes += sum(map(len, heads))
+        self.ledger.offered += count
+        self.ledger.in_flight += count
 
     def offer_and_send(
         self, now: int, head: bytes, parts: Sequence[memoryview], confirm: bool, send: Send
@@ -286,7 +304,7 @@ class WriterEnd:
         first = self._oldest
         if done < first:
             return
-        for number in sorted(number for number in fates if first <= number <= done):
+        for number in sorted(number for number in fates if first <= number <= done) if fates else ():
             self._settle(self._oldest, number - 1, "acknowledged")
             fate = fates[number]
             self._settle(number, number, fate if fate in frames.FATES else frames.REFUSED)
@@ -311,10 +329,10 @@ class WriterEnd:
     def _settle(self, first: int, last: int, fate: str) -> None:
         if last < first:
             return
-        kept = self._kept
-        for number in range(first, last + 1):
-            head, parts, _ = kept.pop(number)
-            self._bytes -= len(head) if not parts else len(head) + sum(part.nbytes for part in parts)
+        gone = list(map(self._kept.pop, range(first, last + 1)))
+        self._bytes -= len(gone[0][0]) if first == last else sum(map(len, map(_HEAD, gone)))
+        for parts in filter(None, map(_PARTS, gone)):
+            self._bytes -= sum(part.nbytes for part in parts)
         if self._dates:
             self._dates = {number: date for number, date in self._dates.items() if number > last}
         self._oldest = last + 1
@@ -371,6 +389,11 @@ class WriterEnd:
             first = self._sent + 1
             head, parts, confirm = kept[first]
             heads, size, number = [head], len(head), first
+            if first < last and last - first < BATCH and self._bytes <= BATCH_BYTES:
+                # All that is kept has room in one frame: nothing is to be asked of each.
+                rest = [kept[number] for number in range(first, last + 1)]
+                if not any(map(_PARTS, rest)):
+                    heads, confirm, number = list(map(_HEAD, rest)), any(map(_CONFIRM, rest)), last
             while not parts and number < last and len(heads) < BATCH:
                 head, more, confirms = kept[number + 1]
                 size += len(head)
