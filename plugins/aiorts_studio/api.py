@@ -154,8 +154,9 @@ class Api:
         """A file of the page that shows what runs."""
         from starlette.responses import Response
 
-        path = _page_files()[request.url.path[1:] or "index.html"]
-        return Response(await to_thread.run_sync(path.read_bytes), media_type=PAGES[path.suffix])
+        name = request.url.path[1:]
+        path, headers = _page_files()[name or "index.html"], None if name else {"link": _modules()}
+        return Response(await to_thread.run_sync(path.read_bytes), headers=headers, media_type=PAGES[path.suffix])
 
     # -- tokens ----------------------------------------------------------------------------------------------------
 
@@ -273,6 +274,12 @@ def _page_files() -> Mapping[str, Path]:
     return {
         path.relative_to(PAGE).as_posix(): path for path in PAGE.rglob("*") if path.suffix in PAGES and path.is_file()
     }
+
+
+@cache
+def _modules() -> str:
+    """A header by which a browser asks for all modules of the page at once, not for each when another imports it."""
+    return ", ".join(f"<{name}>; rel=modulepreload" for name in _page_files() if name.endswith(".js"))
 
 
 async def _line(send: Send, value: Mapping[str, Any], *, more: bool = True) -> None:
