@@ -65,6 +65,14 @@ def test_what_is_gone_is_forgotten() -> None:
     assert not figures.trips
 
 
+def test_a_kernel_is_found_by_the_name_by_which_links_reach_it() -> None:
+    view = View("k", "host/monitor-2827", {}, links="monitor")
+    called = ("host/monitor-2827", "monitor-2827", "monitor", "host/monitor")
+    assert all(map(view.is_called, called))
+    assert not any(map(view.is_called, ("", "host/", "odometry", "other/monitor")))
+    assert not View("k", "host/k-1", {}).is_called("")
+
+
 def test_a_kernel_as_a_whole_counts_what_is_folded_and_names_the_worst_first() -> None:
     figures, view = Figures(), View("k", "host/k", {})
     names = {"a.out-b.in": 5, "a.out-c.in": 70, "c.out-d.in": 0}

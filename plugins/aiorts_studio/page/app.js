@@ -130,3 +130,8 @@ const code = codeOfAddress();
 const first = code ? await signIn(code) : "";
 if (!code && hasToken()) connect();
 render(html`<${Banner} /><${Toast} /><${SignIn} first=${first} /><${Keys} />`, over);
+// The address of another run, opened in the same tab, changes what is behind the # alone.
+window.addEventListener("hashchange", async () => {
+  const another = codeOfAddress(), refused = another ? await signIn(another) : "";
+  if (refused) store.tell(refused);
+});

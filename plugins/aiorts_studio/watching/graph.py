@@ -156,10 +156,8 @@ class Graph:
         name, _, port = near.rpartition(".")
         kernel: View | None = view
         if far:
-            wanted = (far, f"{view.address.partition('/')[0]}/{far}")
-            kernel = next(
-                (one for one in self._views.values() if one.address in wanted and name in one.components), None
-            )
+            there = (one for one in self._views.values() if one.is_called(far) and name in one.components)
+            kernel = next(there, None)
         if kernel is None:
             return ("far", view.key, f"{far}/{name}"), port
         name, port = kernel.member_port(name, port)

@@ -305,8 +305,9 @@ class Studio:
             view = self._view(entry, client.hello["lasting"])
             await self._read_places(view)
             watch = self._watches[view.key] = Watch(client, view, self, self._followers)
-            settling = asyncio.create_task(self._settle(view), name="studio layout")
+            settling = asyncio.create_task(self._settle(client, view), name="studio layout")
             try:
+                await _take_links(client, view)
                 await watch.run()
             finally:
                 settling.cancel()
@@ -326,7 +327,7 @@ class Studio:
         view.about.update(name=entry.name, pid=entry.pid)
         return view
 
-    async def _settle(self, view: View) -> None:
+    async def _settle(self, client: AsyncClient, view: View) -> None:
         """Lay a kernel that has just begun out again when it is assembled: what came one by one stands in a row.
 
         Only what boxes and edges there are counts, and only for a while: later nothing moves that is not asked to.
@@ -339,6 +340,7 @@ class Studio:
             if view.size == count and view.components:
                 break
         view.settled = True
+        await _take_links(client, view)
         if self.scene.laid_out.get(view.key) != view.size:
             self.scene.lay_out()
         self.changed()
@@ -502,3 +504,9 @@ class Studio:
             and (wanted is None or number in wanted)
             and (found := row(name)) is not None
         }
+
+
+async def _take_links(client: AsyncClient, view: View) -> None:
+    """Take the name by which links reach a kernel; one that has just begun may have none yet."""
+    with suppress(AiortsError):  # its session has ended, which is said where it is watched
+        view.links = str((await client.call("names"))["links"])

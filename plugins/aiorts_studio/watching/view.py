@@ -23,6 +23,7 @@ class View:
         address: the address of the process that runs, or ran last.
         profile: the parts of its profile, as `changes` tells them.
         lasting: its name that stays over restarts; "" is not known.
+        links: the name by which links of other kernels reach it; "" where they cannot.
         settled: whether it was laid out after it was whole.
         answered: when it answered last, by the monotonic clock.
         about: what the page says of it: "name", "state", "why", and others.
@@ -33,6 +34,7 @@ class View:
     about: dict[str, Any]
     profile: dict[str, Any] = field(default_factory=dict)
     lasting: str = ""
+    links: str = ""
     settled: bool = False
     answered: float = field(default_factory=time.monotonic)
 
@@ -43,6 +45,11 @@ class View:
         since = 0.0 if state == "live" else round(time.monotonic() - self.answered, 1)
         self.about.update(state=state, why=why, since_s=since)
         return True
+
+    def is_called(self, name: str) -> bool:
+        """Whether a path of a connector that begins with this name leads to it, from a kernel of its host."""
+        host, _, own = self.address.rpartition("/")
+        return name in (self.address, own) or (bool(self.links) and name in (self.links, f"{host}/{self.links}"))
 
     @property
     def size(self) -> tuple[int, int]:

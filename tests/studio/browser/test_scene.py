@@ -337,6 +337,15 @@ def test_a_code_in_the_address_signs_in_and_goes_from_there(stranger: Page) -> N
         assert own.code not in stranger.url
 
 
+def test_the_address_of_another_run_signs_in_in_the_same_tab(stranger: Page) -> None:
+    with kernel("coded", "examples/pid/system.toml"), served() as own:
+        stranger.goto(f"{own.origin}/")
+        stranger.get_by_role("heading", name="Sign in").wait_for()
+        stranger.goto(f"{own.origin}/#{own.code}")  # what is behind the # changes alone: nothing is loaded again
+        stranger.locator(".box").first.wait_for()
+        assert own.code not in stranger.url
+
+
 def test_a_wrong_code_is_refused_in_words(stranger: Page) -> None:
     with kernel("coded", "examples/pid/system.toml"), served() as own:
         stranger.goto(own.origin)

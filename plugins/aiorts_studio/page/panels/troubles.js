@@ -1,13 +1,13 @@
 /** What needs a look, the worst first. It comes from the kernels as a whole: what is folded counts as what is drawn. */
 import { boxes, edges, frameFigures, frames, kernels, totals } from "../store.js";
-import { count, counted, endsOf, kernelTrouble } from "../words.js";
+import { count, counted, endsOf, hasEnded, kernelTrouble } from "../words.js";
 
 /** @import {EdgeFigures, Selection} from "../types.js" */
 /** @typedef {{key: string, name: string, words: string, thing: Selection}} Trouble */
 
 /** @returns {Trouble[]} */
 export function troubles() {
-  const silent = [...kernels.value.values()].filter((one) => one.state !== "live").map((one) => ({
+  const silent = [...kernels.value.values()].filter((one) => one.state !== "live" && !hasEnded(one)).map((one) => ({
     key: `k${one.address}`, name: one.name, words: kernelTrouble(one, one.since_s), thing: leadTo(one.address, null) }));
   const all = [...totals.value].flatMap(([id, total]) => {
     const kernel = frames.value.get(id)?.kernel;
