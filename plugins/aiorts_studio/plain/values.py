@@ -53,8 +53,10 @@ def value_out(value: Any) -> Any:
         return value if -LARGEST <= value <= LARGEST else str(value)
     if kind is float and isfinite(value):
         return value
-    if kind is list:  # before what takes longer to find out: pictures and figures have thousands
+    if kind is list:  # these two before what takes longer to find out: pictures and figures have thousands
         return [value_out(one) for one in value]
+    if kind is dict:
+        return {str(key): value_out(one) for key, one in value.items()}
     if isinstance(value, Mapping):
         return {str(key): value_out(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
