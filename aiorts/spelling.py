@@ -1,4 +1,4 @@
-"""What a misspelt word may have meant, for the end of a message."""
+"""Words that a misspelt one may have meant, for the end of a message."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Iterable
 __all__ = ("meant", "nearest", "suggestion")
 
 _LONGEST = 200
-"""Characters that are compared: a longer word is nobody's mistake in spelling, and takes its time."""
+"""Characters that are compared: a longer word is no mistake in spelling, and would take its time."""
 
 _LISTED = 20
 """Words that a message lists."""
 
 
 def nearest(word: object, known: Iterable[object], *, cutoff: float = 0.6) -> str:
-    """The one of these words that is most like another one; "" where none is.
+    """The known word that is most like another one; "" where none is.
 
     Args:
         cutoff: how like it has to be, from 0 to 1.

@@ -7,7 +7,16 @@ from __future__ import annotations
 
 from aiorts.layout.boxes import HEAD, ROW, Band, Edge, Key, Route, Spot, meets
 from aiorts.layout.detour import Point
-from aiorts.layout.file import FARTHEST, LARGEST_LAYOUT, Place, Places, layout_beside, places_of, text_of_places
+from aiorts.layout.file import (
+    FARTHEST,
+    LARGEST_LAYOUT,
+    Place,
+    Places,
+    layout_beside,
+    places_of,
+    stored_places,
+    text_of_places,
+)
 from aiorts.layout.placing import (
     BAND_FOOT,
     BAND_GAP,
@@ -43,5 +52,6 @@ __all__ = (
     "layout_beside",
     "meets",
     "places_of",
+    "stored_places",
     "text_of_places",
 )

@@ -1,13 +1,13 @@
 """The file `NAME.layout.json` beside a system file: where the boxes of its components stand.
 
-Pure: text and bytes come in and go out. The studio writes it when boxes are moved, `aiorts import` from a profile of
-OpenRTM; the studio and `aiorts export` read it.
+Text and bytes come in and go out; `stored_places` alone opens it. The studio writes it when boxes are moved, `aiorts
+import` from a profile of OpenRTM; the studio, `aiorts graph` and `aiorts export` read it.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import field
 from math import isfinite
 from pathlib import Path
@@ -92,3 +92,21 @@ def _is_place(value: Any) -> bool:
         and len(value) == 3
         and all(type(one) in (int, float) and isfinite(one) and abs(one) <= FARTHEST for one in value)
     )
+
+
+def stored_places(file: Path, report: Callable[[Path, str], None]) -> Places | None:
+    """The places in the layout file of a system file; None where it has none, or one that is of no use.
+
+    Args:
+        report: gets the path of a layout file that is of no use, and why.
+    """
+    path = layout_beside(file)
+    try:
+        if path.is_file():
+            with path.open("rb") as source:
+                return places_of(source.read(LARGEST_LAYOUT + 1))
+    except OSError as error:
+        report(path, f"cannot be read: {error.strerror}")
+    except ValueError as error:
+        report(path, f"{error}; not used")
+    return None

@@ -28,7 +28,7 @@ _Way: TypeAlias = "tuple[float, float, float, int, int | None]"
 """The heights of an edge at its source, between, and at its target; its track at the source, and at the target, if it
 is another."""
 _Blocks: TypeAlias = "tuple[list[float], list[float]]"
-"""Where stretches begin, from the top, and where each ends."""
+"""The tops of stretches, in order, and the end of each."""
 
 GAP: Final = 40.0
 """Between two boxes of a column."""
@@ -436,7 +436,7 @@ class Layout:
         return way
 
     def _track(self, channel: int, key: Key, y1: float, y2: float) -> int:
-        """The first track of a channel on which no other edge is beside this one."""
+        """The first track of a channel on which no other edge runs along this one."""
         known, low, high = self._tracks.setdefault(channel, {}), min(y1, y2), max(y1, y2)
         known.pop(key, None)
         used = {track for track, begin, end in known.values() if begin <= high + 8 and end >= low - 8}
@@ -486,7 +486,7 @@ class Layout:
         return begins, ends
 
     def _forget_ways(self) -> None:
-        """Have ways sought anew when they are asked for: boxes stand elsewhere."""
+        """Forget the ways of edges: boxes stand elsewhere, and each way is sought again when it is asked for."""
         self._blocks.clear()
         self._ways.clear()
 

@@ -212,7 +212,7 @@ class WriterLink(LinkSide[WriterEnd]):
         return True
 
     def _watch(self, until_ns: int, entry: Confirmation) -> None:
-        """Have the write of a sample wait no longer than to this time."""
+        """Limit the wait of a sample's write to this time."""
         limits = self._limits
         while limits and _is_over(limits[0][1]):
             del limits[0]

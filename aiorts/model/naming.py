@@ -83,7 +83,7 @@ class NamePolicy:
 
 
 class _Stem:
-    """What is known about the numbers behind one stem."""
+    """The numbers behind one stem that are in use, and those that were given up."""
 
     __slots__ = ("first", "free", "heap", "top")
 
@@ -92,7 +92,7 @@ class _Stem:
         self.free: set[int] = set()
         """Numbers below `top` that were given up; who took one since by its very name is not known here."""
         self.heap: list[int] = []
-        """The same numbers, lowest first, and some that are in the set no more."""
+        """The numbers of `free`, lowest first, and some that were taken since."""
 
 
 class Numbering:
@@ -123,7 +123,7 @@ class Numbering:
         return name
 
     def free(self, name: str) -> None:
-        """Nobody has this name any more."""
+        """Give a name up: its number may be used again."""
         digits = len(name) - len(name.rstrip("0123456789"))
         # "n10" is number 10 of "n" and number 0 of "n1".
         for count in range(1, digits + 1):

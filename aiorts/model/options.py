@@ -119,7 +119,7 @@ def with_openrtm(options: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 class _Asked(NamedTuple):
-    """What a default may follow from, beside the options before it."""
+    """The facts that a default may follow from, apart from the options before it."""
 
     where: str
     own: Mapping[str, Any]

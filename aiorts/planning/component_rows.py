@@ -1,4 +1,4 @@
-"""Where a running kernel has the declared keys of a component: a row for each, by which a plan reads and changes it."""
+"""Rows for the declared keys of a component: how a plan reads each from a running kernel, and where it is kept."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _supervision(kernel: Microkernel, component: Component) -> Any:
 
 
 def _limits(_kernel: Microkernel, component: Component) -> Any:
-    """What the process of a component may use; None where it has none of its own."""
+    """The limits of a component's own process; None where it has none."""
     from aiorts.isolation import RemoteComponent  # late: few systems have one
 
     return component.limits if isinstance(component, RemoteComponent) else None
@@ -75,7 +75,7 @@ ROWS: Final[Mapping[str, Row]] = MappingProxyType(
 
 
 def stores(kernel: Microkernel) -> Iterator[dict[str, Any]]:
-    """What the kernel keeps of components by their names."""
+    """The stores of a kernel that have values by the names of components."""
     found = (row.store(kernel, True) for row in ROWS.values() if row.store is not None)
     return (store for store in found if store is not None)
 

@@ -52,7 +52,7 @@ class Snapshot:
         self._configurations = {name: cell(one).configuration for name, one in self.components.items()}
         self._placements = {name: cell(one).previous_placements for name, one in self.components.items()}
         self._kept: tuple[tuple[Any, Any], ...] = tuple((kept, kept.copy()) for kept in stores(kernel))
-        """What is kept of components by their names, each with a copy of what was in it."""
+        """The stores of values by components' names, each with a copy of what was in it."""
 
     def was_active(self, context: str, component: str) -> bool:
         """Whether a component was active in a context."""

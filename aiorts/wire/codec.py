@@ -234,9 +234,9 @@ class MsgpackCodec:
         return self.taking_parts(name, take)
 
     def heads_encoder(self, cls: type) -> Callable[[Sequence[Any]], Sequence[bytes]] | None:
-        """What makes the heads of several records of exactly this class, beside which nothing travels.
+        """A function that makes the heads of several records of exactly this class, whose frames have no parts.
 
-        What it gives makes none where one of them is of another class. None: `parts_encoder` has to look at each.
+        It makes none where a record is of another class. None: `parts_encoder` has to look at each record.
         """
         target, _, packed, _ = _parts_of(cls)
         if packed is None:
@@ -249,9 +249,9 @@ class MsgpackCodec:
         return encode_all
 
     def heads_decoder(self, cls: type) -> Callable[[Sequence[Buffer]], Iterator[Any]] | None:
-        """What makes the records of such heads, one after the other; the first that is none raises.
+        """A function that makes the records of such heads in turn; the first that is none raises.
 
-        None: `parts_decoder` has to look at each.
+        None: `parts_decoder` has to look at each head.
         """
         packed = _parts_of(cls)[2]
         if packed is None:

@@ -121,7 +121,7 @@ def record_positions(structure: Structure, *, nested: bool = False) -> Positions
 
 
 def _record_taker(structure: Structure, takes: Sequence[Take], wheres: Sequence[str], *, nested: bool) -> Take:
-    """What takes a record out of the list of its fields, written out for them: frames have thousands of them."""
+    """A function that takes a record out of the list of its fields, written out: frames have thousands of records."""
     cls, fields = structure.cls, structure.fields
     values = [f"v{i}" for i in range(len(fields))]
     known: dict[str, Any] = {"cls": cls, "list_of": list_of, "build": build}

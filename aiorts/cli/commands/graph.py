@@ -14,7 +14,7 @@ from aiorts.cli.commands.unrun import catalogue_of, quietly
 from aiorts.cli.commands.written import give
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.finding import below, line_of
-from aiorts.layout import LARGEST_LAYOUT, Places, layout_beside, places_of
+from aiorts.layout import stored_places
 from aiorts.system import AS_WRITTEN, GRAPH_FORMATS, Choices, check, graph, load, running_graph
 
 _ENDINGS: Final = {
@@ -70,7 +70,7 @@ def graph_command(
     system = load(file, changes, choices)
     with quietly():
         catalogue = catalogue_of(system)
-        text = graph(system, language, catalogue, _places_beside(Path(file)) if language == "svg" else None)
+        text = graph(system, language, catalogue, stored_places(Path(file), _say_unused) if language == "svg" else None)
         wrong = [one for one in check(file, changes, catalogue.folders, choices) if one.severity == "error"]
     give(output, text)
     tell_of(file, "graph")
@@ -79,18 +79,8 @@ def graph_command(
     return exits.REFUSED if wrong else exits.DONE
 
 
-def _places_beside(file: Path) -> Places | None:
-    """Where boxes stand by the layout file of a system file; None where there is none, or it is of no use."""
-    path = layout_beside(file)
-    try:
-        if path.is_file():
-            with path.open("rb") as source:
-                return places_of(source.read(LARGEST_LAYOUT + 1))
-    except OSError as error:
-        click.echo(f"aiorts: {path}: cannot be read: {error.strerror}", err=True)
-    except ValueError as error:
-        click.echo(f"aiorts: {path}: {error}; not used", err=True)
-    return None
+def _say_unused(path: Path, why: str) -> None:
+    click.echo(f"aiorts: {path}: {why}", err=True)
 
 
 def _language_of(output: str | None) -> str:

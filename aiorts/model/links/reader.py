@@ -14,7 +14,7 @@ from aiorts.model.links.frames import BadFrame, Buffer, Send, check_window
 from aiorts.model.links.state import LinkState
 
 _HEAD, _PARTS = itemgetter(1), itemgetter(2)
-"""Of a sample that has come."""
+"""The items of a sample that has come."""
 _ERA: Final = 1 << 64
 ACK_NS: Final = 50_000_000
 """How long an acknowledgement may be kept back."""

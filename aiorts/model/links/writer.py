@@ -13,7 +13,7 @@ from aiorts.model.links.frames import BATCH, BATCH_BYTES, BadFrame, Buffer, Send
 from aiorts.model.links.state import LinkState
 
 _HEAD, _PARTS, _CONFIRM = map(itemgetter, range(3))
-"""Of a sample that is kept."""
+"""The items of a sample that is kept."""
 _MS: Final = 1_000_000
 FIRST_NS: Final = 200 * _MS
 """After this time without an answer a frame is sent again, as long as no round trip was measured."""
@@ -198,7 +198,7 @@ class WriterEnd:
         return number
 
     def offer_all(self, heads: Sequence[bytes], *, confirm: bool) -> None:
-        """`offer` of samples that nothing travels beside. `room_for_all` is not less than their number."""
+        """`offer` of several samples without parts. `room_for_all` is not less than their number."""
         number, count = self._next, len(heads)
         self._next = number + count
         self._kept.update(enumerate(zip(heads, repeat(()), repeat(confirm)), number))

@@ -47,7 +47,7 @@ def _yes(others: tuple[Any, ...]) -> dict[str, Any]:
 
 
 def option_schema(kinds: tuple[Any, ...], one: Option) -> dict[str, Any]:
-    """What JSON Schema says of an option that takes texts for its values, too."""
+    """The JSON Schema of an option that takes texts for its values, too."""
     kind = kinds[0]
     if kind is bool:
         found = _yes(kinds[1:])
@@ -59,7 +59,7 @@ def option_schema(kinds: tuple[Any, ...], one: Option) -> dict[str, Any]:
 
 
 def plain_schema(kind: Any, one: Option) -> dict[str, Any]:
-    """What JSON Schema says of an option whose values have the types of TOML."""
+    """The JSON Schema of an option whose values have the types of TOML."""
     if words := words_of(kind):
         found: dict[str, Any] = {"enum": [word for word in words if word]}
     elif kind in (int, float):

@@ -12,7 +12,7 @@ import click
 
 from aiorts import declaration_of, exits
 from aiorts.errors import AiortsError
-from aiorts.layout import LARGEST_LAYOUT, Places, layout_beside, places_of
+from aiorts.layout import stored_places
 from aiorts.system import Choices, SystemFile, load, prepare
 from aiorts_openrtm.commands.output import check_free, say, say_json, write
 from aiorts_openrtm.errors import OpenRTMError
@@ -110,25 +110,12 @@ def _element(file: Path, choices: Choices, notes: list[Note]) -> Element:
         if found.kind != "rtsprofile":
             profile = RtsProfile.of(_dated(indented(profile.element), found.kind))
     root = exported(profile, system, types, lambda: _ports(system, notes), notes).element
-    if (places := _places(file, notes)).boxes:
+    places = stored_places(file, lambda path, why: notes.append(Note(str(path), why)))
+    if places is not None and places.boxes:
         root = with_places(root, imported(RtsProfile.of(root), types).names, places)
     if root != profile.element and origin is not None:
         root = root.with_attribute("rts:updateDate", RTS, _now())
     return root if origin is not None else indented(root)
-
-
-def _places(file: Path, notes: list[Note]) -> Places:
-    """The places of the system's boxes, from the layout file of the system file."""
-    path = layout_beside(file)
-    try:
-        if path.is_file():
-            with path.open("rb") as source:
-                return places_of(source.read(LARGEST_LAYOUT + 1))
-    except OSError as error:
-        notes.append(Note(str(path), f"cannot be read: {error.strerror}"))
-    except ValueError as error:
-        notes.append(Note(str(path), f"{error}; not used"))
-    return Places()
 
 
 def _origin(system: SystemFile, notes: list[Note]) -> Path | None:
