@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from browser_parts import Opened, kernel, opened, served
+from browser_parts import Opened, Served, kernel, opened, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -19,8 +19,14 @@ MARKUP = "<img src=x onerror=window.hit=1>"
 
 
 @pytest.fixture(scope="module")
-def page(chromium: Browser) -> Iterator[Opened]:
-    with kernel("lossy", PARTS / "lossy.toml"), served("--edit") as site, opened(chromium, site) as found:
+def site() -> Iterator[Served]:
+    with kernel("lossy", PARTS / "lossy.toml"), served("--edit") as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def page(chromium: Browser, site: Served) -> Iterator[Opened]:
+    with opened(chromium, site) as found:
         found.wait_for_boxes(3)
         found.settle()
         yield found
@@ -46,10 +52,11 @@ def test_in_the_last_error_of_a_component(page: Opened) -> None:
     look(page, "aside .troubles")
 
 
-def test_in_the_log_and_the_events(page: Opened) -> None:
+def test_in_the_log_and_the_events(page: Opened, site: Served) -> None:
     page.show("Log")
     look(page, ".log")
     page.show("Events")
+    site.call("lossy", "configure", component="wave", values={"": {"gain": 2.5}})
     page.wait_for("() => document.querySelector('.log .line')")
     look(page, "aside")
 
