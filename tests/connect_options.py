@@ -11,7 +11,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
-from aiorts.model import profile
+from aiorts.model import options, profile
 from aiorts.model.declared import Option, kinds_of, may_be_none, options_of
 
 FILE: Final = Path(__file__).parents[1] / "aiorts" / "model" / "connect_options.py"
@@ -19,7 +19,7 @@ _WIDTH: Final = 120
 _HEAD: Final = '''\
 """The keywords of `Kernel.connect` with their types, for editors and type checkers; `options.py` checks what comes.
 
-Written by tests/connect_options.py from the declarations in `profile.py`: correct them there.
+Written by tests/connect_options.py from the declarations in `profile.py` and `options.py`: correct them there.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _TAIL: Final = '''    openrtm: Mapping[str, object]
 def text() -> str:
     """The text of the file."""
     lines = [
-        line for cls in (profile.ConnectorProfile, profile.PortLimits, profile.ServiceOptions) for line in _of(cls)
+        line for cls in (profile.ConnectorProfile, options.PortLimits, options.ServiceOptions) for line in _of(cls)
     ]
     return _HEAD + "\n" + "\n".join(lines) + "\n" + _TAIL
 
@@ -60,9 +60,8 @@ def text() -> str:
 def _of(cls: type) -> Iterator[str]:
     for name, one in options_of(cls).items():
         yield f"    {name}: {_kind(cls, name, one)}"
-        unit = f" In {one.unit}." if one.unit else ""
         ends = {"ports": "", "services": " Of service ports."}.get(one.end, "")
-        yield textwrap.fill(f'"""{one.doc}{unit}{ends}"""', _WIDTH, initial_indent="    ", subsequent_indent="    ")
+        yield textwrap.fill(f'"""{one.described}{ends}"""', _WIDTH, initial_indent="    ", subsequent_indent="    ")
 
 
 def _kind(cls: type, name: str, one: Option) -> str:

@@ -20,6 +20,7 @@ from aiorts.kernel.quality import FEATURES, Gaps
 from aiorts.kernel.service import notify, report_fault
 from aiorts.model.naming import Numbering
 from aiorts.model.options import (
+    PortLimits,
     changed_profile,
     connector_profile,
     idle,
@@ -30,7 +31,7 @@ from aiorts.model.options import (
     without_effect,
 )
 from aiorts.model.ordering import arrange
-from aiorts.model.profile import ConnectorProfile, PortLimits
+from aiorts.model.profile import ConnectorProfile
 
 if TYPE_CHECKING:
     from aiorts.kernel.connection import Connection

@@ -160,7 +160,7 @@ class Confirmed(Linked):
 
     def settle_fate(self, entry: Confirmation, *, refused: bool) -> None:
         """The reader's end has said what became of it: its writer goes on."""
-        if self.receiver.lock is None:
+        if self.receiver.lock is None:  # `resolve` of one that waits in no queue, written out: once for each flush
             entry.refused, entry.done = refused, True
             if entry.future is not None and not entry.future.done():
                 entry.future.set_result(None)

@@ -44,10 +44,10 @@ _LEAST: Final = 4
 _SOON_NS: Final = 20_000
 """A sample that is written so soon after another was sent goes with those that are written after it.
 
-Beside a bound of 50 us (asyncio / uvloop; medians of the ratios of 15 interleaved rounds, two processes on two cores
-that others used, too): there and back 1.04x / 0.94x, samples 15 us apart 0.91x / 0.89x, 30 us apart 0.96x / 0.89x,
-eight written at once 0.83x / 1.03x. With no bound, each sample a call of the system, eight at once take 1.32x / 1.43x
-and a stream 1.40x / 2.07x. The next sample of a burst comes within some 2 us.
+Compared with a bound of 50 us (asyncio / uvloop; medians of the ratios of 15 interleaved rounds, two processes on two
+cores that others used, too): there and back 1.04x / 0.94x, samples 15 us apart 0.91x / 0.89x, 30 us apart 0.96x /
+0.89x, eight written at once 0.83x / 1.03x. With no bound, each sample a call of the system, eight at once take 1.32x /
+1.43x and a stream 1.40x / 2.07x. The next sample of a burst comes within some 2 us.
 """
 _ACKNOWLEDGED: Final = "acknowledged"
 _UNKNOWN: Final = "unknown_fate"
@@ -94,7 +94,7 @@ class WriterLink(LinkSide[WriterEnd]):
         self._confirmations: deque[Confirmation] = deque()
         self._confirmed_at = 0
         """How much was written when a sample was taken last whose writer waits for its acknowledgement."""
-        self._limits: list[tuple[int, Confirmation]] = []
+        self._limits: deque[tuple[int, Confirmation]] = deque()
         """When the time of a write is over that waits for its acknowledgement: of those that wait, and some before."""
         self._limit = Wakening(kernel, self._expire)
         """The timer of all these."""
@@ -215,14 +215,14 @@ class WriterLink(LinkSide[WriterEnd]):
         """Limit the wait of a sample's write to this time."""
         limits = self._limits
         while limits and _is_over(limits[0][1]):
-            del limits[0]
+            limits.popleft()
         limits.append((until_ns, entry))
         self._limit.at(until_ns)
 
     def _expire(self) -> None:
         """Let those wait no more whose time is over."""
         now, waiting = self._now(), [each for each in self._limits if not _is_over(each[1])]
-        self._limits = [each for each in waiting if each[0] > now]
+        self._limits = deque(each for each in waiting if each[0] > now)
         for until_ns, entry in waiting:
             if until_ns <= now and entry.future is not None:
                 entry.late = time_out(entry)

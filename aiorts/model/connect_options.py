@@ -1,6 +1,6 @@
 """The keywords of `Kernel.connect` with their types, for editors and type checkers; `options.py` checks what comes.
 
-Written by tests/connect_options.py from the declarations in `profile.py`: correct them there.
+Written by tests/connect_options.py from the declarations in `profile.py` and `options.py`: correct them there.
 """
 
 from __future__ import annotations
@@ -28,60 +28,62 @@ class ConnectOptions(TypedDict, total=False):
     name: str
     """The name of the connector."""
     dataflow: Literal["push", "pull"] | Dataflow
-    """Who begins a transfer: with push the writer delivers, with pull the reader fetches the writer's latest unread
-    sample."""
+    """The end that begins a transfer: with push the writer delivers, with pull the reader fetches the writer's latest
+    unread sample."""
     subscription: Literal["flush", "new", "periodic"] | Subscription
-    """When the out-port sends: before a write returns (flush), soon after it, so that the writer never waits (new), or
-    at push_rate (periodic)."""
+    """The moment at which the out-port sends: before a write returns (flush), soon after it, so that the writer never
+    waits (new), or at push_rate (periodic)."""
     push: Literal["all", "fifo", "skip", "new"] | Push
-    """Which samples of a backlog are sent, with new and periodic: all, one at a time (fifo), every (skip + 1)-th or the
-    newest (new)."""
+    """The samples of a backlog that are sent, with new and periodic: all, one at a time (fifo), every (skip + 1)-th or
+    the newest (new)."""
     push_rate: float | None
-    """The rate of a periodic connector. In Hz."""
+    """The rate of a periodic connector. Unit: Hz."""
     skip: int
-    """How many samples are left out between two that are sent, with push skip."""
+    """The number of samples left out between two that are sent, with push skip."""
     length: int
-    """How many samples the reader's buffer holds; with 0 a write waits until the reader has taken the sample."""
+    """The number of samples that the reader's buffer holds; with 0 a write waits until the reader has taken the
+    sample."""
     out_length: int
-    """How many samples the backlog of a periodic connector holds."""
+    """The number of samples that the backlog of a periodic connector holds."""
     full: Literal["overwrite", "reject", "block"] | FullPolicy
-    """What a write does when the reader's buffer is full: it overwrites the oldest sample, is rejected, or blocks."""
+    """The effect of a write when the reader's buffer is full: it overwrites the oldest sample, is rejected, or
+    blocks."""
     empty: Literal["readback", "do_nothing", "block"] | EmptyPolicy
-    """What a generic component does when there is nothing to read; OpenRTM's empty policy, kept for its tools."""
+    """The effect of a read when there is nothing to read, in generic components; OpenRTM's, kept for its tools."""
     timeout: float | None
-    """How long an awaited write waits with full block; None waits forever. In s."""
+    """The longest that an awaited write waits with full block; None waits forever. Unit: s."""
     stamp: Literal["send", "received", "read"] | Stamp
-    """When the connector sets `tm` to the kernel's clock; by default `tm` is what the writer said."""
+    """The moment at which the connector sets `tm` to the kernel's clock; by default `tm` is what the writer said."""
     convert: Converter | str | None
-    """What makes a sample of the in-port of one of the out-port: a plain function, FILE.py:function,
+    """The converter of samples of the out-port into those of the in-port: a plain function, FILE.py:function,
     package.module:function, or a converter's name and its text, such as map 0>1000>0."""
     measure: int
-    """How many of the last sends (`Connector.timing`) and reads (`latency`, `age` of the statistics) are timed; 0 times
-    nothing and costs nothing."""
+    """The number of the last sends (`Connector.timing`) and reads (`latency`, `age` of the statistics) that are timed;
+    0 times nothing and costs nothing."""
     keep_last: bool
     """Whether a new connector is offered the sample that the writer wrote last, also before it was made."""
     lifespan: float | None
-    """How long a sample may wait to be read before it is dropped as expired. Of a link both ends count what a sample
-    waits there, without the time on the way: the clocks of two kernels are not compared. In s."""
+    """The longest that a sample waits to be read before it is dropped as expired. Of a link both ends count what a
+    sample waits there, without the time on the way: the clocks of two kernels are not compared. Unit: s."""
     max_gap: float | None
     """The longest time between two writes; after it the writer counts as silent while both ends are active, which is an
-    event and a line in the log. In s."""
+    event and a line in the log. Unit: s."""
     on_link_lost: Literal["wait", "error", "disconnect"] | OnLinkLost
-    """What happens when the link to the other kernel is lost: the connector waits (the default of a link), moves the
-    component to error, or ends. None where both ends are in one kernel."""
+    """The reaction to a lost link to the other kernel: the connector waits (the default of a link), moves the component
+    to error, or ends. None where both ends are in one kernel."""
     fan_in: int
-    """How many connectors the in-port takes at most."""
+    """The most connectors that the in-port takes."""
     fan_out: int
-    """How many connectors the out-port takes at most."""
+    """The most connectors that the out-port takes."""
     connection_limit: int
-    """How many connectors each port takes at most; -1 is any number."""
+    """The most connectors that each port takes; -1 is any number."""
     allow_duplicate: bool
     """Whether there may be a second connector between the same two ports."""
     adapt: bool | Literal["text"]
     """Whether a FlexiFilter is inserted between ports that do not fit; with "text" also one that makes numbers of
     texts."""
     mapping: Mapping[str, str]
-    """Which provided interface answers a required one, by path or name. Of service ports."""
+    """The provided interfaces that answer required ones, by path or name. Of service ports."""
     strict: bool
     """Whether every required interface has to find a provider; false leaves unbound what none answers. Of service
     ports."""

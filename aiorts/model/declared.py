@@ -1,4 +1,4 @@
-"""Declarations of options: what a field of a frozen dataclass takes, said once, beside the type of the field.
+"""Declarations of options: the values that a field of a frozen dataclass takes, stated once, with its type.
 
 A declaration is metadata of the field. What reads a value, writes a schema, compares or describes asks for it; none of
 them names an option.
@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import Field, field
 from enum import StrEnum
 from functools import lru_cache
-from types import MappingProxyType, UnionType
+from types import MappingProxyType, NoneType, UnionType
 from typing import Any, Final, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from aiorts.spelling import meant
@@ -30,9 +30,9 @@ class Option(NamedTuple):
 
     default: Any
     doc: str
-    """What it is for, in whole sentences."""
+    """The description of its values, in whole sentences."""
     unit: str = ""
-    """Of a number; "" where it has none."""
+    """The unit of a number; "" where it has none."""
     low: float | None = None
     """The smallest number, or the fewest characters of a text."""
     high: float | None = None
@@ -40,7 +40,7 @@ class Option(NamedTuple):
     words: Mapping[str, str] = MappingProxyType({})
     """OpenRTM's word for a value -> ours, where they differ."""
     end: str = "both"
-    """Whose part of a connection it is: "writer", "reader", "both", "ports" or "services"."""
+    """The part of a connection that it is about: "writer", "reader", "both", "ports" or "services"."""
     changes: bool = False
     """Whether it may be changed while it is in force."""
     shown: bool = False
@@ -48,7 +48,12 @@ class Option(NamedTuple):
     endless: bool = False
     """Whether a system file says `inf` for None."""
     takes: Callable[[Any], Any] | None = None
-    """Reads a value that is no text, number or word; None: its type says how."""
+    """A function that reads a value which is no text, number or word; None: its type says how."""
+
+    @property
+    def described(self) -> str:
+        """The description with the unit."""
+        return f"{self.doc} Unit: {self.unit}." if self.unit else self.doc
 
 
 def option(default: T, doc: str, **declared: Any) -> T:
@@ -68,27 +73,28 @@ def options_of(cls: type) -> Mapping[str, Option]:
 
 
 @lru_cache
+def _alternatives_of(cls: type) -> Mapping[str, tuple[Any, ...]]:
+    """The alternatives in the annotation of each declared option, None among them."""
+    hints = get_type_hints(cls)
+    is_union = {name: get_origin(hints[name]) in (Union, UnionType) for name in options_of(cls)}
+    return {name: get_args(hints[name]) if several else (hints[name],) for name, several in is_union.items()}
+
+
+@lru_cache
 def kinds_of(cls: type) -> Mapping[str, tuple[Any, ...]]:
     """The types that each declared option takes, without None."""
-    hints = get_type_hints(cls)
-    return MappingProxyType(
-        {name: tuple(kind for kind in _alternatives(hints[name]) if kind is not type(None)) for name in options_of(cls)}
-    )
+    known = _alternatives_of(cls).items()
+    return MappingProxyType({name: tuple(kind for kind in kinds if kind is not NoneType) for name, kinds in known})
 
 
-def _alternatives(hint: Any) -> tuple[Any, ...]:
-    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+def may_be_none(cls: type, name: str) -> bool:
+    """Whether None is among the values of an option."""
+    return NoneType in _alternatives_of(cls)[name]
 
 
 def words_of(kind: Any) -> tuple[str, ...]:
     """The words of a Literal; () for another type."""
     return get_args(kind) if get_origin(kind) is Literal else ()
-
-
-@lru_cache
-def may_be_none(cls: type, name: str) -> bool:
-    """Whether None is among the values of an option."""
-    return type(None) in _alternatives(get_type_hints(cls)[name])
 
 
 def read_option(cls: type, name: str, value: Any, *, low: float | None = None) -> Any:

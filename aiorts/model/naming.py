@@ -98,7 +98,7 @@ class _Stem:
 class Numbering:
     """The lowest free number behind each stem, in about constant time.
 
-    `taken` says whether a name is in use; whoever gives one up says so to `free`.
+    `taken` says whether a name is in use; a name that is given up is told to `free`.
     """
 
     __slots__ = ("_stems", "_taken")

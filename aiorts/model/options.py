@@ -17,19 +17,21 @@ from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple, cast
 
 from aiorts.errors import InvalidNameError, WiringError
-from aiorts.model.buffer import DEFAULT_LENGTH, FullPolicy
+from aiorts.late import dataclass
+from aiorts.model.buffer import DEFAULT_LENGTH, MAX_LENGTH, FullPolicy
 from aiorts.model.declared import (
     Option,
     OptionError,
     folded,
     may_be_none,
+    option,
     options_of,
     read_option,
     read_yes,
 )
 from aiorts.model.names import check_name
 from aiorts.model.policy import Dataflow, OnLinkLost, Push, Stamp, Subscription, default_push
-from aiorts.model.profile import ConnectorProfile, PortLimits, ServiceOptions
+from aiorts.model.profile import ConnectorProfile
 from aiorts.spelling import nearest
 
 MEASURED_SENDS: Final = 1000
@@ -85,6 +87,47 @@ _AT_A_RENDEZVOUS: Final[Mapping[str, Any]] = {
 """What the options say where a write waits until the reader has taken its sample."""
 
 _ON_LOSS: Final = ("full", "length", "push")
+
+
+@dataclass(frozen=True, slots=True)
+class PortLimits:
+    """The options of `connect` about the ports that it joins, not about the connector."""
+
+    fan_in: int | None = option(
+        None, "The most connectors that the in-port takes.", low=1, high=MAX_LENGTH, end="ports"
+    )
+    fan_out: int | None = option(
+        None, "The most connectors that the out-port takes.", low=1, high=MAX_LENGTH, end="ports"
+    )
+    connection_limit: int | None = option(
+        None, "The most connectors that each port takes; -1 is any number.", low=-1, high=MAX_LENGTH, end="ports"
+    )
+    allow_duplicate: bool = option(
+        False,
+        "Whether there may be a second connector between the same two ports.",
+        end="ports",
+    )
+    adapt: bool | Literal["text"] = option(
+        False,
+        'Whether a FlexiFilter is inserted between ports that do not fit; with "text" also one that makes numbers of '
+        "texts.",
+        end="ports",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceOptions:
+    """The options of `connect` for service ports alone."""
+
+    mapping: Mapping[str, str] | None = option(
+        None, "The provided interfaces that answer required ones, by path or name.", end="services"
+    )
+    strict: bool = option(
+        True,
+        "Whether every required interface has to find a provider; false leaves unbound what none answers.",
+        end="services",
+    )
+
 
 SERVICE_KEYS: Final = tuple(options_of(ServiceOptions))
 """Options of service ports; for data ports they mean nothing, and connecting those reports it."""

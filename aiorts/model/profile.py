@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from aiorts.errors import WiringError
 from aiorts.late import dataclass
@@ -51,22 +51,22 @@ class ConnectorProfile:
     ports: tuple[str, ...] = ()
     dataflow: Dataflow = option(
         Dataflow.PUSH,
-        "Who begins a transfer: with push the writer delivers, with pull the reader fetches the writer's latest unread "
-        "sample.",
+        "The end that begins a transfer: with push the writer delivers, with pull the reader fetches the writer's "
+        "latest unread sample.",
         end="writer",
     )
     subscription: Subscription = option(
         Subscription.FLUSH,
-        "When the out-port sends: before a write returns (flush), soon after it, so that the writer never waits (new), "
-        "or at push_rate (periodic).",
+        "The moment at which the out-port sends: before a write returns (flush), soon after it, so that the writer "
+        "never waits (new), or at push_rate (periodic).",
         words={"block": "flush", "nonblock": "new"},
         end="writer",
         shown=True,
     )
     push: Push = option(
         Push.ALL,
-        "Which samples of a backlog are sent, with new and periodic: all, one at a time (fifo), every (skip + 1)-th or "
-        "the newest (new).",
+        "The samples of a backlog that are sent, with new and periodic: all, one at a time (fifo), every (skip + "
+        "1)-th or the newest (new).",
         end="writer",
     )
     push_rate: float | None = option(
@@ -74,14 +74,15 @@ class ConnectorProfile:
     )
     skip: int = option(
         0,
-        "How many samples are left out between two that are sent, with push skip.",
+        "The number of samples left out between two that are sent, with push skip.",
         low=0,
         high=MAX_LENGTH,
         end="writer",
     )
     length: int = option(
         DEFAULT_LENGTH,
-        "How many samples the reader's buffer holds; with 0 a write waits until the reader has taken the sample.",
+        "The number of samples that the reader's buffer holds; with 0 a write waits until the reader has taken the "
+        "sample.",
         low=0,
         high=MAX_LENGTH,
         end="reader",
@@ -89,26 +90,27 @@ class ConnectorProfile:
     )
     out_length: int = option(
         DEFAULT_LENGTH,
-        "How many samples the backlog of a periodic connector holds.",
+        "The number of samples that the backlog of a periodic connector holds.",
         low=1,
         high=MAX_LENGTH,
         end="writer",
     )
     full: FullPolicy = option(
         FullPolicy.OVERWRITE,
-        "What a write does when the reader's buffer is full: it overwrites the oldest sample, is rejected, or blocks.",
+        "The effect of a write when the reader's buffer is full: it overwrites the oldest sample, is rejected, or "
+        "blocks.",
         words={"do_nothing": "reject"},
         end="reader",
         changes=True,
     )
     empty: EmptyPolicy | None = option(
         None,
-        "What a generic component does when there is nothing to read; OpenRTM's empty policy, kept for its tools.",
+        "The effect of a read when there is nothing to read, in generic components; OpenRTM's, kept for its tools.",
         end="reader",
     )
     timeout: float | None = option(
         1.0,
-        "How long an awaited write waits with full block; None waits forever.",
+        "The longest that an awaited write waits with full block; None waits forever.",
         unit="s",
         low=0.0,
         high=1e9,
@@ -117,13 +119,13 @@ class ConnectorProfile:
     )
     stamp: Stamp | None = option(
         None,
-        "When the connector sets `tm` to the kernel's clock; by default `tm` is what the writer said.",
+        "The moment at which the connector sets `tm` to the kernel's clock; by default `tm` is what the writer said.",
         words={"on_send": "send", "on_received": "received", "on_read": "read", "on_write": "send", "none": ""},
         end="writer",
     )
     convert: str | None = option(
         None,
-        "What makes a sample of the in-port of one of the out-port: a plain function, FILE.py:function, "
+        "The converter of samples of the out-port into those of the in-port: a plain function, FILE.py:function, "
         "package.module:function, or a converter's name and its text, such as map 0>1000>0.",
         low=1,
         end="writer",
@@ -131,8 +133,8 @@ class ConnectorProfile:
     )
     measure: int = option(
         0,
-        "How many of the last sends (`Connector.timing`) and reads (`latency`, `age` of the statistics) are timed; 0 "
-        "times nothing and costs nothing.",
+        "The number of the last sends (`Connector.timing`) and reads (`latency`, `age` of the statistics) that are "
+        "timed; 0 times nothing and costs nothing.",
         low=0,
         high=MAX_LENGTH,
         end="reader",
@@ -144,7 +146,7 @@ class ConnectorProfile:
     )
     lifespan: float | None = option(
         None,
-        "How long a sample may wait to be read before it is dropped as expired. Of a link both ends count what a "
+        "The longest that a sample waits to be read before it is dropped as expired. Of a link both ends count what a "
         "sample waits there, without the time on the way: the clocks of two kernels are not compared.",
         unit="s",
         low=1e-6,
@@ -164,51 +166,11 @@ class ConnectorProfile:
     """Options that aiorts keeps and reports but does not act on."""
     on_link_lost: OnLinkLost | None = option(
         None,
-        "What happens when the link to the other kernel is lost: the connector waits (the default of a link), moves "
+        "The reaction to a lost link to the other kernel: the connector waits (the default of a link), moves "
         "the component to error, or ends. None where both ends are in one kernel.",
     )
     far_end: str = ""
     """Which end is in another kernel, "writer" or "reader"; "" where both are in this one."""
-
-
-@dataclass(frozen=True, slots=True)
-class PortLimits:
-    """The options of `connect` about the ports that it joins, not about the connector."""
-
-    fan_in: int | None = option(
-        None, "How many connectors the in-port takes at most.", low=1, high=MAX_LENGTH, end="ports"
-    )
-    fan_out: int | None = option(
-        None, "How many connectors the out-port takes at most.", low=1, high=MAX_LENGTH, end="ports"
-    )
-    connection_limit: int | None = option(
-        None, "How many connectors each port takes at most; -1 is any number.", low=-1, high=MAX_LENGTH, end="ports"
-    )
-    allow_duplicate: bool = option(
-        False,
-        "Whether there may be a second connector between the same two ports.",
-        end="ports",
-    )
-    adapt: bool | Literal["text"] = option(
-        False,
-        'Whether a FlexiFilter is inserted between ports that do not fit; with "text" also one that makes numbers of '
-        "texts.",
-        end="ports",
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class ServiceOptions:
-    """The options of `connect` for service ports alone."""
-
-    mapping: Mapping[str, str] | None = option(
-        None, "Which provided interface answers a required one, by path or name.", end="services"
-    )
-    strict: bool = option(
-        True,
-        "Whether every required interface has to find a provider; false leaves unbound what none answers.",
-        end="services",
-    )
 
 
 @dataclass(frozen=True, slots=True)

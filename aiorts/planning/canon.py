@@ -268,8 +268,9 @@ def whole(path: Path) -> Path:
 
 def _is_usual(key: str, value: Any, cls: type[Component]) -> bool:
     """Whether a key of a component says what is so without it."""
-    usual: dict[str, object] = {"supervision": Supervision(), "on_link_lost": cls.on_link_lost}
-    return key in usual and bool(value == usual[key])
+    if key == "supervision":
+        return value is None or bool(value == Supervision())
+    return key == "on_link_lost" and bool(value == cls.on_link_lost)
 
 
 def _frozen(value: Any) -> Any:

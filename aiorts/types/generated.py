@@ -6,12 +6,13 @@ and values by `repr`: nothing that came in a frame or a file can be in it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 
-def generate(head: str, lines: Sequence[str], known: Mapping[str, Any]) -> Any:
+def generate(head: str, lines: Sequence[str], known: Mapping[str, Any]) -> Callable[..., Any]:
     """The function with this head, such as "read(record)", and these lines, in which `known` names other objects."""
     names = dict(known)
     exec("\n ".join((f"def {head}:", *lines)), names)  # noqa: S102
-    return names[head.partition("(")[0]]
+    made: Callable[..., Any] = names[head.partition("(")[0]]
+    return made

@@ -147,7 +147,7 @@ def settling(cls: type) -> Callable[[Any, Sequence[Any]], Any]:
     lines.append("copied = new(target)")
     lines += [f"store(copied, {field.name!r}, g{i})" for i, field in enumerate(fields)]
     lines.append("return copied")
-    return generate("settle(sample, given)", lines, known)  # type: ignore[no-any-return]
+    return generate("settle(sample, given)", lines, known)
 
 
 def _is_listed(value: Any, kept: Any) -> bool:

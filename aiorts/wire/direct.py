@@ -151,7 +151,7 @@ def number_builder(structure: Structure) -> Callable[..., Any]:
     known: dict[str, Any] = {}
     lines = _building(structure, known)
     count = sum(1 for _ in _leaves(structure, ""))
-    return generate(f"build({', '.join(f'v{i}' for i in range(count))})", lines, known)  # type: ignore[no-any-return]
+    return generate(f"build({', '.join(f'v{i}' for i in range(count))})", lines, known)
 
 
 def _building(structure: Structure, known: dict[str, Any]) -> list[str]:

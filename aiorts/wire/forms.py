@@ -57,7 +57,7 @@ def _record_form(structure: Structure) -> Form:
 def _putter(structure: Structure, names: tuple[str, ...], pairs: tuple[Pair, ...], wheres: tuple[str, ...]) -> Put:
     if structure.checked:
         known: dict[str, Any] = {}
-        return generate("put(record)", [f"return {_entries(structure, 'record', known)}"], known)  # type: ignore[no-any-return]
+        return generate("put(record)", [f"return {_entries(structure, 'record', known)}"], known)
     read: Any = attrgetter(*names) if len(names) > 1 else lambda record: tuple(getattr(record, name) for name in names)
     puts = tuple((name, put) for name, (put, _) in zip(names, pairs, strict=True) if put is not None)
     kinds = tuple(zip((field.kind for field in structure.fields), wheres, strict=True))

@@ -144,7 +144,7 @@ def _record_taker(structure: Structure, takes: Sequence[Take], wheres: Sequence[
             lines.append(f"return settle(made, [{', '.join(values)}])")
         else:
             lines.append("return made")
-    return generate("take(values, where, parts)", lines, known)  # type: ignore[no-any-return]
+    return generate("take(values, where, parts)", lines, known)
 
 
 def _settled(kind: Kind) -> bool:

@@ -17,6 +17,7 @@ from aiorts.model.options import (
     OWN_KEYS,
     OWN_OPTIONS,
     SERVICE_KEYS,
+    PortLimits,
     chosen_options,
     connector_profile,
     doubts,
@@ -26,7 +27,7 @@ from aiorts.model.options import (
     without_effect,
 )
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
-from aiorts.model.profile import ConnectorProfile, PortLimits
+from aiorts.model.profile import ConnectorProfile
 
 CHOICES = {
     "dataflow": Dataflow,

@@ -30,6 +30,7 @@ from aiorts_studio.watching.words import event_said
             "fast: gain = 2.5",
         ),
         ({"component": "wave", "values": [["gain", 2.5], ["name", "a, b"]]}, "gain = 2.5, name = a, b"),
+        ({"component": "wave", "old": None, "new": [["gain", 2]], "set": "fast"}, "fast: gain = 2"),
         ({"component": "wave", "old": "default", "new": "fast"}, "default → fast"),
         ({"component": "wave", "context": "main", "old": "inactive", "new": "active"}, "main: inactive → active"),
         ({"context": "main", "skipped": 3, "late_ns": 12_345_678, "blame": {"who": "x"}}, "skipped 3, late 12.3 ms"),

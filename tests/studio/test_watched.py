@@ -68,9 +68,10 @@ def test_what_is_gone_is_forgotten() -> None:
 def test_a_kernel_is_found_by_the_name_by_which_links_reach_it() -> None:
     view = View("k", "host/monitor-2827", {}, links="monitor")
     called = ("host/monitor-2827", "monitor-2827", "monitor", "host/monitor")
-    assert all(map(view.is_called, called))
-    assert not any(map(view.is_called, ("", "host/", "odometry", "other/monitor")))
-    assert not View("k", "host/k-1", {}).is_called("")
+    assert all(view.is_called(name, "host") for name in called)
+    assert not any(view.is_called(name, "host") for name in ("", "host/", "odometry", "other/monitor"))
+    assert [view.is_called(name, "other") for name in called] == [True, False, True, True]
+    assert not View("k", "host/k-1", {}).is_called("", "host")
 
 
 def test_a_kernel_as_a_whole_counts_what_is_folded_and_names_the_worst_first() -> None:

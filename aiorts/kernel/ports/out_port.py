@@ -407,8 +407,9 @@ class OutPort(Port[T]):
 
     async def _wait_for_answer(self, entry: Waiting) -> bool:
         """Wait until the reader has the sample, or has refused it; its transport sees to the time."""
+        assert entry.future is not None  # noqa: S101 - `send_now` has made it
         try:
-            await entry.future  # type: ignore[misc] # `send_now` has made it
+            await entry.future
         finally:
             if not (entry.done or entry.late):
                 _give_up(entry, False)

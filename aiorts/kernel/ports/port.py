@@ -326,7 +326,7 @@ def check_room(port: Port[Any], more: int, limit: int | None, far: int = 0) -> N
 
     Args:
         limit: how many it takes at most; None is any number.
-        far: how many other kernels have at it, beside its own connectors.
+        far: how many connectors other kernels have at it, apart from its own.
     """
     has = len(port.connectors) + far
     if limit is not None and has + more > limit:

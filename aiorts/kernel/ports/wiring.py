@@ -18,10 +18,10 @@ from aiorts.kernel.ports.features import PLAIN, features_of, fit_receiver, settl
 from aiorts.kernel.ports.in_port import in_ports_at
 from aiorts.kernel.ports.last_sample import offer_last
 from aiorts.kernel.ports.port import check_room
-from aiorts.model.options import SERVICE_KEYS, connector_profile
+from aiorts.model.options import SERVICE_KEYS, PortLimits, connector_profile
 from aiorts.model.ordering import ordered
 from aiorts.model.policy import Push, Stamp, Subscription
-from aiorts.model.profile import ConnectorProfile, PortLimits
+from aiorts.model.profile import ConnectorProfile
 from aiorts.model.timing import ConnectorTimes
 from aiorts.model.values import shown
 

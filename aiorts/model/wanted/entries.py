@@ -31,10 +31,12 @@ class ComponentEntry:
     active: str = ""
     """The active set; "" is the default one."""
     supervision: Supervision | None = option(
-        None, "What is done when the component fails, and how long each of its hooks may take.", changes=True
+        None,
+        "The recovery of the component when it fails, and the longest that each of its hooks may take.",
+        changes=True,
     )
     start: StartRule | None = option(
-        None, "When the component is activated: once its conditions hold and its wait is over.", changes=True
+        None, "The start of the component: it is activated once its conditions hold and its wait is over.", changes=True
     )
     exclusive: bool = option(
         False,
@@ -44,16 +46,14 @@ class ComponentEntry:
     )
     on_link_lost: Literal["", "continue", "deactivate", "error"] = option(
         "",
-        "What an active component does when the link to its operator is lost: it goes on, is deactivated, or goes to "
-        "error. By default what its class says.",
+        "The reaction of an active component to the loss of its operator's link: it goes on, is deactivated, or goes "
+        "to error. By default what its class says.",
         changes=True,
     )
     isolation: Literal["", "process"] = option(
         "", "process: the component runs in a process of its own, in a context of its own."
     )
-    limits: Mapping[str, Any] = option(
-        _NOTHING, 'What the process of the component may use; with isolation = "process".'
-    )
+    limits: Mapping[str, Any] = option(_NOTHING, 'The limits of the component\'s process; with isolation = "process".')
 
 
 CHANGED_BY_RULE: Final = tuple(key for key, one in options_of(ComponentEntry).items() if one.changes)

@@ -223,10 +223,12 @@ class _Reader(Reading):
         one, kind = _OF_COMPONENT[word], kinds_of(ComponentEntry)[word][0]
         if words := [other for other in words_of(kind) if other]:
             return self._of_words(key, table, word, words)
-        if kind is bool or word not in table:
-            return self._get(key, table, word, bool, one.default)
-        value = self._get(key, table, word, object)
+        value = self._get(key, table, word, object if kind in (int, float) else kind, one.default)
+        if word not in table or kind not in (int, float):
+            return value
         try:
+            if isinstance(value, str):  # a number of TOML is none in quotes
+                raise OptionError(f"{word} = {value!r}: expected a number")
             return read_option(ComponentEntry, word, value)
         except OptionError as error:
             self._say((*key, word), str(error).removeprefix(f"{word} = {value!r}: ") + f", got {value!r:.80}")

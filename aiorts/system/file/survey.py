@@ -20,8 +20,8 @@ from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.extensions.finders import offer_from
 from aiorts.kernel.service import ServicePlan, load_service
 from aiorts.late import dataclass
-from aiorts.model.options import connector_profile, link_options
-from aiorts.model.profile import ConnectorProfile, PortLimits
+from aiorts.model.options import PortLimits, connector_profile, link_options
+from aiorts.model.profile import ConnectorProfile
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry
 from aiorts.planning import Setting
 from aiorts.spelling import suggestion

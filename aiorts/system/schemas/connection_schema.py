@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any, Final
 
 from aiorts.model.declared import kinds_of, options_of
-from aiorts.model.profile import ConnectorProfile, PortLimits
+from aiorts.model.options import PortLimits
+from aiorts.model.profile import ConnectorProfile
 from aiorts.system.schemas.option_schema import option_schema
 from aiorts.system.schemas.template_schema import PART
 

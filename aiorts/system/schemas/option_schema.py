@@ -72,5 +72,4 @@ def plain_schema(kind: Any, one: Option) -> dict[str, Any]:
 def _said(one: Option) -> dict[str, Any]:
     """The default of an option, where a file can say it, and its description."""
     default = {} if one.default in (None, "") else {"default": one.default}
-    unit = f" In {one.unit}." if one.unit else ""
-    return {**default, "description": f"{one.doc}{unit}"}
+    return {**default, "description": one.described}

@@ -122,7 +122,6 @@ def _kind_of(mode: int) -> str:
 
 def _near_file(path: Path) -> str:
     """A file of nearly that name, for one that is not there."""
-
     try:
         files = [] if path.exists() else islice(path.parent.glob("*.toml"), 1000)
         names = {found.stem: found.name for found in files if found.name != path.name}  # which may be a dead link

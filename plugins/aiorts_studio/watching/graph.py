@@ -156,8 +156,10 @@ class Graph:
         name, _, port = near.rpartition(".")
         kernel: View | None = view
         if far:
-            there = (one for one in self._views.values() if one.is_called(far) and name in one.components)
-            kernel = next(there, None)
+            host = view.address.partition("/")[0]
+            there = [one for one in self._views.values() if one.is_called(far, host) and name in one.components]
+            there.sort(key=lambda one: one.address.partition("/")[0] != host)  # the nearest of one name
+            kernel = next(iter(there), None)
         if kernel is None:
             return ("far", view.key, f"{far}/{name}"), port
         name, port = kernel.member_port(name, port)

@@ -450,10 +450,9 @@ class Studio:
         totals = self._total(watch)
         frames = self._rows("frame", key, figures.now["contexts"], figures.frame)
         for page in pages:
+            rows, shown = (far, frozenset(far)) if page.is_far else (near, page.seen["e"])
             message = {
-                "e": different(
-                    *((far, page.told["e"], far) if page.is_far else (near, page.told["e"], page.seen["e"]))
-                ),
+                "e": different(rows, page.told["e"], shown),
                 "b": different(boxes, page.told["b"], page.seen["b"]),
                 "f": different(frames, page.told["f"], frames),
                 "k": different(totals, page.told["k"], totals),

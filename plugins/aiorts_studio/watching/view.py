@@ -46,10 +46,11 @@ class View:
         self.about.update(state=state, why=why, since_s=since)
         return True
 
-    def is_called(self, name: str) -> bool:
-        """Whether a path of a connector that begins with this name leads to it, from a kernel of its host."""
-        host, _, own = self.address.rpartition("/")
-        return name in (self.address, own) or (bool(self.links) and name in (self.links, f"{host}/{self.links}"))
+    def is_called(self, name: str, host: str) -> bool:
+        """Whether a path of a connector that begins with this name leads to it, from a kernel of this host."""
+        own, _, address = self.address.rpartition("/")
+        names = [self.address, *([address] if own == host else [])]
+        return name in names or (bool(self.links) and name in (self.links, f"{own}/{self.links}"))
 
     @property
     def size(self) -> tuple[int, int]:

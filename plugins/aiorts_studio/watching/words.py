@@ -83,7 +83,7 @@ def _event_words(fields: Mapping[str, Any]) -> Iterator[str]:
         old, new = left.pop("old"), left.pop("new")
         subject = next((name for name in ("parameter", "set", "context", "path") if left.get(name)), None)
         before = f"{left.pop(subject)}: " if subject else ""
-        yield before + (_pairs_said(new, old) if _are_pairs(new) else f"{old} → {new}")
+        yield before + (_pairs_said(new, old if _are_pairs(old) else ()) if _are_pairs(new) else f"{old} → {new}")
     for name, value in left.items():
         if value in (None, "", [], ()) or isinstance(value, Mapping):
             continue

@@ -84,7 +84,6 @@ def conf(
 
 def _chosen(one: Found, parameters: Sequence[Any], wanted: Sequence[str]) -> list[Any]:
     """The parameters of these names, as they were asked for. AbsentError: there is no such one."""
-
     known = {param["name"]: param for param in parameters}
     for name in wanted:
         if name not in known:

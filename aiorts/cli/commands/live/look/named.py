@@ -92,7 +92,6 @@ def _others(found: Kernels, word: str) -> Iterator[Named]:
 
 
 def _no_port(one: Found, word: str) -> AbsentError:
-
     ports = list(outlines(one.running, one.component)[one.component]["ports"])
     near = nearest(one.port, ports)
     hint = f"did you mean {one.component}.{near}?" if near else f"its ports: {', '.join(ports[:10]) or 'none'}"
