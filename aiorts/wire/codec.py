@@ -116,7 +116,10 @@ class MsgpackCodec:
         cls = type(record)
         if (encode := self._encoders.get(cls)) is not None:
             return encode(record)
-        name, form = _known.get(cls) or _know(cls)
+        if (known := _known.get(cls)) is None:
+            _know(cls)
+            return self.encode(record)  # as all that follow: the class may have an encoder of its own now
+        name, form = known
         content = FORMAT, name, form.put(record)
         try:
             packer = _packers.pop()

@@ -32,6 +32,7 @@ from aiorts.types import (
     TimedOctetSeq,
     all_types,
     fields_of,
+    record,
     to_plain,
 )
 from aiorts.types.kinds import SCALARS as KINDS
@@ -241,6 +242,16 @@ def test_wrong_frame_is_refused_naming_what_is_wrong(data: bytes, message: str) 
     with pytest.raises(WireError) as caught:
         CODEC.decode(data)
     assert message in str(caught.value)
+
+
+def test_the_first_frame_of_a_type_is_written_as_all_that_follow() -> None:
+    @record
+    class FirstOfAll:
+        tm: int = 0
+        data: float = 0.0
+
+    first, second = (CODEC.encode(FirstOfAll(1, 2.0)) for _ in range(2))
+    assert first == second == CODEC.encoder(FirstOfAll)(FirstOfAll(1, 2.0))
 
 
 def test_expected_type_is_checked() -> None:

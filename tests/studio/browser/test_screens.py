@@ -90,8 +90,11 @@ def test_what_is_selected_is_shown_in_full(page: Opened, pictures: Path) -> None
 
 
 @pytest.mark.parametrize("tab", ["Log", "Events", "Plots"])
-def test_each_panel_below_is_legible(page: Opened, pictures: Path, tab: str) -> None:
+def test_each_panel_below_is_legible(page: Opened, site: Served, pictures: Path, tab: str) -> None:
     page.show(tab)
+    if tab == "Events":  # those of the last minute are shown
+        theme = page.page.evaluate("document.documentElement.dataset.theme")
+        site.call("lossy", "configure", component="wave", values={"": {"label": f"Seen in {theme}"}})
     if tab == "Plots":
         page.choose("wave")
         page.page.get_by_role("button", name="Plot wave.out").click()
