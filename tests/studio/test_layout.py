@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 
 from aiorts.layout import Edge, Key, Layout, Spot, columns, meets
 from aiorts.layout.detour import room
+from aiorts.sessions import Entry
 from aiorts_studio.watching.frames import frames_of
 from aiorts_studio.watching.piles import placed
-from aiorts_studio.watching.view import View
+from aiorts_studio.watching.view import View, about
 from campaign import CAMPAIGN
 
 pytestmark = pytest.mark.row(120)
@@ -303,7 +304,7 @@ def rows_of(total: int) -> tuple[list[Spot], list[Edge], dict[Key, str]]:
 def test_frames_of_kernels_beside_one_another_do_not_overlap() -> None:
     spots, edges, groups = rows_of(5)
     edges += [Edge((f"back{n}",), (f"reader{n}",), "out", (f"writer{n}",), "in") for n in range(5)]
-    views = {str(n): View(str(n), f"host/k{n}", {"name": f"k{n}", "pid": n, "host": "host"}) for n in range(5)}
+    views = {str(n): View(str(n), f"host/k{n}", about(Entry(f"host/k{n}", n, "", ""))) for n in range(5)}
     spots = [replace(one, band=("band", *one.band[1:], "")) for one in spots]
     groups = {("band", group, ""): group for group in groups.values()}
     layout = placed(spots, edges, groups, {group: group for group in groups.values()})

@@ -98,6 +98,27 @@ def test_a_link_is_one_edge_of_two_kernels(tmp_path: Path) -> None:
         asyncio.run(look())
 
 
+def test_the_far_end_of_a_link_to_a_kernel_that_is_not_watched_stands_apart(tmp_path: Path) -> None:
+    (tmp_path / "parts.py").write_text(PARTS)
+    (tmp_path / "alpha.toml").write_text(SOURCE)
+    (tmp_path / "beta.toml").write_text(SINK)
+
+    async def look() -> None:
+        await client.enter()
+        async with paging(client) as page:
+            far = await page.until(lambda: page.box("beta/sink"))
+            source, frame = page.box("source"), page.frames[far["frame"]]
+            assert (frame["name"], frame["said"]) == ("elsewhere", "other kernels")
+            assert page.frames[source["frame"]]["name"] == "loop"
+
+    with (
+        running("beta", str(tmp_path / "beta.toml")),
+        running("alpha", str(tmp_path / "alpha.toml")),
+        serving("alpha") as (_, client),
+    ):
+        asyncio.run(look())
+
+
 def test_isolated_components_have_a_frame_of_their_process() -> None:
     async def look() -> None:
         await client.enter()
@@ -107,6 +128,10 @@ def test_isolated_components_have_a_frame_of_their_process() -> None:
             )
             assert re.search(r"process \d+", frame["said"])
             assert any(one["frame"] == frame["id"] for one in page.boxes.values())
+            pid = int(frame["said"].rpartition(" ")[2])
+            os.kill(pid, signal.SIGKILL)  # it is started anew
+            await page.until(lambda: frame["id"] in page.frames and f"{pid}" not in page.frames[frame["id"]]["said"])
+            assert re.search(r"process \d+", page.frames[frame["id"]]["said"])
 
     with running("robot", str(EXAMPLES / "roomba/isolated.toml")), serving() as (_, client):
         asyncio.run(look())

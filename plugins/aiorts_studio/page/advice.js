@@ -3,7 +3,8 @@
  * order, the server says: it is what aiorts says in a terminal.
  */
 import { named } from "./commands.js";
-import { boxFigures, boxes, bursts, cures, frames, kernels } from "./store.js";
+import { boxFigures, boxes, bursts, cures, figures, frames, kernels } from "./store.js";
+import { capacityOf } from "./words.js";
 
 /** @import {Edge} from "./types.js" */
 /** @typedef {{says: string, line?: string}} Cure line: to be copied */
@@ -21,16 +22,22 @@ const REASONS = /** @type {Record<string, [string, string]>} */ ({
   disconnected: ["The link was cut while the sample was on its way.", "See the state of the link; on_link_lost says what becomes of samples then."],
 });
 const SLOW = new Set(["overwritten", "rejected"]);
+const CHANGED = "Options stand in the file of the system, at the connection; aiorts apply FILE changes them while it runs.";
 
 /** @param {Edge} edge @param {string} reason @returns {Advice} */
 export function adviceOf(edge, reason) {
   const [why, helps] = REASONS[reason] ?? ["", ""], plain = { why, helps, cures: [], note: "" };
   const reader = boxes.value.get(edge.to[0]);
   if (!reader || kernels.value.get(reader.kernel)?.state !== "live") return plain;
+  if (SLOW.has(reason) && !figures.value.get(edge.id)?.loss) {
+    const room = capacityOf(edge), longer = Number.isFinite(room) ? `length = ${4 * room}` : "";
+    return { ...plain, helps: `Nothing is lost at this moment: a burst came, or ${reader.name} stood still for a while. What helps:`,
+      cures: [{ says: "a longer buffer", line: longer }, { says: "let the writer wait", line: 'full = "block"' }], note: CHANGED };
+  }
   if (SLOW.has(reason)) {
     const context = frames.value.get(reader.around ?? 0)?.name;
     return { ...plain, helps: `${reader.name}${context ? `, in the context ${context},` : ""} takes fewer than come. What helps, the best first:`,
-      cures: cures.value.map(([says, line]) => ({ says: says || "let the writer wait", line })), note: `${bursts.value}. Where only the newest counts, nothing is wrong.` };
+      cures: cures.value.map(([says, line]) => ({ says: says || "let the writer wait", line })), note: `${bursts.value}. Where only the newest counts, nothing is wrong. ${CHANGED}` };
   }
   return reason === "inactive" ? { ...plain, ...inactive(reader) } : plain;
 }

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, Final, TypeAlias
 
 from aiorts.layout import BAND_FOOT, BAND_HEAD, GROUP_HEAD, LEFT, Band, Key, Layout, Route
-from aiorts_studio.watching.graph import FOLDED, HOST, IN_COMPOSITE
+from aiorts_studio.watching.graph import ELSEWHERE, FOLDED, HOST, IN_COMPOSITE
 from aiorts_studio.watching.view import View
 from aiorts_studio.watching.words import composite_said, context_said
 
@@ -73,6 +73,7 @@ class _Frames:
             place = {"x": left - _PAD, "y": extent.top - GROUP_HEAD, "w": width + 2 * _PAD, "h": height}
             near = self._near_box(key)
             said = f"process {view.about['pid']} on {view.about['host']}"
+            said += " · simulated time" if view.about["simulated"] else ""
             host = (HOST, view.about["host"])
             parent = self._number("frame", *host) if host in layout.bands else None
             made[number] = self._frame(key, "kernel", view, view.about["name"], said, near or place, parent)
@@ -98,11 +99,12 @@ class _Frames:
             extent = _extent(one for there, one in bands.items() if there[:3] == band)
             report = view.contexts.get(context)
             apart = view.processes_of(() if report is None else report["members"])
-            said = context_said(report) + "".join(f" · process {pid}" for pid in apart)
+            said = "other kernels" if context == ELSEWHERE else context_said(report)
+            said += "".join(f" · process {pid}" for pid in apart)
             place = {"x": left, "y": extent.top, "w": width, "h": extent.height}
             kind = "process" if apart else "context"
             place = self._near_box(key) or place
-            frame = self._frame(key, kind, view, context or "in no context", said, place, parent)
+            frame = self._frame(key, kind, view, context.strip() or "in no context", said, place, parent)
         return {frame["id"]: frame}
 
     def _near_box(self, key: Key) -> Thing | None:

@@ -12,6 +12,8 @@ from aiorts_studio.watching.words import class_of
 
 FOLDED = "folded"
 HOST = "host"
+ELSEWHERE = " elsewhere"
+"""In place of a context, in the keys of the band and the frame of far ends; no context has a space in its name."""
 IN_COMPOSITE = 4
 """Words of the key of a band, or a frame, of a composite."""
 
@@ -71,7 +73,7 @@ class Graph:
             if len(by_host) > 1:
                 found[HOST, host] = f"{HOST} {host}"
             for view in views:
-                for context in (*view.contexts, ""):
+                for context in (*view.contexts, "", ELSEWHERE):
                     own: Key = ("band", view.key, context)
                     bands = [band for band in used if band[:3] == own]
                     if bands:
@@ -121,8 +123,7 @@ class Graph:
         """Put in the box of a far end whose kernel is not watched, or one port more of a box."""
         known = self.spots.get(key)
         if known is None:
-            context = next((spot.band[2] for spot in self.spots.values() if spot.band[1] == view.key), "")
-            known = Spot(key, ("band", view.key, context), (), (), key[2], "elsewhere")
+            known = Spot(key, ("band", view.key, ELSEWHERE), (), (), key[2], "not watched")
         inputs, outputs = known.inputs, known.outputs
         if port not in (outputs if out else inputs):
             inputs, outputs = (inputs, (*outputs, port)) if out else ((*inputs, port), outputs)

@@ -24,7 +24,7 @@ KILLED: Final = "was killed, or has crashed"
 _PAUSE: Final = 1.0
 """Seconds between looks at what no stream tells."""
 _LINKS: Final = 64
-"""Links whose round trip is looked at."""
+"""Links, and components, that are looked at in one second."""
 
 
 def begun(work: Coroutine[Any, Any, None], name: str) -> asyncio.Task[None]:
@@ -84,6 +84,8 @@ class Watch:
         self.closes = False
         self._told, self._followers = told, followers
         self._following: dict[Follower, asyncio.Task[None]] = {}
+        self._touched: dict[str, None] = {}
+        """Components that have changed since the last look: each may have a process of its own, and another one now."""
 
     async def run(self) -> None:
         """Watch it until its session ends."""
@@ -132,6 +134,8 @@ class Watch:
             return  # what is shown of it last is the whole
         for part in item["parts"]:
             known, name, now = self.view.profile[part["section"]], part["name"], part["now"]
+            if part["section"] == "components":
+                self._touched[name] = None
             if now is None:
                 known.pop(name, None)
             else:
@@ -178,14 +182,21 @@ class Watch:
             counted = {name: one["overruns"] for name, one in self.figures.now["contexts"].items()}
             late = [name for name, count in counted.items() if count > overruns.get(name, 0)]
             overruns = counted
-            if links or late:
+            touched, self._touched = [name for name in self._touched if name in self.view.components][:_LINKS], {}
+            if links or late or touched:
+                asked = {"connectors": links[:_LINKS], "contexts": late, "components": touched}
                 with suppress(AiortsError):  # no answer, or one of them has just gone: the next look is another
-                    self._take_part(await self.session.call("part", connectors=links[:_LINKS], contexts=late))
+                    self._take_part(await self.session.call("part", **asked), touched)
             await asyncio.sleep(_PAUSE)
 
-    def _take_part(self, part: Mapping[str, Any]) -> None:
+    def _take_part(self, part: Mapping[str, Any], touched: Iterable[str]) -> None:
         self.figures.take_part(part)
         services = self.view.profile.setdefault("services", {})
+        processes = services.get("isolation", {})
+        now = {name: one for name, one in processes.items() if name not in touched} | part["processes"]
+        if now != processes:
+            services["isolation"] = now
+            self._told.changed()
         if services.get("links", {}) != part["links"]:
             services["links"] = part["links"]
             self._told.changed()

@@ -5,6 +5,7 @@ import { count, endsOf, kernelTrouble, number, portKind, reasonsOf } from "../wo
 import { useAnswer } from "./asked.js";
 import { StateChart } from "./chart.js";
 import { Commands, CopyIcon } from "./as_commands.js";
+import { showLog } from "./log.js";
 import { Cut, html, moment, said } from "./parts.js";
 import { canPlot, plot } from "./plots.js";
 import { Timing } from "./timing.js";
@@ -40,7 +41,7 @@ export function ComponentPart({ box }) {
     ${report && html`<${Parameters} box=${box} report=${report} />`}
     ${report && html`<${Calls} calls=${report.calls} />`}
     ${report?.composite && html`<section><h3 class="over">Members</h3><p class="doc">${report.composite.members.join(", ")}</p></section>`}
-    ${report?.log?.length > 0 && html`<section><h3 class="over">Last lines</h3><ul class="last-lines">${report.log.slice(-5).map((/** @type {any} */ line, /** @type {number} */ index) => html`
+    ${report?.log?.length > 0 && html`<section><h3 class="over">Last lines</h3><p><button onClick=${() => showLog(box.kernel, box.name)}>Log of ${box.name}</button></p><ul class="last-lines">${report.log.slice(-5).map((/** @type {any} */ line, /** @type {number} */ index) => html`
       <li key=${index} class=${line.level.toLowerCase()}><b>${line.level}</b> ${line.text}</li>`)}</ul></section>`}
     <${Commands} commands=${commandsOf({ kind: "box", id: box.id }, firstParameter(box, report))} />`;
 }

@@ -29,7 +29,7 @@ export function ConnectorPart({ edge }) {
     <section><h3 class="over">Now</h3><table><tbody>
       <${Figure} name="arrive" value=${row?.rate} unit="samples/s" />
       <${Figure} name="lost now" value=${row?.loss} unit="samples/s" bad=${(row?.loss ?? 0) > 0} />
-      <${Figure} name="wait for the reader" value=${row?.backlog} unit=${Number.isFinite(room) ? `of ${room}` : "samples"} whole=${true} bad=${tone === "full"} />
+      <${Figure} name="wait for the reader" value=${report ? report.ledger.buffered : row?.backlog} unit=${Number.isFinite(room) ? `of ${room}` : "samples"} whole=${true} bad=${tone === "full"} />
       ${edge.link && html`<${Figure} name="round trip" value=${row?.trip} unit="ms" />`}
       <${Age} edge=${edge} row=${row} measured=${Boolean(report?.options.measure)} />
     </tbody></table></section>

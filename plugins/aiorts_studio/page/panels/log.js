@@ -2,6 +2,7 @@
 import { useEffect } from "../vendor/preact-hooks.js";
 import { signal } from "../vendor/preact-signals.js";
 import { copy } from "../commands.js";
+import { openTab } from "../shell.js";
 import { boxes, connection, kernels, on, say } from "../store.js";
 import { count } from "../words.js";
 import { Cut, Lead, Rows, html, moment, rowLeads } from "./parts.js";
@@ -52,6 +53,13 @@ function subscribe() {
   say({ t: "log", on: true, level: level.value, component: component.value, kernel: kernel.value });
 }
 on("hello", () => open && say({ t: "log", on: true, level: level.value, component: component.value, kernel: kernel.value }));
+
+/** Show the lines of a component, and no others. @param {string} of its kernel's address @param {string} name */
+export function showLog(of, name) {
+  kernel.value = kernels.value.size > 1 ? of : "";
+  component.value = name;
+  openTab("Log");
+}
 
 export function Log() {
   useEffect(() => {

@@ -1,6 +1,6 @@
 /** A frame or a kernel in full. */
 import { commandsOf } from "../commands.js";
-import { boxes, choose, edges, frameFigures, kernels } from "../store.js";
+import { at, boxes, choose, edges, frameFigures, kernels } from "../store.js";
 import { count, kernelTrouble, number } from "../words.js";
 import { useAnswer } from "./asked.js";
 import { Commands } from "./as_commands.js";
@@ -48,7 +48,7 @@ function Members({ members }) {
 /** @param {{kernel: Kernel}} props */
 export function KernelPart({ kernel }) {
   const trouble = kernelTrouble(kernel, kernel.since_s), own = [...boxes.value.values()].filter((box) => box.kernel === kernel.address && box.kind !== "remote");
-  const rows = [["address", kernel.address], ["host", kernel.host], ["process", String(kernel.pid)], ["time", kernel.simulated ? "simulated" : "of this machine"],
+  const rows = [["address", kernel.address], ["host", kernel.host], ["process", String(kernel.pid)], ["time", kernel.simulated ? `simulated: ${number((at.value[kernel.address] ?? 0) / 1e9)} s` : "of this machine"],
     ["round trip", kernel.round_trip_ms === null ? "–" : `${number(kernel.round_trip_ms)} ms`],
     ["components", count(own.length)], ["connectors", count([...edges.value.values()].filter((edge) => edge.kernel === kernel.address).length)]];
   return html`<h2><${Cut} text=${kernel.name} /></h2><p class="quiet">kernel</p>

@@ -29,7 +29,7 @@ export function Legend({ first }) {
   };
   return html`<div class="legend"><button aria-expanded=${open.value} onClick=${turn}>Legend</button>
     ${open.value && html`<ul aria-label="Legend">${SIGNS.map(([word, sign]) => html`
-      <li key=${word}><svg viewBox="0 0 20 16" aria-hidden="true">${sign}</svg>${word}</li>`)}${["active", "inactive", "error"].map((state) => html`
+      <li key=${word}><svg viewBox="0 0 20 16" aria-hidden="true">${sign}</svg>${word}</li>`)}${["active", "inactive", "error", "ended"].map((state) => html`
       <li key=${state}><span class=${`badge is-${state}`} aria-hidden="true">${letterOf(state)}</span>${state}</li>`)}</ul>`}</div>`;
 }
 
@@ -44,8 +44,8 @@ export function Empty() {
 export function Tools({ view }) {
   const some = [...boxes.value.values()].filter(onlyLooks).length;
   return html`<div class="tools" role="toolbar" aria-label="View">
-    <button aria-pressed=${!infrastructure.value} disabled=${!some && infrastructure.value} onClick=${hideInfrastructure}
-      title=${some ? `Hide what only records or shows: ${counted(some, "component")}` : "Nothing to hide: no component here only records or shows"}>Hide infrastructure${some > 0 && ` (${some})`}</button>
+    <button disabled=${!some && infrastructure.value} onClick=${hideInfrastructure}
+      title=${some ? `Hide what only records or shows: ${counted(some, "component")}` : "Nothing to hide: no component here only records or shows"}>${infrastructure.value ? "Hide" : "Show"} infrastructure${some > 0 && ` (${some})`}</button>
     <button onClick=${copySelected} title="Copy the command that shows what is selected (c)">Copy command</button>
     <button onClick=${tidy} title="Lay out everything anew (t)">Tidy</button>
     <button onClick=${view.fit} title="Show everything (0)">Fit</button>
