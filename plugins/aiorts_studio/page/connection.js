@@ -10,11 +10,13 @@ const KEPT = "aiorts-token";
 const PAUSES_S = [0.3, 0.7, 1, 2, 3, 5];
 /** Seconds without a server after which it is said to have ended; the page goes on trying. */
 const ENDED_S = 6;
+/** The status of a socket whose server ends, and says why. */
+const OVER = 1001;
 
 let token = sessionStorage.getItem(KEPT) ?? "";
 /** @type {WebSocket | null} */
 let socket = null;
-let tries = 0, lostAt = 0, timer = 0;
+let tries = 0, lostAt = 0, timer = 0, over = false;
 /** Why the last connection ended, as the server said it; "" where it was cut. */
 export let why = "";
 
@@ -55,15 +57,16 @@ export function connect() {
   own.onmessage = ({ data }) => {
     const message = JSON.parse(data);
     if (message.t === "hello") {
-      [tries, lostAt, why] = [0, 0, ""];
+      [tries, lostAt, why, over] = [0, 0, "", false];
       connection.value = "live";
     }
     take(message);
   };
-  own.onclose = ({ reason }) => {
+  own.onclose = ({ code, reason }) => {
     if (socket !== own) return;
     socket = null;
     why = reason || why;
+    over ||= code === OVER && reason !== "";
     dropCalls();
     lostAt ||= performance.now();
     void lost();
@@ -83,8 +86,8 @@ async function lost() {
     connection.value = "closed";
     return;
   }
-  const over = why !== "" || performance.now() - lostAt > ENDED_S * 1000;
-  connection.value = status === 0 && over ? "ended" : "lost";
+  const gone = over || (status === 0 && (why !== "" || performance.now() - lostAt > ENDED_S * 1000));
+  connection.value = gone ? "ended" : "lost";
   timer = window.setTimeout(connect, 1000 * PAUSES_S[Math.min(tries++, PAUSES_S.length - 1)]);
 }
 
