@@ -27,6 +27,17 @@ PATIENCE: Final = 10.0
 END: Final = -1.0
 """The value of the last sample of a stream, to which the other end answers how many there were."""
 
+WORKING: Final = b"\1" + bytes(23)
+"""A message before whose answer the other end of the socket pair works, as an end of a link does."""
+_WORK_NS: Final = 40_000
+
+
+def work() -> None:
+    """Keep the processor busy for 40 us."""
+    end = time.perf_counter_ns() + _WORK_NS
+    while time.perf_counter_ns() < end:
+        pass
+
 
 class Echo(Component):
     """Writes what it reads."""
@@ -101,6 +112,8 @@ async def socket_pair(descriptor: str) -> AsyncIterator[None]:
 
         def receive() -> None:
             if data := sock.recv(1 << 18):
+                if data == WORKING:
+                    work()
                 waiting.append(memoryview(data))
                 if len(waiting) == 1:
                     send()

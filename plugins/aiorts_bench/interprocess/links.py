@@ -15,6 +15,7 @@ CORE: Final = Measure("core", "%", digits=2)
 """Share of one core that a process used."""
 _TAIL: Final = tails("latency", 99.0)
 _ECHO: Final = "socket pair, echo"
+_WORKING: Final = "socket pair, both work"
 _ECHO_LARGE: Final = "socket pair, 1 MiB"
 _ZENOH: Final = "Zenoh, there and back"
 _ZENOH_LARGE: Final = "Zenoh, 1 MiB"
@@ -24,12 +25,13 @@ _PER_SECOND: Final = 100_000.0
 
 def cases(ends: Ends) -> tuple[Case, ...]:
     """The cases, baselines first; without Zenoh where `ends` has none."""
-    flush: tuple[Aim, ...] = (Aim(_ECHO, factor=2.5),)
+    flush: tuple[Aim, ...] = (Aim(_ECHO, factor=2.5), Aim(_WORKING))
     small = flush
     large: tuple[Aim, ...] = (Aim(_ECHO_LARGE),)
     many: tuple[Aim, ...] = (Aim("", Sense.AT_LEAST, _PER_SECOND, measure=RATE),)
     found = [
         Case(_ECHO, "24 bytes there and back, nothing else", LATENCY, ends.bare, 300, columns=_TAIL),
+        Case(_WORKING, "the same, and each end works 40 us", LATENCY, ends.bare_working, 300, columns=_TAIL),
         Case(_ECHO_LARGE, "1 MiB there and back, nothing else", LATENCY, ends.bare_large, 10, columns=_TAIL),
     ]
     if ends.peers:

@@ -19,7 +19,7 @@ from aiorts import Component, Connector, InPort, Kernel, OutPort
 from aiorts.types import TimedDouble, TimedOctetSeq
 from aiorts_bench.harness import child
 from aiorts_bench.harness.case import Ledger, Reading
-from aiorts_bench.interprocess.far import END, KERNEL, PATIENCE
+from aiorts_bench.interprocess.far import END, KERNEL, PATIENCE, WORKING, work
 from aiorts_bench.interprocess.zenoh import LARGE, MANY, SMALL, Peer, opened
 from aiorts_bench.push.peers import free_port
 
@@ -163,11 +163,18 @@ class Ends:
     async def bare(self, count: int) -> Reading:
         """Send 24 bytes there and back."""
 
-        def send() -> None:
-            self._wanted = len(FRAME)
-            self._socket.send(FRAME)
+        return await self._echoed(count, FRAME)
 
-        return await self._there_and_back(count, send)
+    async def bare_working(self, count: int) -> Reading:
+        """The same, and each end works 40 us: an idle processor is as awake as beside a link."""
+        return await self._echoed(count, WORKING, work)
+
+    async def _echoed(self, count: int, message: bytes, taken: Callable[[], object] | None = None) -> Reading:
+        def send() -> None:
+            self._wanted = len(message)
+            self._socket.send(message)
+
+        return await self._there_and_back(count, send, taken)
 
     async def bare_large(self, count: int) -> Reading:
         """Send 1 MiB there and back."""
@@ -182,7 +189,9 @@ class Ends:
                 pools.append(perf_counter_ns() - began)
         return Reading(messages=count, pools={_POOL: pools})
 
-    async def _there_and_back(self, count: int, send: Callable[[], object]) -> Reading:
+    async def _there_and_back(
+        self, count: int, send: Callable[[], object], taken: Callable[[], object] | None = None
+    ) -> Reading:
         loop = asyncio.get_running_loop()
         pools = []
         async with patience(count):
@@ -191,6 +200,8 @@ class Ends:
                 began = perf_counter_ns()
                 send()
                 await self._answer
+                if taken is not None:
+                    taken()
                 pools.append(perf_counter_ns() - began)
         return Reading(messages=count, pools={_POOL: pools})
 
