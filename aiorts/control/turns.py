@@ -16,12 +16,17 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-def answer_in_turns(kernel: Microkernel, steps: Generator[object, None, T]) -> T | Awaitable[T]:
+def answer_in_turns(
+    kernel: Microkernel, steps: Generator[object, None, T], hold: float = HOLD_SECONDS
+) -> T | Awaitable[T]:
     """Take all steps; returns what the work returns, where it takes longer than a turn an awaitable of it.
 
     In simulated time the steps are taken at once: a task would be one more that is ready at this instant.
+
+    Args:
+        hold: seconds of a turn.
     """
-    until = perf_counter() + HOLD_SECONDS
+    until = perf_counter() + hold
     simulated = isinstance(kernel.clock, SimulatedClock)
     while True:
         try:
@@ -30,9 +35,9 @@ def answer_in_turns(kernel: Microkernel, steps: Generator[object, None, T]) -> T
             found: T = end.value
             return found
         if perf_counter() >= until and not simulated:
-            return _rest(steps)
+            return _rest(steps, hold)
 
 
-async def _rest(steps: Generator[object, None, T]) -> T:
+async def _rest(steps: Generator[object, None, T], hold: float) -> T:
     await asyncio.sleep(0)
-    return await in_turns(steps)
+    return await in_turns(steps, hold)

