@@ -117,7 +117,7 @@ def test_a_connector_that_loses_samples_says_so_and_why(page: Opened) -> None:
     assert edge.count() == 1
     assert "metres.output0 to panel.late" in (edge.get_attribute("aria-label") or "")
     assert "loses samples" in (edge.get_attribute("aria-label") or "")
-    page.page.wait_for_function("() => /\\d+ overwritten/.test(document.querySelector('.label.lossy').textContent)")
+    page.page.wait_for_function("() => /\\d+ lost/.test(document.querySelector('.label.lossy').textContent)")
     page.page.locator("header .fact.bad").click()  # it leads there
     assert focused(page.page) == "metres.output0 to panel.late"
 
@@ -413,7 +413,7 @@ def test_infrastructure_can_be_hidden(page: Opened) -> None:
     page.page.wait_for_function(
         "count => document.querySelectorAll('.box').length === count", arg=7 - len(infrastructure)
     )
-    page.page.get_by_role("button", name="Hide infrastructure").click()
+    page.page.get_by_role("button", name="Show infrastructure").click()
     page.page.wait_for_function("() => document.querySelectorAll('.box').length === 7")
     assert shown.count() == 7
 
