@@ -93,7 +93,9 @@ def may_be_none(cls: type, name: str) -> bool:
 
 
 def words_of(kind: Any) -> tuple[str, ...]:
-    """The words of a Literal; () for another type."""
+    """The words of a Literal, or of a class of words; () for another type."""
+    if isinstance(kind, type) and issubclass(kind, StrEnum):
+        return tuple(kind)
     return get_args(kind) if get_origin(kind) is Literal else ()
 
 

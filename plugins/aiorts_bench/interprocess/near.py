@@ -163,13 +163,13 @@ class Ends:
     async def bare(self, count: int) -> Reading:
         """Send 24 bytes there and back."""
 
-        return await self._echoed(count, FRAME)
+        return await self._sent_back(count, FRAME)
 
     async def bare_working(self, count: int) -> Reading:
         """The same, and each end works 40 us: an idle processor is as awake as beside a link."""
-        return await self._echoed(count, WORKING, work)
+        return await self._sent_back(count, WORKING, work)
 
-    async def _echoed(self, count: int, message: bytes, taken: Callable[[], object] | None = None) -> Reading:
+    async def _sent_back(self, count: int, message: bytes, taken: Callable[[], object] | None = None) -> Reading:
         def send() -> None:
             self._wanted = len(message)
             self._socket.send(message)
