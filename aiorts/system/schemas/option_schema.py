@@ -33,11 +33,13 @@ def _number(kind: type, one: Option) -> dict[str, Any]:
 
 
 def _range(kind: type, one: Option) -> dict[str, Any]:
-    ends = {"minimum": one.low, "maximum": None if one.endless else one.high}
-    return {
-        "type": "integer" if kind is int else "number",
-        **{word: end for word, end in ends.items() if end is not None},
-    }
+    return {"type": "integer" if kind is int else "number", **limits_schema(one)}
+
+
+def limits_schema(one: Option) -> dict[str, Any]:
+    """What JSON Schema says of the range of a number."""
+    ends = {"minimum": one.low, "exclusiveMinimum": one.above, "maximum": None if one.endless else one.high}
+    return {word: end for word, end in ends.items() if end is not None}
 
 
 def _yes(others: tuple[Any, ...]) -> dict[str, Any]:
