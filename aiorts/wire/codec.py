@@ -118,7 +118,7 @@ class MsgpackCodec:
             return encode(record)
         if (known := _known.get(cls)) is None:
             _know(cls)
-            return self.encode(record)  # as all that follow: the class may have an encoder of its own now
+            return MsgpackCodec.encode(self, record)  # as all that follow: the class may have its own encoder now
         name, form = known
         content = FORMAT, name, form.put(record)
         try:
