@@ -14,14 +14,12 @@ from functools import lru_cache
 from types import MappingProxyType, NoneType, UnionType
 from typing import Any, Final, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from aiorts.model.values import truth_of, whole_of
 from aiorts.spelling import meant, suggestion
 
 T = TypeVar("T")
 _NUMBERS: Final[Mapping[str, str]] = MappingProxyType({"s": "seconds", "MB": "MB"})
 """What numbers of a unit are called."""
-_YES: Final[Mapping[str, bool]] = MappingProxyType(
-    {"yes": True, "true": True, "1": True, "enable": True, "no": False, "false": False, "0": False, "disable": False}
-)
 
 
 class OptionError(ValueError):
@@ -171,7 +169,7 @@ def folded(value: Any) -> Any:
 def _yes(name: str, value: object, words: list[str]) -> bool:
     if isinstance(value, bool):
         return value
-    answer = _YES.get(folded(str(value)))
+    answer = truth_of(str(value))
     if answer is None:
         more = "".join(f', or "{word}"' for word in words)
         raise OptionError(f"{name} = {value!r}: expected true or false{more}")
@@ -196,7 +194,7 @@ def _number(name: str, kind: type[int] | type[float], value: Any, low: Any, high
     try:
         if isinstance(value, bool) or (kind is int and isinstance(value, float) and not value.is_integer()):
             raise OptionError(wrong)
-        number = kind(value)
+        number = whole_of(value) if kind is int and isinstance(value, str) else kind(value)
     except (TypeError, ValueError, OverflowError):
         raise OptionError(wrong) from None
     if not low <= number <= high:  # also refuses NaN
