@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from aiorts_studio.api import Api
     from aiorts_studio.watching.studio import Studio
 
-_NO_FILES: Final = "start `aiorts studio` with --files FOLDER, where recordings are to go"
+_NO_FILES: Final = "start it with --files FOLDER, where recordings are to go"
 _NO_FILES_BEYOND: Final = "pages beyond the machine record nothing"
 _UNSEEN: Final = 600.0
 """Seconds for which the page of a run that has ended stays without being open."""

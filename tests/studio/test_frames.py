@@ -131,6 +131,7 @@ async def test_a_composite_is_a_frame_that_folds_into_a_box_with_its_ports() -> 
             frame["id"],
         )
         assert box["around"] == shown.named("frames", "loop")["id"]
+        assert box["members"] == ["first", "second"]
         assert [(one["name"], one["side"]) for one in box["ports"]] == [("value", "in"), ("result", "out")]
         assert shown.lines() == [("arm", "result", "reader0", "in"), ("counter0", "out", "arm", "value")]
 

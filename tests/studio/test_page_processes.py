@@ -137,6 +137,29 @@ def test_isolated_components_have_a_frame_of_their_process() -> None:
         asyncio.run(look())
 
 
+def test_events_say_that_a_kernel_has_not_answered(tmp_path: Path) -> None:
+    (tmp_path / "parts.py").write_text(PARTS)
+    (tmp_path / "beta.toml").write_text(SINK)
+
+    async def look(pid: int) -> None:
+        await client.enter()
+        async with paging(client) as page:
+            await page.until(lambda: page.is_live("beta"))
+            os.kill(pid, signal.SIGSTOP)
+            try:
+                await page.until(lambda: page.kernel("beta")["state"] == "silent")
+            finally:
+                os.kill(pid, signal.SIGCONT)
+            await page.until(lambda: page.is_live("beta"))
+            await page.say("events", on=True)
+            history = await page.heard("history")
+            found = [(one["kind"], one["text"]) for one in history["items"] if one["kind"].startswith("Kernel")]
+            assert found == [("KernelSilent", "does not answer"), ("KernelAnswers", "")]
+
+    with running("beta", str(tmp_path / "beta.toml")) as process, serving("beta") as (_, client):
+        asyncio.run(look(process.pid))
+
+
 def test_ports_are_recorded_into_the_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     async def record() -> str:
         await client.enter()

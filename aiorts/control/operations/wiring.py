@@ -17,6 +17,7 @@ from aiorts.control.turns import answer_in_turns
 from aiorts.errors import AbsentError, LinkError, WiringError
 from aiorts.kernel.ports import PortDeclaration
 from aiorts.late import dataclass
+from aiorts.model.names import names_kernel
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 from aiorts.model.service_profile import ServiceConnectorProfile, ServiceStatistics
 from aiorts.observe import visible
@@ -163,7 +164,10 @@ def _found(session: Session, given: Wires) -> list[Any]:
         if name not in known:
             raise absent(f"{name:.80}: no such connector", name, known)
     for path in given.at:
-        _check_port(session, path)
+        if not names_kernel(path):
+            _check_port(session, path)
+        elif path not in (there := {place for one in known.values() for place in places_of(one)}):
+            raise absent(f"{path:.80}: no connector leads there", path, filter(names_kernel, there))
     if given.names:
         return [known[name] for name in dict.fromkeys(given.names)]
     at = frozenset(given.at)

@@ -64,6 +64,8 @@ class Control(KernelService):
 
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)
+        self.files: Path | None = None
+        """The folder below which clients may name files."""
         self._claim: Claim | None = None
         self._listener: Listener | None = None
 
@@ -96,7 +98,8 @@ class Control(KernelService):
             "right": right.value,
         }
         self.kernel.address, self.kernel.epoch = address, epoch
-        files = FileAccess(None if settings.files is None else settings.files.resolve())
+        self.files = None if settings.files is None else settings.files.resolve()
+        files = FileAccess(self.files)
         self._listener = Listener(self.kernel, self._claim, right, hello, files)
 
     def admit(self, right: Right, where: str) -> socket.socket:

@@ -19,19 +19,21 @@ const REASONS = /** @type {Record<string, [string, string]>} */ ({
   expired: ["The sample was older than its lifespan when it was to be read.", "The reader is late: let it run more often, or lengthen lifespan."],
   unconverted: ["The converter of the connector could not make the reader's type of it.", "The log of the reader says which value; see the option convert."],
   undecodable: ["The reader's process could not decode it.", "The types of the two ends are not the same: compare the versions that run."],
+  unknown_fate: ["They were on their way when the other process ended, or the link was cut: whether they arrived is not known.", "See what ended the other process: Events, and the log of its component."],
   disconnected: ["The link was cut while the sample was on its way.", "See the state of the link; on_link_lost says what becomes of samples then."],
 });
 const SLOW = new Set(["overwritten", "rejected"]);
-const CHANGED = "Options stand in the file of the system, at the connection; aiorts apply FILE changes them while it runs.";
+const CHANGED = "Options stand in the file of the system, at the connection; aiorts apply FILE changes them while it runs (with the --set of the run, which it would undo).";
 
 /** @param {Edge} edge @param {string} reason @returns {Advice} */
 export function adviceOf(edge, reason) {
   const [why, helps] = REASONS[reason] ?? ["", ""], plain = { why, helps, cures: [], note: "" };
   const reader = boxes.value.get(edge.to[0]);
   if (!reader || kernels.value.get(reader.kernel)?.state !== "live") return plain;
+  if (SLOW.has(reason) && / block$/.test(edge.policy)) return { ...plain, helps: "Since then its options were changed: the writer waits now, and nothing is lost." };
   if (SLOW.has(reason) && !figures.value.get(edge.id)?.loss) {
     const room = capacityOf(edge), longer = Number.isFinite(room) ? `length = ${4 * room}` : "";
-    return { ...plain, helps: `Nothing is lost at this moment: a burst came, or ${reader.name} stood still for a while. What helps:`,
+    return { ...plain, helps: `Nothing is lost at this moment. Against bursts, and a ${reader.name} that stands still for a while:`,
       cures: [{ says: "a longer buffer", line: longer }, { says: "let the writer wait", line: 'full = "block"' }], note: CHANGED };
   }
   if (SLOW.has(reason)) {

@@ -36,8 +36,9 @@ export function commandsOf(selection, change) {
   if (kind === "edge") {
     const edge = edges.value.get(Number(id));
     if (!edge) return [];
-    const [from, to] = endsOf(edge, boxes.value).map((end) => named(edge.kernel, end));
-    return [{ says: "show it", command: `aiorts cat ${named(edge.kernel, edge.name)}` },
+    const kernelOf = (/** @type {number} */ box) => boxes.value.get(box)?.kernel ?? edge.kernel;
+    const [from, to] = endsOf(edge, boxes.value).map((end, index) => named(kernelOf([edge.from, edge.to][index][0]), end));
+    return [{ says: "show it", command: `aiorts cat ${edge.link ? from : named(edge.kernel, edge.name)}` },
       { says: "its ledger, from end to end", command: `aiorts con --both-ends ${from} ${to}` },
       { says: "what passes", command: `aiorts print ${from}` }];
   }

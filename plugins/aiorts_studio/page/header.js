@@ -48,7 +48,7 @@ function facts() {
   const all = [...totals.value.values()], sum = (/** @type {(one: Total) => number} */ of) => all.reduce((so, one) => so + of(one), 0);
   const known = all.some((one) => one.rate !== null), lost = sum((one) => one.dropped), worst = worstLoss();
   const late = [...frameFigures.value].reduce((most, one) => ((one[1].late ?? -1) > (most?.[1].late ?? -1) ? one : most), /** @type {[number, any] | null} */ (null));
-  const live = [...kernels.value.values()].filter((one) => one.state !== "ended"), names = live.length === 1 ? live[0].name : counted(live.length, "kernel");
+  const shown = [...kernels.value.values()], names = shown.length === 1 ? shown[0].name : counted(shown.length, "kernel");
   /** @type {[string, string, boolean, (() => void) | null][]} */
   const facts = [
     [names, `${counted(sum((one) => one.components), "component")}, ${counted(sum((one) => one.connectors), "connector")}`, false, null],

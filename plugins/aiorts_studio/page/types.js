@@ -13,7 +13,8 @@
  *
  * @typedef {{id: number, kernel: string, name: string, type: string, kind: "component" | "folded" | "remote",
  *   state: string, said: string, error: Failure | null, infrastructure: boolean, frame: number | null, around: number | null, x: number,
- *   y: number, w: number, h: number, ports: Port[]}} Box
+ *   y: number, w: number, h: number, ports: Port[], members?: string[]}} Box
+ * `members` are the components that a folded box stands for.
  *
  * @typedef {[number, number]} Point
  *

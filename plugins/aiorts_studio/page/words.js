@@ -65,10 +65,9 @@ export function reasonsOf(dropped) {
 export function labelOf(edge, row, crowded, fits) {
   if (edge.state !== "up") return [edge.state, ""];
   if (!row) return ["", ""];
-  const rate = row.rate === null ? "" : `${number(row.rate)} Hz`, trip = row.trip === null ? "" : `${number(row.trip)} ms`;
-  const reasons = reasonsOf(row.reasons).lost, why = reasons.length === 1 && !crowded ? lostBy(reasons[0][0]) : "lost";
+  const rate = row.rate === null ? "" : `${number(row.rate)} Hz`, trip = row.trip === null ? "" : `⇄ ${number(row.trip)} ms`;
   const firsts = [[rate, trip].filter(Boolean).join(" · "), rate, ""];
-  const seconds = row.dropped ? [`${count(row.dropped)} ${why}`, `${count(row.dropped)} lost`, `${short(row.dropped)} lost`, `-${short(row.dropped)}`]
+  const seconds = row.dropped ? [`${count(row.dropped)} lost`, `${short(row.dropped)} lost`, `-${short(row.dropped)}`]
     : row.backlog ? [`${count(row.backlog)} waiting`, `${short(row.backlog)} waiting`, ""] : [""];
   if (!crowded) return [firsts.find(fits) ?? "", seconds.find(fits) ?? ""];
   const pairs = seconds.flatMap((second) => firsts.map((first) => /** @type {[string, string]} */ ([first, second])));
@@ -85,18 +84,12 @@ const TONES = ["", "idle", "busy", "full", "waiting", "lossy", "down"];
 /** How much the label of an edge matters, where there is no room for all: first how it fares, then how much passes. @param {Edge} edge @param {EdgeFigures | undefined} row */
 export const weightOf = (edge, row) => TONES.indexOf(toneOf(edge, row)) * 1e12 + Math.min(1e12, (row?.dropped ?? 0) * 1e3 + (row?.rate ?? 0));
 
-/** Reasons that can be said of samples; "149 inactive" cannot. */
-const PARTICIPLE = /(ed|en)$/;
-
-/** @param {string} reason */
-const lostBy = (reason) => (PARTICIPLE.test(reason) ? reason : `lost: ${reason.replaceAll("_", " ")}`);
-
 /** A number of things. @param {number} value @param {string} one @param {string} [many] */
 export const counted = (value, one, many = `${one}s`) => `${count(value)} ${value === 1 ? one : many}`;
 
 /** All that is known of an edge, line by line. @param {Edge} edge @param {EdgeFigures | undefined} row @returns {string[]} */
 export function edgeLines(edge, row) {
-  const lines = [edge.policy, edge.link ? "link between two kernels" : "", edge.bundle > 1 ? `${edge.bundle} connectors` : ""];
+  const lines = [edge.policy, edge.link ? "link between two processes" : "", edge.bundle > 1 ? `${edge.bundle} connectors` : ""];
   if (edge.state !== "up") lines.push(edge.why || (edge.state === "down" ? "the connection is down" : "waits for the other end"));
   if (row && row.rate !== null) lines.push(`${number(row.rate)} samples/s arrive`);
   if (row?.dropped) lines.push(`${count(row.dropped)} lost${row.loss ? `, ${number(row.loss)}/s now` : ""}`);
@@ -106,7 +99,7 @@ export function edgeLines(edge, row) {
     lines.push(`${count(row.backlog)}${Number.isFinite(room) ? ` of ${room}` : ""} wait for the reader`);
   }
   if (row && row.age !== null) lines.push(`${number(row.age)} ms old when read`);
-  if (row && row.trip !== null) lines.push(`${number(row.trip)} ms round trip`);
+  if (row && row.trip !== null) lines.push(`${number(row.trip)} ms round trip, of which up to 50 ms an acknowledgement may be kept back`);
   return lines.filter(Boolean);
 }
 

@@ -137,7 +137,7 @@ class Figures:
         found = self.now["contexts"].get(context)
         if found is None:
             return None
-        late = round(found["lateness_p99_ns"] / 1e6, 1) if found["rate"] and not self.are_old else None
+        late = _digits(found["lateness_p99_ns"] / 1e6) if found["rate"] and not self.are_old else None
         return [late, found["overruns"], self.late.get(context, "")]
 
 

@@ -45,6 +45,7 @@ class _Frames:
     ) -> None:
         self._layout, self._number, self._folded = layout, number, folded
         self._bends = [x for route in routes for x, _ in route.points]
+        self._used = {spot.band[:3] for spot in layout.spots.values()}
         self._reaches: dict[int, tuple[float, float]] = {}
 
     def _reach(self, band: Key) -> tuple[float, float]:
@@ -78,6 +79,8 @@ class _Frames:
             parent = self._number("frame", *host) if host in layout.bands else None
             made[number] = self._frame(key, "kernel", view, view.about["name"], said, near or place, parent)
             for band in bands if near is None else ():
+                if band[2] == "" and band[:3] not in self._used:
+                    continue  # all that was in no context is in one now
                 made |= self._inner_frame(view, band, bands, number)
         return made | self._host_frames(made)
 

@@ -37,7 +37,7 @@ class Scene:
         folds: by the key of a kernel, the components of each folded box by its number.
         inside: by the key of a kernel, its connectors that are inside folded boxes.
         numbers: the number of each thing by key.
-        laid_out: by the key of a kernel, how many components and connectors it had when all was laid out last.
+        laid_out: by the key of a kernel, its shape when all was laid out last.
     """
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class Scene:
         self.folds: dict[str, dict[int, list[str]]] = {}
         self.inside: dict[str, list[str]] = {}
         self.numbers: dict[Key, int] = {}
-        self.laid_out: dict[str, tuple[int, int]] = {}
+        self.laid_out: dict[str, tuple[int, tuple[str, ...]]] = {}
         self._next = count(1)
         self._graph = Graph({})
         self._layout = Layout()
@@ -148,7 +148,7 @@ class Scene:
         if again or not self._adapt(graph):
             before = self._layout
             kept = {} if tidy else {group: before.pile_of(band) for band, group in before.groups.items()}
-            self.laid_out = {key: view.size for key, view in self.views.items()}
+            self.laid_out = {key: view.shape for key, view in self.views.items()}
             spots, edges, moved = list(graph.spots.values()), list(graph.edges.values()), dict(self._moved)
             made = await asyncio.to_thread(_laid_out, spots, edges, graph.bands(), graph.units(), kept, moved)
             self._layout, self._routes = made
@@ -249,6 +249,8 @@ class Scene:
                 "x": round(spot.x, 1), "y": round(spot.y, 1), "w": round(spot.w, 1), "h": spot.h,
             }  # fmt: skip
             box = _box(view, key[2], spot) if key[0] == "box" else _other_box(spot, key[0])
+            if key[0] == FOLDED:
+                box["members"] = self._graph.folds[key]
             if len(key) == IN_COMPOSITE and (report := view.components.get(key[3])) is not None:
                 box |= _condition(view, report)
             made[number] = {**place, **box}

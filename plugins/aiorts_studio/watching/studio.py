@@ -19,7 +19,7 @@ from aiorts.sessions import AsyncClient, Entry, entries
 from aiorts_studio.plain.problems import problem_of
 from aiorts_studio.plain.values import json_out
 from aiorts_studio.watching.ages import Ages
-from aiorts_studio.watching.feeds import happening
+from aiorts_studio.watching.feeds import EventFeed, happening
 from aiorts_studio.watching.figures import Row, different
 from aiorts_studio.watching.page import FAR, Page
 from aiorts_studio.watching.places import PlaceFiles
@@ -34,6 +34,8 @@ _LOOK: Final = 0.5
 """Seconds between looks for kernels that begin: a folder does not tell what comes into it, and a page is open."""
 _DRAW: Final = 0.05
 """Seconds in which changes are gathered before the scene is drawn: 1,000 components come one by one."""
+_SAID: Final = {"live": "KernelAnswers", "silent": "KernelSilent", "ended": "KernelEnded"}
+"""The kinds of events that the page makes of the states of kernels."""
 _SETTLES: Final = 0.5
 """Seconds without a change after which a kernel that has just begun is laid out again."""
 _SETTLING: Final = 10
@@ -330,18 +332,19 @@ class Studio:
     async def _settle(self, client: AsyncClient, view: View) -> None:
         """Lay a kernel that has just begun out again when it is assembled: what came one by one stands in a row.
 
-        Only what boxes and edges there are counts, and only for a while: later nothing moves that is not asked to.
+        Only what boxes and edges there are, and in which contexts, counts, and only for a while: later nothing moves
+        that is not asked to.
         """
         for _ in range(_SETTLING):
             if view.settled:
                 return
-            count = view.size
+            count = view.shape
             await asyncio.sleep(_SETTLES)
-            if view.size == count and view.components:
+            if view.shape == count and view.components and "" not in view.shape[1]:
                 break
         view.settled = True
         await _take_links(client, view)
-        if self.scene.laid_out.get(view.key) != view.size:
+        if self.scene.laid_out.get(view.key) != view.shape:
             self.scene.lay_out()
         self.changed()
 
@@ -414,6 +417,17 @@ class Studio:
     def changed(self) -> None:
         """Draw the scene again, soon."""
         self._dirty.set()
+
+    def said(self, view: View) -> None:
+        """Tell pages that a kernel does not answer, or does so again, also those that come within a minute."""
+        if view.about["simulated"]:
+            return  # its events have times of its own
+        said = {"at_ns": time.time_ns(), "kind": _SAID[view.about["state"]], "text": view.about["why"]}
+        item = {"kernel": view.address, "component": "", "context": "", **said}
+        self._history.append(item)
+        for one in self._followers:
+            if isinstance(one, EventFeed):
+                one.page.put({"t": "event", "items": [item], "missed": 0})
 
     def happened(self, watch: Watch, item: Mapping[str, Any]) -> None:
         """Keep a change of a profile for the pages that come within a minute."""

@@ -10,6 +10,8 @@ from typing import Any, Final
 from aiorts.sessions import Entry
 from aiorts_studio.watching.words import class_of, error_of
 
+NOT_YET: Final = "has not answered yet"
+"""Why a kernel is silent that has just been found."""
 _FILTER: Final = "FlexiFilter"
 _LOOK_ON: Final = frozenset(("FlexiDump", "FlexiLogger"))
 
@@ -53,9 +55,9 @@ class View:
         return name in names or (bool(self.links) and name in (self.links, f"{own}/{self.links}"))
 
     @property
-    def size(self) -> tuple[int, int]:
-        """How many components and connectors it has."""
-        return len(self.components), len(self.connectors)
+    def shape(self) -> tuple[int, tuple[str, ...]]:
+        """How many connectors it has, and the contexts of its components: what a layout follows."""
+        return len(self.connectors), tuple(map(self.context_of, self.components))
 
     @property
     def components(self) -> Mapping[str, Any]:
@@ -154,6 +156,6 @@ def about(entry: Entry) -> dict[str, Any]:
     """The facts of a kernel that has not answered yet, as pages have them."""
     host, _, name = entry.address.partition("/")
     return {
-        "name": name, "host": host, "pid": entry.pid, "state": "silent", "why": "has not answered yet", "since_s": 0.0,
+        "name": name, "host": host, "pid": entry.pid, "state": "silent", "why": NOT_YET, "since_s": 0.0,
         "simulated": False, "round_trip_ms": None,
     }  # fmt: skip

@@ -11,7 +11,7 @@ from typing import Any, Final, Protocol
 from aiorts.errors import AiortsError, NoAnswerError
 from aiorts.sessions import END, AsyncClient, AsyncStream
 from aiorts_studio.watching.figures import Figures
-from aiorts_studio.watching.view import View
+from aiorts_studio.watching.view import NOT_YET, View
 
 RATE: Final = 5.0
 """Looks a second at the counters of a kernel."""
@@ -49,6 +49,9 @@ class Told(Protocol):
 
     def counted(self, watch: Watch) -> object:
         """Take that there are new figures."""
+
+    def said(self, view: View) -> object:
+        """Take that a kernel, which has answered before, does not any more, or does so again."""
 
     def happened(self, watch: Watch, item: Mapping[str, Any]) -> object:
         """Take a change of the profile, as the kernel tells it."""
@@ -202,7 +205,10 @@ class Watch:
             self._told.changed()
 
     def _say(self, state: str, why: str) -> None:
+        is_new = self.view.about["why"] == NOT_YET
         if self.view.say(state, why):
             self.figures.are_old = state != "live"
+            if not is_new:
+                self._told.said(self.view)
             self._told.changed()
             self._told.counted(self)

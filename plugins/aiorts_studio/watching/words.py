@@ -85,7 +85,9 @@ def _event_words(fields: Mapping[str, Any]) -> Iterator[str]:
         before = f"{left.pop(subject)}: " if subject else ""
         yield before + (_pairs_said(new, old if _are_pairs(old) else ()) if _are_pairs(new) else f"{old} → {new}")
     for name, value in left.items():
-        if value in (None, "", [], ()) or isinstance(value, Mapping):
+        if isinstance(value, Mapping):
+            value = value.get("name")  # of a connector
+        if value in (None, "", [], ()):
             continue
         if name.endswith("_ns") and isinstance(value, int | float):
             yield f"{name.removesuffix('_ns')} {value / 1e6:.3g} ms"

@@ -89,8 +89,8 @@ def disconnect(words: tuple[str, ...], timeout: float, as_json: bool) -> int:
             ended = running.client.call("disconnect", timeout, names=[name])
         else:
             ports = [port_of(found, word, whole=True) for word in words]
-            running = _one_kernel(ports)
-            ended = running.client.call("disconnect", timeout, at=[one.path for one in ports])
+            running = _maker(ports)
+            ended = running.client.call("disconnect", timeout, at=[_seen(one, running) for one in ports])
     return say_done((f"{running.name}/{name}" for name in ended), as_json=as_json)
 
 
@@ -102,7 +102,7 @@ def port_of(found: Kernels, word: str, *, whole: bool = False) -> Found:
 
 
 def _maker(ports: list[Found]) -> Running:
-    """The kernel that connects them: that of all, or that of the writer, which makes a link."""
+    """The kernel that has, or makes, their connectors: that of all, or that of the writer, which makes a link."""
     if len({one.running.name for one in ports}) == 1:
         return ports[0].running
     directions = [_direction(one) for one in ports]
@@ -128,12 +128,6 @@ def _seen(port: Found, running: Running) -> str:
     return f"{port.running.links}/{port.path}"
 
 
-def _one_kernel(ports: list[Found]) -> Running:
-    if len({one.running.name for one in ports}) > 1:
-        raise ControlError(f"{' and '.join(one.full for one in ports)}: are of several kernels; a connector is in one")
-    return ports[0].running
-
-
 def _split(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
     paths, options = [], dict[str, str]()
     for word in words:
@@ -151,7 +145,8 @@ def _list(found: Kernels, paths: list[str], timeout: float, *, both_ends: bool, 
     meant: list[tuple[Running, list[str]]]
     if len(paths) == 2:
         ports = [port_of(found, path, whole=True) for path in paths]
-        meant = [(_one_kernel(ports), [one.path for one in ports])]
+        running = _maker(ports)
+        meant = [(running, [_seen(one, running) for one in ports])]
     elif paths:
         one = found.find(paths[0], bare=True)
         meant = [(one.running, [one.path] if one.path else [])]

@@ -8,13 +8,13 @@ import { Cut, Lead, LeadToContext, Rows, counted, html, moment, rowLeads } from 
 
 const KEPT = 2000;
 const EVERY_MS = 150;
-const HEIGHT = 24;
+const HEIGHT = 24, LOOK_MS = 2000;
 const MINUTE_NS = 60_000_000_000n;
 
 /** @typedef {Happening & {times?: number}} Entry times: how often it happened, within a second each */
 
 const drawn = signal(/** @type {Entry[]} */ ([]));
-const minute = signal(false);
+const minute = signal(false), looked = signal(0);
 /** The newest last. @type {Entry[]} */
 let items = [];
 let timer = 0;
@@ -61,6 +61,13 @@ export function Events() {
       say({ t: "events", on: false });
     };
   }, []);
+  // What is older than a minute goes by itself.
+  useEffect(() => {
+    if (!minute.value) return undefined;
+    const timer = window.setInterval(() => { looked.value++; }, LOOK_MS);
+    return () => window.clearInterval(timer);
+  }, [minute.value]);
+  void looked.value;
   const shown = minute.value ? ofLastMinute(drawn.value) : drawn.value;
   return html`<div class="log">
     <div class="bar">

@@ -21,6 +21,7 @@ export function fieldsOf(text) {
     if (depth > DEEPEST || found.length > MOST) return;
     const inside = (/** @type {string | number} */ name) => (path ? `${path}.${name}` : String(name));
     const types = [schema.type ?? []].flat();
+    if (schema["x-array"]) for (let index = 0; index < ELEMENTS; index++) found.push(inside(index));
     if (types.some((one) => one === "number" || one === "integer" || one === "boolean")) found.push(path);
     for (const [name, one] of Object.entries(schema.properties ?? {})) if (name !== "tm") walk(resolved(one, whole), inside(name), depth + 1);
     if (schema.prefixItems) schema.prefixItems.forEach((one, index) => walk(resolved(one, whole), inside(index), depth + 1));

@@ -1,5 +1,5 @@
 /** What is selected, in full; and where nothing is, what needs a look. */
-import { boxes, choose, frames, selected, selection } from "../store.js";
+import { boxes, choose, connection, frames, selected, selection } from "../store.js";
 import { ComponentPart } from "./component.js";
 import { ConnectorPart } from "./connector.js";
 import { Cut, html } from "./parts.js";
@@ -29,6 +29,7 @@ const foldedIn = (box) => (box.kind === "folded" && box.frame !== null && frames
 /** What is wrong, the worst first; each leads there. */
 function Overview() {
   const found = troubles(), slow = late();
+  if (connection.value === "closed" && !boxes.value.size) return null;   // nobody has signed in
   return html`<h2>${found.length ? "Needs a look" : "All well"}</h2>
     <p class="quiet">${found.length ? "Select one to see why." : slow ? `No component has failed, and no connector loses samples; but ${slow}.` : boxes.value.size ? "No component has failed, and no connector loses samples. Select anything to see it in full." : "No component runs here. `aiorts run FILE` starts a system; it appears by itself."}</p>
     <ul class="troubles">${found.slice(0, MOST).map(({ key, name, words, thing }) => html`

@@ -83,6 +83,7 @@ export function Log() {
       <span class="quiet" role="status">${missed.value > 0 && `${count(missed.value)} lines not shown: more than can be read, or paused`}</span>
     </div>
     ${shown.length ? html`<${Rows} count=${shown.length} height=${HEIGHT} role="table" label="Log" follow=${true} row=${(/** @type {number} */ index) => html`<${Line} key=${index} line=${shown[index]} index=${index} />`} />`
+      : [...kernels.value.values()].every((one) => one.state === "ended") && kernels.value.size ? html`<p class="none">What runs has ended; its log is where it was printed.</p>`
       : html`<p class="none">No line of this level yet${component.value && ` from ${component.value}`}. What a component logs is for its own level to say: <code>aiorts vlog NAME --set info</code>.</p>`}
   </div>`;
 }

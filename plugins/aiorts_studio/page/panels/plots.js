@@ -100,7 +100,7 @@ function Bar() {
   const take = (/** @type {Event} */ event) => {
     event.preventDefault();
     const found = ports.find((one) => named(one) === chosenPort.value.trim()) ?? ports.find((one) => named(one).includes(chosenPort.value.trim()));
-    if (!found || !chosenPort.value.trim()) return tell("There is no such port");
+    if (!found || !chosenPort.value.trim()) return tell("There is no such port among those that are shown; a folded frame hides its own");
     chosenPort.value = "";
     return void plot(found.box.kernel, found.path, found.port.type);
   };
@@ -110,7 +110,7 @@ function Bar() {
       <datalist id="ports">${chosenPort.value.length > 0 && ports.filter((one) => named(one).includes(chosenPort.value)).slice(0, 50).map((one) => html`<option key=${named(one)} value=${named(one)}>${one.port.type}</option>`)}</datalist>
       <button>Plot</button></form>
     <${Choice} label="Window" value=${seconds} all=${WINDOWS.map((one) => [one, Number(one) < 60 ? `${one} s` : `${Number(one) / 60} min`])} />
-    <button onClick=${() => { paused.value = !paused.value; }}>${paused.value ? "Resume" : "Pause"}</button>
+    <button onClick=${() => { paused.value = !paused.value; tables.value++; }}>${paused.value ? "Resume" : "Pause"}</button>
     <${Record} />
   </div>`;
 }

@@ -1,7 +1,7 @@
 /** A frame or a kernel in full. */
 import { commandsOf } from "../commands.js";
 import { at, boxes, choose, edges, frameFigures, kernels } from "../store.js";
-import { count, kernelTrouble, number } from "../words.js";
+import { count, hasEnded, kernelTrouble, number } from "../words.js";
 import { useAnswer } from "./asked.js";
 import { Commands } from "./as_commands.js";
 import { Figure } from "./connector.js";
@@ -48,12 +48,13 @@ function Members({ members }) {
 /** @param {{kernel: Kernel}} props */
 export function KernelPart({ kernel }) {
   const trouble = kernelTrouble(kernel, kernel.since_s), own = [...boxes.value.values()].filter((box) => box.kernel === kernel.address && box.kind !== "remote");
+  const ends = (/** @type {import("../types.js").Edge} */ edge) => [edge.from, edge.to].map(([id]) => boxes.value.get(id)?.kernel);
   const rows = [["address", kernel.address], ["host", kernel.host], ["process", String(kernel.pid)], ["time", kernel.simulated ? `simulated: ${number((at.value[kernel.address] ?? 0) / 1e9)} s` : "of this machine"],
     ["round trip", kernel.round_trip_ms === null ? "–" : `${number(kernel.round_trip_ms)} ms`],
-    ["components", count(own.length)], ["connectors", count([...edges.value.values()].filter((edge) => edge.kernel === kernel.address).length)]];
+    ["components", count(own.reduce((sum, box) => sum + (box.members?.length ?? 1), 0))], ["connectors", count([...edges.value.values()].filter((edge) => ends(edge).includes(kernel.address)).length)]];
   return html`<h2><${Cut} text=${kernel.name} /></h2><p class="quiet">kernel</p>
-    <p class="pills"><span class=${`pill ${kernel.state === "live" ? "is-active" : "is-silent"}`}>${kernel.state === "live" ? "live" : trouble}</span></p>
-    ${kernel.why && html`<p class="bad">${kernel.why}</p>`}
+    <p class="pills"><span class=${`pill ${kernel.state === "live" ? "is-active" : hasEnded(kernel) ? "plain" : "is-silent"}`}>${kernel.state === "live" ? "live" : trouble}</span></p>
+    ${kernel.why && !hasEnded(kernel) && html`<p class="bad">${kernel.why}</p>`}
     ${kernel.state === "silent" && html`<p class="doc">Its process has not answered. What is shown of it is old; it is picked up again as soon as it answers.</p>`}
     <section><table><tbody>${rows.map(([name, value]) => html`<tr key=${name}><td>${name}</td><td class="figure"><${Cut} text=${value} /></td></tr>`)}</tbody></table></section>
     <${Commands} commands=${commandsOf({ kind: "kernel", id: kernel.address })} />`;

@@ -1,7 +1,7 @@
 /** Hosts, kernels, contexts and components as a tree; the search looks at names, types and ports. */
 import { signal } from "../vendor/preact-signals.js";
 import { boxes, boxFigures, choose, frames, kernels, selected, sought } from "../store.js";
-import { kernelTrouble } from "../words.js";
+import { hasEnded, kernelTrouble } from "../words.js";
 import { Badge, Cut, Rows, counted, html } from "./parts.js";
 
 /** @import {Box, Frame, Kernel, Selection} from "../types.js" */
@@ -116,7 +116,7 @@ function hosts(word) {
 function kernelNode(kernel, under) {
   const inside = under.get(kernel.address) ?? [], trouble = kernelTrouble(kernel, kernel.since_s);
   if (!inside.length && sought.value) return [];
-  return [{ key: `kernel${kernel.address}`, name: kernel.name, beside: trouble || (kernel.simulated ? "simulated time" : ""), bad: Boolean(trouble),
+  return [{ key: `kernel${kernel.address}`, name: kernel.name, beside: trouble || (kernel.simulated ? "simulated time" : ""), bad: Boolean(trouble) && !hasEnded(kernel),
     thing: { kind: "kernel", id: kernel.address }, inside }];
 }
 
@@ -150,7 +150,7 @@ function depth(frame) {
 }
 
 /** @param {Box} box @param {string} word */
-const matches = (box, word) => !word || [box.name, box.type, ...box.ports.map((port) => `${box.name}.${port.name}`)].some((text) => text.toLowerCase().includes(word));
+const matches = (box, word) => !word || [box.name, box.type, ...(box.members ?? []), ...box.ports.map((port) => `${box.name}.${port.name}`)].some((text) => text.toLowerCase().includes(word));
 
 /** @param {Box} box @returns {Branch} */
 function boxNode(box) {

@@ -29,7 +29,7 @@ export function Legend({ first }) {
   };
   return html`<div class="legend"><button aria-expanded=${open.value} onClick=${turn}>Legend</button>
     ${open.value && html`<ul aria-label="Legend">${SIGNS.map(([word, sign]) => html`
-      <li key=${word}><svg viewBox="0 0 20 16" aria-hidden="true">${sign}</svg>${word}</li>`)}${["active", "inactive", "error", "ended"].map((state) => html`
+      <li key=${word}><svg viewBox="0 0 20 16" aria-hidden="true">${sign}</svg>${word}</li>`)}${["active", "inactive", "error", "silent", "ended"].map((state) => html`
       <li key=${state}><span class=${`badge is-${state}`} aria-hidden="true">${letterOf(state)}</span>${state}</li>`)}</ul>`}</div>`;
 }
 
