@@ -59,9 +59,10 @@ def quick(session: nox.Session) -> None:
 
 @nox.session
 def slow(session: nox.Session) -> None:
-    """The rest of the tests, but for those in a browser, which `page` runs."""
+    """The rest of the tests, but for those in a browser, which `page` runs, and what takes minutes (tests/tiers.py)."""
     session.install("-q", "-e", ".[dev]")
-    session.run("python", "-m", "pytest", "-q", "-n", "2", "--tier", "slow", f"--ignore={IN_BROWSER}", *session.posargs)
+    # Many of them wait: two workers left a third of two processors idle.
+    session.run("python", "-m", "pytest", "-q", "-n", "3", "--tier", "slow", f"--ignore={IN_BROWSER}", *session.posargs)
 
 
 @nox.session
@@ -79,7 +80,10 @@ def page(session: nox.Session) -> None:
         print(f"NOT RUN {IN_BROWSER}: there is no chromium", flush=True)
         return
     session.install("-q", "-e", ".[dev]")
-    session.run("python", "-m", "pytest", "-q", "--tier", "all", IN_BROWSER, *session.posargs)
+    session.run(
+        *("python", "-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "--tier", "all", IN_BROWSER),
+        *session.posargs,
+    )
 
 
 @nox.session

@@ -32,7 +32,7 @@ from hypothesis import settings
 
 from aiorts.kernel.extensions.catalogue import Catalogue
 from campaign import CAMPAIGN, be_quick
-from tiers import ALONE, are_slow, far_from_quick
+from tiers import ALONE, are_left, are_slow, far_from_quick
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Iterator
@@ -119,7 +119,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--tier",
         choices=("quick", "slow", "all"),
         default="quick",
-        help="quick tests (the default), the rest (tests/tiers.py), or all; a test that is named with :: runs always",
+        help="quick tests (the default), the rest without what takes minutes (tests/tiers.py), or all; a test that is "
+        "named with :: runs always",
     )
     parser.addoption("--shuffle", type=int, metavar="SEED", help="run the tests in another order, the same for a seed")
 
@@ -130,13 +131,19 @@ def _keeper(item: pytest.Item) -> str | None:
     return None if mark is None else str(mark.kwargs.get("kept_by", ALONE))
 
 
+def _keep(config: pytest.Config, items: list[pytest.Item], wanted: list[bool]) -> None:
+    config.hook.pytest_deselected(items=[item for item, take in zip(items, wanted, strict=True) if not take])
+    items[:] = [item for item, take in zip(items, wanted, strict=True) if take]
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave the tests of the tier that was asked for, in the order that was."""
     tier = config.getoption("--tier")
     if tier != "all" and not any("::" in argument for argument in config.args) and not config.getoption("lf", False):
         wanted = [slow is (tier == "slow") for slow in are_slow((item.nodeid, _keeper(item)) for item in items)]
-        config.hook.pytest_deselected(items=[item for item, take in zip(items, wanted, strict=True) if not take])
-        items[:] = [item for item, take in zip(items, wanted, strict=True) if take]
+        _keep(config, items, wanted)
+        if tier == "slow":
+            _keep(config, items, [not left for left in are_left(item.nodeid for item in items)])
     if (seed := config.getoption("--shuffle")) is not None:
         random.Random(seed).shuffle(items)
 

@@ -5,7 +5,8 @@
 is run with the quick ones, and the bare `@pytest.mark.slow` that it is left to the slow tier: the quick tests are over
 in a minute or two. A test is slow when a case of it takes longer than LIMIT.
 Of a quick test with many cases one is quick, chosen by the name of the test: of every two tests that run on both loops
-about one has its quick case on either. Each case is run with one tier or the other.
+about one has its quick case on either. In the same way the slow tier has one case of each test in ONE_CASE, and none of
+what is in LEFT: `--tier all` has all of them, and is run before an issue is called done.
 
     python -m pytest -q -n 2 --tier all --durations 0 --durations-min 0.05 > all.log; python tests/tiers.py all.log
 
@@ -32,6 +33,21 @@ ALWAYS = (
     "tests/types/test_convert.py::test_what_has_no_conversion_is_an_error",
 )
 """What whoever changes anything is to see at once, with all cases and however long it takes."""
+ONE_CASE = (
+    *("tests/isolation/", "tests/studio/test_", "tests/endings/", "tests/execution/", "tests/realtime/"),
+    *("tests/network/test_stopped.py", "tests/network/test_claims.py", "tests/network/test_calls_at_once.py"),
+    *("tests/network/test_refusals.py", "tests/network/test_cuts.py", "tests/network/test_slow_links.py"),
+    *("tests/network/test_ends.py", "tests/links/test_held_up.py", "tests/scale/test_giving_up.py"),
+    *("tests/supervision/test_blocking_hooks.py", "tests/diagnostics/test_loop_monitor.py"),
+    "tests/examples/test_lrf.py",
+)
+"""Tests of which the slow tier runs one case: their other cases took 690 of its 3,070 s, most of them waiting."""
+LEFT = (
+    *("tests/network/test_fault_campaign.py", "tests/studio/test_measured.py", "tests/studio/test_idle.py"),
+    "tests/examples/test_lrf.py::test_three_hosts_find_the_same_poses",
+    "tests/examples/test_small_examples.py::test_an_example_runs_by_its_own_command[python examples/lrf/run.py]",
+)
+"""What the slow tier leaves to a run of all: campaigns, measurements, and what other tests run as well."""
 FIRST = "first"
 """Stands for the first case of the slow test itself."""
 ALONE = "slow"
@@ -56,6 +72,18 @@ def are_slow(cases: Iterable[tuple[str, str | None]]) -> list[bool]:
         left = keeper is not None and keeper != FIRST
         found.append(left or (seen[case] != quick and not name.startswith(ALWAYS)))
         seen[case] += 1
+    return found
+
+
+def are_left(nodeids: Iterable[str]) -> list[bool]:
+    """Of each slow case, in the order of collection, whether it is left to a run of all."""
+    cases = list(nodeids)
+    count, seen, found = Counter(map(name_of, cases)), Counter[str](), []
+    for case in cases:
+        name = name_of(case)
+        other = case.startswith(ONE_CASE) and seen[name] != crc32(name.encode()) % count[name]
+        found.append(other or case.startswith(LEFT))
+        seen[name] += 1
     return found
 
 

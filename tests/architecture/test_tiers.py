@@ -64,3 +64,15 @@ def test_a_test_takes_as_long_as_its_longest_case_with_all_its_fixtures() -> Non
     calls = "0.30s call     tests/a.py::test_x[1]\n", "0.35s call     tests/a.py::test_x[2]\n"
     log = "".join([*calls, "0.10s setup    tests/a.py::test_x[1]\n"])
     assert tiers.measured(log) == {"tests/a.py::test_x": pytest.approx(0.4)}
+
+
+def test_the_slow_tier_has_one_case_of_some_tests_and_leaves_a_few_to_a_run_of_all() -> None:
+    several = [f"tests/isolation/test_a.py::test_x[{case}]" for case in range(5)]
+    others = [f"tests/a.py::test_x[{case}]" for case in range(5)]
+    left = tiers.are_left([*several, *others, f"{tiers.LEFT[0]}::test_x"])
+    assert (left[:5].count(False), left[5:10].count(False), left[10]) == (1, 5, True)
+    for one in (*tiers.ONE_CASE, *tiers.LEFT):
+        file, _, name = one.partition("::")
+        found = ROOT / file if file.endswith((".py", "/")) else next((ROOT / file).parent.glob("test_*.py"))
+        assert found.exists(), one
+        assert f"def {name.partition('[')[0]}(" in found.read_text("utf-8") if name else True, one
