@@ -539,8 +539,9 @@ class Kernel(Microkernel):
         """
         self.check_open("monitor the loop")
         from aiorts.diagnostics import LoopLimit, LoopMonitor
+        from aiorts.kernel.service import settings_from
 
-        return self.service(LoopMonitor).monitor(LoopLimit(limit, policy))
+        return self.service(LoopMonitor).monitor(settings_from(LoopLimit, {"limit": limit, "policy": policy}))
 
     @property
     def loop_stalls(self) -> LoopStalls:

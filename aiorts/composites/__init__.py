@@ -11,18 +11,20 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.composites.composite import Composite, CompositeChanged
-    from aiorts.composites.composition import ErrorPolicy, exports, groups_of, shown
+    from aiorts.composites.composition import exports, groups_of, shown
     from aiorts.composites.composition_check import group_of, leaves_of, outer_of, parts_of
     from aiorts.composites.group import CompositeGroup
     from aiorts.composites.membership import Wanted, change, transition
     from aiorts.composites.previous_placement import PreviousPlacement
     from aiorts.composites.recovery import bring_back, stopped_with
+    from aiorts.model.policy import ErrorPolicy
 
 _late(
     globals(),
     {
         "aiorts.composites.composite": "Composite CompositeChanged",
-        "aiorts.composites.composition": "ErrorPolicy exports groups_of shown",
+        "aiorts.composites.composition": "exports groups_of shown",
+        "aiorts.model.policy": "ErrorPolicy",
         "aiorts.composites.composition_check": "group_of leaves_of outer_of parts_of",
         "aiorts.composites.group": "CompositeGroup",
         "aiorts.composites.membership": "Wanted change transition",

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
 
 from aiorts.composites import membership
-from aiorts.composites.composition import ErrorPolicy, exports
+from aiorts.composites.composition import exports
 from aiorts.composites.group import CompositeChanged, CompositeGroup, CompositeKind
 from aiorts.errors import ConfigurationError, DeclarationError, StateError, format_error
 from aiorts.kernel.component import Component
@@ -22,6 +22,7 @@ from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.hooks import HookKind
 from aiorts.model.lifecycle import Event as LifeEvent
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.policy import ErrorPolicy
 from aiorts.model.profile import ComponentProfile
 
 if TYPE_CHECKING:

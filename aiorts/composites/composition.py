@@ -7,26 +7,14 @@ from __future__ import annotations
 
 import string
 from collections.abc import Iterable, Mapping, Sequence
-from enum import StrEnum
 from fnmatch import fnmatchcase
 
 from aiorts.errors import ConfigurationError, InvalidNameError, WiringError
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import check_name
+from aiorts.model.policy import ErrorPolicy
 from aiorts.model.values import shown as shown_value
-
-
-class ErrorPolicy(StrEnum):
-    """The effect of a member's error on the composite."""
-
-    STOP = "stop"
-    """The composite is in error, and the other members are deactivated before the next cycle."""
-    REPORT = "report"
-    """The composite is in error, and the other members go on."""
-    ISOLATE = "isolate"
-    """The other members go on, and the composite is in error only when no member is active."""
-
 
 _ACTIVE, _ERROR, _INACTIVE = LifecycleState.ACTIVE, LifecycleState.ERROR, LifecycleState.INACTIVE
 

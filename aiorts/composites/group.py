@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from aiorts.composites import composition_check, membership, parallel, recovery
-from aiorts.composites.composition import ErrorPolicy, Export, derived, flow_order, shown
+from aiorts.composites.composition import Export, derived, flow_order, shown
 from aiorts.composites.composition_check import group_of, leaves_of, outer_of, parts_of
 from aiorts.errors import StateError, WiringError
 from aiorts.kernel.component import Component
@@ -22,6 +22,7 @@ from aiorts.kernel.loop.bus import Event, PortAdded, PortRemoved, StateChanged
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import Event as LifeEvent
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.policy import ErrorPolicy
 
 if TYPE_CHECKING:
     from typing import Any

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aiorts.composites import composition_check, parallel
-from aiorts.composites.composition import ErrorPolicy, Export
+from aiorts.composites.composition import Export
 from aiorts.composites.previous_placement import leave_contexts, return_to_contexts
 from aiorts.errors import AiortsError, ComponentError, StateError, TransitionTimeout, format_error
 from aiorts.kernel.execution.cell import cell, flattened
@@ -20,6 +20,7 @@ from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import Event, LifecycleState
+from aiorts.model.policy import ErrorPolicy
 
 if TYPE_CHECKING:
     from aiorts.composites.group import CompositeGroup

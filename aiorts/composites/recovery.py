@@ -10,12 +10,12 @@ from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING
 
-from aiorts.composites.composition import ErrorPolicy
 from aiorts.composites.composition_check import leaves_of, outer_of
 from aiorts.errors import AiortsError
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.cycle import Action
 from aiorts.model.lifecycle import Event, LifecycleState
+from aiorts.model.policy import ErrorPolicy
 
 if TYPE_CHECKING:
     from aiorts.composites.group import CompositeGroup

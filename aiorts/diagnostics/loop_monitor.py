@@ -9,7 +9,6 @@ suspended, starved) does not count.
 from __future__ import annotations
 
 import asyncio
-import math
 import os
 import sys
 import threading
@@ -17,14 +16,13 @@ import time
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from aiorts.clock import SimulatedClock, to_ns
 from aiorts.diagnostics import monitor_thread
 from aiorts.diagnostics.blame import Line, choose_line, cut_at_loop
 from aiorts.diagnostics.rarely import Rarely
 from aiorts.diagnostics.stack_sampler import _blame_hook, _stack, depth_beneath_task
-from aiorts.errors import ConfigurationError
 from aiorts.exits import STALLED
 from aiorts.kernel.loop import timers
 from aiorts.kernel.loop.bus import ContextStarted, Event
@@ -33,7 +31,6 @@ from aiorts.kernel.loop.tasks import owner_of
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.model.blame import Blame
-from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from aiorts.kernel.loop.timers import _Timerfd as Timerfd
@@ -79,18 +76,8 @@ class LoopStalls:
 class LoopLimit:
     """What aiorts run does when something keeps the event loop from turning."""
 
-    limit: float = setting(5.0, "Seconds until policy comes into force.", exclusiveMinimum=0)
-    policy: str = setting("warn", "warn: say so; exit: end the process at once with status 70.", enum=["warn", "exit"])
-
-    def __post_init__(self) -> None:
-        limit, policy = self.limit, self.policy
-        if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 < limit < math.inf:
-            raise ConfigurationError(f"limit: expected seconds above 0, such as 5.0, got {limit!r:.80}")
-        if not isinstance(policy, str):
-            raise ConfigurationError(f"policy: expected text, got {policy!r:.80}")
-        if policy not in ("warn", "exit"):
-            hint = suggestion(policy, ("warn", "exit"))
-            raise ConfigurationError(f"policy: unknown policy {policy[:80]!r}; {hint}")
+    limit: float = setting(5.0, "Time until policy comes into force.", unit="s", above=0)
+    policy: Literal["warn", "exit"] = setting("warn", "warn: say so; exit: end the process at once with status 70.")
 
 
 class LoopMonitor(KernelService):

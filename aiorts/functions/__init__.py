@@ -5,10 +5,4 @@
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
-
-if TYPE_CHECKING:
-    from aiorts.functions.function import component
-
-_late(globals(), {"aiorts.functions.function": "component"})
+from aiorts.functions.function import component

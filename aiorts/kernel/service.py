@@ -27,19 +27,22 @@ T = TypeVar("T")
 _LOG = KernelLog()
 
 
-def setting(default: T, doc: str, *, option: bool | str = False, **schema: Any) -> T:
+def setting(default: T, doc: str, *, option: bool | str = False, **declared: Any) -> T:
     """A field of a service's settings, which are a frozen dataclass.
 
+    A value is refused where it has another type, is none of the words of a Literal, or is out of range.
+
     Args:
-        doc: what it is for, with its unit; editors and `aiorts run --help` show it.
+        doc: what it is for; editors and `aiorts run --help` show it.
         option: whether it is an option of `aiorts run`, too: `--SERVICE-FIELD`; a text is the word after `--SERVICE-`
             in the place of the field's, "" makes it `--SERVICE` itself, the service's main setting, and "--word" is
             the whole option.
-        schema: what JSON Schema says of it beyond its type: `exclusiveMinimum=0`, `enum=["warn", "exit"]`.
+        declared: the range and the unit of a number: `low=0`, `high=10`, `above=0`, `unit="s"`; `endless=True` where
+            infinity is a value, too. `schema`: what JSON Schema says of what is in a table or a list.
     """
-    from dataclasses import field
+    from aiorts.model.declared import option as declare
 
-    return field(default=default, metadata={"doc": doc, "option": option, "schema": schema})
+    return declare(default, doc, flag=option, **declared)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,15 +225,23 @@ def plan_service(catalogue: Catalogue, name: str, given: Mapping[str, Any]) -> S
         PluginError: no plugin offers it, or it cannot be loaded.
         ConfigurationError: names each setting that is wrong.
     """
+    kind = load_service(catalogue.find("services", name))
+    try:
+        return ServicePlan(kind, settings_from(kind.settings, given))
+    except ConfigurationError as error:
+        raise ConfigurationError(f"service {name!r}: {error}") from None
+
+
+def settings_from(cls: type[T], given: Mapping[str, Any]) -> T:
+    """The settings of a service. ConfigurationError names each value that is wrong."""
     from aiorts.kernel.extensions.arguments import (  # late: only who names a service needs it
         settings_faults,
         settings_of,
     )
 
-    kind = load_service(catalogue.find("services", name))
-    if faults := [f"{key}: {what}" if key else what for key, what, _ in settings_faults(kind.settings, given)]:
-        raise ConfigurationError(f"service {name!r}: {'; '.join(faults)}")
-    return ServicePlan(kind, settings_of(kind.settings, given))
+    if faults := [f"{key}: {what}" if key else what for key, what, _ in settings_faults(cls, given)]:
+        raise ConfigurationError("; ".join(faults))
+    return settings_of(cls, given)
 
 
 Hook = Literal[

@@ -6,6 +6,7 @@ them names an option.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import Field, field
 from enum import StrEnum
@@ -13,12 +14,12 @@ from functools import lru_cache
 from types import MappingProxyType, NoneType, UnionType
 from typing import Any, Final, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from aiorts.spelling import meant
+from aiorts.model.values import truth_of, whole_of
+from aiorts.spelling import meant, suggestion
 
 T = TypeVar("T")
-_YES: Final[Mapping[str, bool]] = MappingProxyType(
-    {"yes": True, "true": True, "1": True, "enable": True, "no": False, "false": False, "0": False, "disable": False}
-)
+_NUMBERS: Final[Mapping[str, str]] = MappingProxyType({"s": "seconds", "MB": "MB"})
+"""What numbers of a unit are called."""
 
 
 class OptionError(ValueError):
@@ -37,6 +38,8 @@ class Option(NamedTuple):
     """The smallest number, or the fewest characters of a text."""
     high: float | None = None
     """The largest number."""
+    above: float | None = None
+    """What a number is larger than; infinity is none then, unless the option is endless."""
     words: Mapping[str, str] = MappingProxyType({})
     """OpenRTM's word for a value -> ours, where they differ."""
     end: str = "both"
@@ -46,9 +49,13 @@ class Option(NamedTuple):
     shown: bool = False
     """Whether reports show it where it is as by default, too."""
     endless: bool = False
-    """Whether a system file says `inf` for None."""
+    """Whether a system file may say `inf`; it means None where that is a value."""
     takes: Callable[[Any], Any] | None = None
     """A function that reads a value which is no text, number or word; None: its type says how."""
+    schema: Mapping[str, Any] = MappingProxyType({})
+    """What JSON Schema says of what is in a table or a list."""
+    flag: bool | str = False
+    """Of a service's setting, whether it is an option of `aiorts run`, and under which word (`aiorts.setting`)."""
 
     @property
     def described(self) -> str:
@@ -67,7 +74,7 @@ def option(default: T, doc: str, **declared: Any) -> T:
 @lru_cache
 def options_of(cls: type) -> Mapping[str, Option]:
     """The declared options of a class, in the order of its fields; the class is not written for it (see `late`)."""
-    given: Mapping[str, Any] = cls.__dict__["__declared__"]
+    given: Mapping[str, Any] = cls.__dict__.get("__declared__") or cls.__dict__["__dataclass_fields__"]
     fields = ((name, one.metadata) for name, one in given.items() if isinstance(one, Field))
     return MappingProxyType({name: metadata["option"] for name, metadata in fields if "option" in metadata})
 
@@ -93,7 +100,9 @@ def may_be_none(cls: type, name: str) -> bool:
 
 
 def words_of(kind: Any) -> tuple[str, ...]:
-    """The words of a Literal; () for another type."""
+    """The words of a Literal, or of a class of words; () for another type."""
+    if isinstance(kind, type) and issubclass(kind, StrEnum):
+        return tuple(kind)
     return get_args(kind) if get_origin(kind) is Literal else ()
 
 
@@ -131,6 +140,27 @@ def read_yes(name: str, value: object) -> bool:
     return _yes(name, value, [])
 
 
+def fault_of(cls: type, name: str, value: Any) -> str:
+    """What is wrong with a value that has the type of its option; "" where nothing is."""
+    one = options_of(cls).get(name)
+    if one is None or value is None:
+        return ""
+    if isinstance(value, str):
+        words = [str(word) for kind in kinds_of(cls)[name] for word in words_of(kind)]
+        return f"unknown {name} {value[:80]!r}; {suggestion(value, words)}" if words and value not in words else ""
+    if not isinstance(value, int | float) or (one.low, one.high, one.above) == (None, None, None):
+        return ""
+    if one.above is not None:
+        fits, range_ = one.above < value and (one.endless or value < math.inf), f"above {one.above:g}"
+    else:
+        low, high = (-math.inf if one.low is None else one.low), (math.inf if one.high is None else one.high)
+        fits = low <= value <= high
+        range_ = f"from {low:g}" if one.high is None else f"from {low:g} to {high:g}"
+    number = _NUMBERS.get(one.unit) or ("a whole number" if int in kinds_of(cls)[name] else "a number")
+    such = "" if one.default is None else f", such as {one.default!r}"
+    return "" if fits else f"expected {number} {range_}{such}, got {value!r:.80}"
+
+
 def folded(value: Any) -> Any:
     """A word as it is looked up; what is no text stays as it is."""
     return value.strip().lower() if isinstance(value, str) else value
@@ -139,7 +169,7 @@ def folded(value: Any) -> Any:
 def _yes(name: str, value: object, words: list[str]) -> bool:
     if isinstance(value, bool):
         return value
-    answer = _YES.get(folded(str(value)))
+    answer = truth_of(str(value))
     if answer is None:
         more = "".join(f', or "{word}"' for word in words)
         raise OptionError(f"{name} = {value!r}: expected true or false{more}")
@@ -164,7 +194,7 @@ def _number(name: str, kind: type[int] | type[float], value: Any, low: Any, high
     try:
         if isinstance(value, bool) or (kind is int and isinstance(value, float) and not value.is_integer()):
             raise OptionError(wrong)
-        number = kind(value)
+        number = whole_of(value) if kind is int and isinstance(value, str) else kind(value)
     except (TypeError, ValueError, OverflowError):
         raise OptionError(wrong) from None
     if not low <= number <= high:  # also refuses NaN

@@ -33,6 +33,17 @@ class Push(StrEnum):
     NEW = "new"
 
 
+class ErrorPolicy(StrEnum):
+    """The effect of a member's error on the composite."""
+
+    STOP = "stop"
+    """The composite is in error, and the other members are deactivated before the next cycle."""
+    REPORT = "report"
+    """The composite is in error, and the other members go on."""
+    ISOLATE = "isolate"
+    """The other members go on, and the composite is in error only when no member is active."""
+
+
 class Stamp(StrEnum):
     """When a connector writes its clock into the sample's `tm`."""
 

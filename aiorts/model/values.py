@@ -1,6 +1,9 @@
 """What a parameter's value may be and what text becomes: this file converts exactly or refuses, it never rounds.
 
-    bool    true false yes no on off 1 0 as text, in any case; no number
+Options and variables read texts by the same words and numbers. Files of other formats (YAML, XML, CSV) and samples that
+are converted go by the rules of their formats.
+
+    bool    true false yes no on off enable disable 1 0 as text, in any case; no number
     int     decimal, 0x, 0o or 0b as text; no float, not even 2.0
     float   any number; a whole number only when a float holds it exactly
     str     text
@@ -29,10 +32,28 @@ if TYPE_CHECKING:
 
 _SHOWN_LENGTH: Final = 80
 _LONGEST_PATH: Final = 4096
-_TRUTH: Final = {
-    **dict.fromkeys(("true", "yes", "on", "1"), True),
-    **dict.fromkeys(("false", "no", "off", "0"), False),
-}
+TRUTH: Final[Mapping[str, bool]] = types.MappingProxyType(
+    {
+        **dict.fromkeys(("true", "yes", "on", "enable", "1"), True),
+        **dict.fromkeys(("false", "no", "off", "disable", "0"), False),
+    }
+)
+"""The words of truth values; they are read in any case, with blanks round them."""
+WHOLE: Final = r"[+-]?([0-9](_?[0-9])*|0[xX](_?[0-9a-fA-F])+|0[oO](_?[0-7])+|0[bB](_?[01])+)"
+"""The pattern of a whole number, which JSON Schema has, too."""
+
+
+def truth_of(text: str) -> bool | None:
+    """The truth value of a text; None: it is none."""
+    return TRUTH.get(text.strip().lower())
+
+
+def whole_of(text: str) -> int:
+    """The whole number of a text: decimal, or 0x, 0o or 0b. ValueError: it is none."""
+    try:
+        return int(text)
+    except ValueError:
+        return int(text, 0)
 
 
 def shown(value: object) -> str:
@@ -227,10 +248,9 @@ def _plain(value: object) -> object:
 
 
 def _to_bool(value: object) -> bool:
-    if isinstance(value, str):
-        value = _TRUTH.get(value.strip().lower(), value)
-    if isinstance(value, bool):
-        return value
+    found = truth_of(value) if isinstance(value, str) else value
+    if isinstance(found, bool):
+        return found
     raise TypeError("must be true or false")
 
 
@@ -243,12 +263,10 @@ def _to_int(value: object) -> int:
 
 
 def _int_from_text(text: str) -> int:
-    for base in (10, 0):
-        try:
-            return int(text, base)
-        except ValueError:
-            continue
-    raise ValueError("must be an int")
+    try:
+        return whole_of(text)
+    except ValueError:
+        raise ValueError("must be an int") from None
 
 
 def _to_float(value: object) -> float:

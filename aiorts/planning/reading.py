@@ -15,6 +15,7 @@ from aiorts.composites import Composite, group_of, outer_of
 from aiorts.isolation import given_of
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.service import owned_by
+from aiorts.model.declared import options_of
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.wanted.entries import (
     ClockEntry,
@@ -117,20 +118,12 @@ class _Reader:
             what = f"a composite of a class of its own, {type(composite).__qualname__}"
             self._canon.faults.append(f"{composite.name}: is {what}; make it of Composite")
         group = group_of(composite)
-        options: dict[str, Any] = {}
-        if composite.order != "stated":
-            options["order"] = composite.order
-        if composite.groups:
-            options["groups"] = composite.groups
-        if composite.errors != "stop":
-            options["errors"] = str(composite.errors)
-        if composite.own_schedule:
-            options["own_schedule"] = True
-        if group is not None and group.exports:
-            options["exported"] = {rule.pattern: rule.name for rule in group.exports}
+        keys = {key: getattr(composite, key) for key in options_of(CompositeEntry) if key != "exported"}
+        exports = () if group is None else group.exports
         brought = {} if group is None else group.brought
         members = tuple(brought.get(member, member.name) for member in composite.members)
-        return CompositeEntry(composite.name, members, MappingProxyType(options), named=True)
+        exported = MappingProxyType({rule.pattern: rule.name for rule in exports})
+        return CompositeEntry(composite.name, members, exported=exported, named=True, **keys)
 
     def _context(self, context: Context) -> ContextEntry:
         name = context.name

@@ -15,6 +15,7 @@ from aiorts.composites import Composite, group_of, outer_of, parts_of
 from aiorts.errors import ComponentError, StateError, format_error
 from aiorts.kernel.execution.cell import cell, flattened
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.wanted.entries import said_keys
 from aiorts.model.wanted.steps import Move, Places
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ async def _switch(
     for name, entry in _inner_first(after.composites):
         composite = composites.get(name) or aside.take_back(name)
         if not isinstance(composite, Composite):
-            await kernel.add(Composite(entry.name, *entry.members, **entry.options))
+            await kernel.add(Composite(entry.name, *entry.members, **said_keys(entry)))
         else:
             _forget_placements(composite)
             await _change(composite, entry)
@@ -160,8 +161,7 @@ def _is_made_anew(there: Component | None, entry: CompositeEntry | None) -> bool
         return False
     if entry is None:
         return True
-    errors, own = entry.options.get("errors", "stop"), entry.own_schedule
-    return str(there.errors) != str(errors) or there.own_schedule != own
+    return (there.errors, there.own_schedule) != (entry.errors, entry.own_schedule)
 
 
 def _outer_first(kernel: Microkernel, names: Iterable[str]) -> list[str]:
@@ -188,12 +188,11 @@ def _inner_first(entries: Mapping[str, CompositeEntry | None]) -> list[tuple[str
 async def _change(composite: Composite, entry: CompositeEntry) -> None:
     group = group_of(composite)
     shown = {} if group is None else {rule.pattern: rule.name for rule in group.exports}
-    exported = entry.options.get("exported", {})
     await composite.change(
         members=entry.members,
-        exported=None if exported == shown else exported,
-        order=entry.options.get("order", "stated"),
-        groups=entry.options.get("groups", ()),
+        exported=None if entry.exported == shown else entry.exported,
+        order=entry.order,
+        groups=entry.groups,
     )
 
 
@@ -275,12 +274,9 @@ def without_components(move: Move, names: Collection[str]) -> Move:
     def entry(one: CompositeEntry | None) -> CompositeEntry | None:
         if one is None:
             return None
-        options = dict(one.options)
-        if exported := options.get("exported"):
-            options["exported"] = {rule: name for rule, name in exported.items() if rule.partition(".")[0] not in names}
-        if groups := options.get("groups"):
-            options["groups"] = tuple(filter(None, map(less, groups)))
-        return replace(one, members=less(one.members), options=options)
+        exported = {rule: name for rule, name in one.exported.items() if rule.partition(".")[0] not in names}
+        groups = tuple(filter(None, map(less, one.groups)))
+        return replace(one, members=less(one.members), exported=exported, groups=groups)
 
     def places(one: Places) -> Places:
         return Places(

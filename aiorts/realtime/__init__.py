@@ -6,10 +6,4 @@ Priorities, locked memory and sleeping without drift are Linux's.
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
-
-if TYPE_CHECKING:
-    from aiorts.realtime.realtime_context import RealtimeContext
-
-_late(globals(), {"aiorts.realtime.realtime_context": "RealtimeContext"})
+from aiorts.realtime.realtime_context import RealtimeContext

@@ -6,21 +6,7 @@ everything is taken back.
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
-
-if TYPE_CHECKING:
-    from aiorts.reload.fresh_code import code_of, file_of, forget_file
-    from aiorts.reload.reload_events import ComponentReloaded, Dropped, Reloaded
-    from aiorts.reload.reloading import check_replaceable, reload
-    from aiorts.reload.trial import Trial
-
-_late(
-    globals(),
-    {
-        "aiorts.reload.fresh_code": "code_of file_of forget_file",
-        "aiorts.reload.reload_events": "ComponentReloaded Dropped Reloaded",
-        "aiorts.reload.reloading": "check_replaceable reload",
-        "aiorts.reload.trial": "Trial",
-    },
-)
+from aiorts.reload.fresh_code import code_of, file_of, forget_file
+from aiorts.reload.reload_events import ComponentReloaded, Dropped, Reloaded
+from aiorts.reload.reloading import check_replaceable, reload
+from aiorts.reload.trial import Trial

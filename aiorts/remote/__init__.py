@@ -7,17 +7,7 @@ to the stand-in here.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from aiorts.late import late as _late
-
-if TYPE_CHECKING:
-    from aiorts.remote.component import FarComponent
-    from aiorts.remote.finding import stand_in
+from aiorts.remote.component import FarComponent
+from aiorts.remote.finding import stand_in
 
 __all__ = ("FarComponent", "stand_in")
-
-_late(
-    globals(),
-    {"aiorts.remote.finding": "stand_in", "aiorts.remote.component": "FarComponent"},
-)

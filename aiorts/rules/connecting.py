@@ -47,7 +47,7 @@ class RulesSettings:
     """Ports that are connected by patterns of their paths, as they come."""
 
     rules: tuple[Mapping[str, Any], ...] = setting(
-        (), "[[rules]]: a rule; beside from, to and max it has options of its connectors.", items=_ENTRY
+        (), "[[rules]]: a rule; beside from, to and max it has options of its connectors.", schema={"items": _ENTRY}
     )
 
     def __post_init__(self) -> None:

@@ -6,20 +6,7 @@ it: it uses what every reader of a port uses, and a connector pays nothing for i
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from aiorts.late import late as _late
-
-if TYPE_CHECKING:
-    from aiorts.sync.matching import SynchronizerStatistics
-    from aiorts.sync.synchronizer import Synchronizer
+from aiorts.sync.matching import SynchronizerStatistics
+from aiorts.sync.synchronizer import Synchronizer
 
 __all__ = ("Synchronizer", "SynchronizerStatistics")
-
-_late(
-    globals(),
-    {
-        "aiorts.sync.matching": "SynchronizerStatistics",
-        "aiorts.sync.synchronizer": "Synchronizer",
-    },
-)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         ConnectionEntry,
         ContextEntry,
         Wanted,
+        said_keys,
     )
     from aiorts.model.wanted.system_text import system_text
     from aiorts.system.blueprint import Blueprint, build, prepare
@@ -76,13 +77,16 @@ __all__ = (
     "system_text",
     "wait_finished",
     "wanted",
+    "said_keys",
 )
 
 _late(
     globals(),
     {
         "aiorts.kernel.component": "construct",
-        "aiorts.model.wanted.entries": ("ClockEntry ComponentEntry CompositeEntry ConnectionEntry ContextEntry Wanted"),
+        "aiorts.model.wanted.entries": (
+            "ClockEntry ComponentEntry CompositeEntry ConnectionEntry ContextEntry Wanted said_keys"
+        ),
         "aiorts.model.wanted.system_text": "system_text",
         "aiorts.system.blueprint": "Blueprint build prepare",
         "aiorts.system.checks.check": "check check_text",

@@ -25,7 +25,7 @@ from aiorts.kernel.service import ServicePlan, attach_services
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import names_kernel
-from aiorts.model.wanted.entries import CompositeEntry, ConnectionEntry
+from aiorts.model.wanted.entries import CompositeEntry, ConnectionEntry, said_keys
 from aiorts.planning import Planning, Setting, put_in_force
 from aiorts.spelling import nearest
 from aiorts.supervision import Patience, Supervising, in_order
@@ -200,7 +200,7 @@ async def _create(kernel: Kernel, plan: Blueprint, name: str) -> None:
 async def _compose(kernel: Kernel, system: SystemFile, entry: CompositeEntry) -> None:
     key = ("composites", entry.name)
     try:
-        await kernel.add(Composite(entry.name, *entry.members, **entry.options))
+        await kernel.add(Composite(entry.name, *entry.members, **said_keys(entry)))
     except AiortsError as error:
         text = str(error).removeprefix(f"{entry.name}: ")
         raise SystemFileError(f"{system.at(*key)}: {spelled(key)}: {text}") from error

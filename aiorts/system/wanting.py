@@ -142,11 +142,8 @@ def _of_services(ports: Sequence[ServicePort], options: Mapping[str, Any]) -> It
 
 
 def _composite(entry: CompositeEntry) -> CompositeEntry:
-    usual = {"order": "stated", "errors": "stop", "own_schedule": False}
-    options = {word: value for word, value in entry.options.items() if value and str(value) != str(usual.get(word))}
-    if "exported" in options:
-        options["exported"] = {rule.pattern: rule.name for rule in exports(options.pop("exported"), entry.name)}
-    return replace(entry, options=_frozen(options), named=True)
+    exported = {rule.pattern: rule.name for rule in exports(entry.exported, entry.name)}
+    return replace(entry, exported=_frozen(exported), named=True)
 
 
 def _frozen(found: dict[str, Any]) -> Mapping[str, Any]:

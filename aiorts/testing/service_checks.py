@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from aiorts.assembly import Kernel
 from aiorts.contexts import PeriodicContext
 from aiorts.kernel import Component, InPort, KernelService, OutPort
-from aiorts.kernel.extensions.arguments import OPTION_TYPES, options_of, settings_faults, settings_of
+from aiorts.kernel.extensions.arguments import OPTION_TYPES, flags_of, settings_faults, settings_of
 from aiorts.kernel.loop.bus import HookAfter
 from aiorts.kernel.service import HOOKS, notify
+from aiorts.model.declared import options_of
 from aiorts.model.names import check_name
 from aiorts.model.plain import plain
 from aiorts.system.file.parse import may_be_a_service
@@ -138,14 +139,15 @@ def has_a_name(case: _Case) -> None:
 @_SUITE.check
 def has_settings(case: _Case) -> None:
     """Its settings are a frozen dataclass; each field has a right default, a text and, as an option, a type for it."""
-    settings = case.kind.settings
+    settings: type = case.kind.settings
     expect(is_dataclass(settings), "a dataclass", settings)
     params: Any = getattr(settings, "__dataclass_params__", None)
     expect(bool(params and params.frozen), "a frozen one", settings)
     expect(settings() == settings(), "equal defaults", settings())
-    bare = [one.name for one in fields(settings) if not one.metadata.get("doc")]
+    told = options_of(settings)
+    bare = [one.name for one in fields(settings) if not (one.name in told and told[one.name].doc)]
     expect(not bare, "a text for each field", f"none for {', '.join(bare)}")
-    unfit = [name for name, kind in options_of(settings).items() if kind is None]
+    unfit = [name for name, kind in flags_of(settings).items() if kind is None]
     expect(not unfit, f"as an option of `aiorts run` {OPTION_TYPES}", f"another type for {', '.join(unfit)}")
 
 

@@ -81,16 +81,13 @@ class NetworkSettings:
         None,
         "Names by what they may do: viewer, operator, component, coordinator, router; by default as the index of the "
         "folder says.",
-        type="object",
-        additionalProperties={"type": "array", "items": {"type": "string"}},
+        schema={"type": "object", "additionalProperties": {"type": "array", "items": {"type": "string"}}},
     )
     allow: Any = setting(
         None,
         "What the kernels of which names may read, write and call here: patterns of COMPONENT.PORT by name; those of "
         '"*" are for all other names. A right that is not there all have.',
-        type="object",
-        properties=dict.fromkeys(RIGHTS, _PORTS),
-        additionalProperties=False,
+        schema={"type": "object", "properties": dict.fromkeys(RIGHTS, _PORTS), "additionalProperties": False},
     )
     insecure: bool = setting(
         False,

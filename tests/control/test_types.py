@@ -34,7 +34,7 @@ OPEN = {
     *("Limits.choices", "ParameterReport.choices", "ParameterReport.default", "ParameterReport.value"),
     *("Result.value", "SystemProfile.services", "Tapping.data", "ToldChange.event", "goal.item"),
     # Steps of plans: parameters and options, as system files have them.
-    *("ComponentEntry.limits", "ComponentEntry.params", "ComponentEntry.sets", "CompositeEntry.options"),
+    *("ComponentEntry.limits", "ComponentEntry.params", "ComponentEntry.sets"),
     *("ConnectionEntry.options", "ContextEntry.options", "PlannedStep.after", "PlannedStep.before"),
 }
 """Where any value may be, as "Class.field"."""

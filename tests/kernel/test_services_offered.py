@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 OFFERED = """\
 from dataclasses import dataclass
+from typing import Literal
 from aiorts import KernelService, setting
 from aiorts.errors import ConfigurationError
 
@@ -39,7 +40,7 @@ class Limits:
     high: float = setting(1.0, "m", option=True)
     names: tuple[str, ...] = setting((), "of components")
     loud: bool = setting(False, "say so", option=True)
-    way: str = setting("up", "which", option=True, enum=["up", "down"])
+    way: Literal["up", "down"] = setting("up", "which", option=True)
 
     def __post_init__(self):
         if self.low > self.high:

@@ -352,7 +352,7 @@ def test_alone_it_prints_the_samples(folder: Path) -> None:
         (("--replay", "other.mcap"), "camera.out was recorded as TimedDouble, and sends TimedLong here"),
         (("--replay", "else.mcap"), "no component here has its out-ports among those recorded: arm.angle"),
         (("--replay-speed", "2"), "nothing says what to replay"),
-        (("--replay", "run.mcap", "--replay-loop", "-1"), "loop: expected 1 or more"),
+        (("--replay", "run.mcap", "--replay-loop", "-1"), "loop: expected a whole number from 0"),
     ],
 )
 def test_what_cannot_be_replayed_is_said_before_anything_runs(folder: Path, words: tuple[str, ...], why: str) -> None:

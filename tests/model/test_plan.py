@@ -153,7 +153,9 @@ def systems(draw: st.DrawFn) -> Wanted:
     for name in draw(st.sets(st.sampled_from(["g", "h"]))):
         count = draw(st.integers(0, len(left)))
         members, left = tuple(left[:count]), [*left[count:], name]
-        composites[name] = CompositeEntry(name, members, draw(st.sampled_from([{}, {"order": "dataflow"}])), True)
+        composites[name] = CompositeEntry(
+            name, members, order=draw(st.sampled_from(["stated", "dataflow"])), named=True
+        )
     contexts: dict[str, ContextEntry] = {}
     for name in draw(st.sets(st.sampled_from(["x", "y", "z"]))):
         count = draw(st.integers(0, len(left)))

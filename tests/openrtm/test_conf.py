@@ -349,7 +349,7 @@ def test_a_composite_that_a_manager_makes(tmp_path: Path) -> None:
     lab(tmp_path, conf, both=f"{both}exec_cxt.periodic.rate: 10\n")
     wanted, notes = read_system(tmp_path / "rtc.conf", folder=tmp_path)
     assert wanted.composites["Both"].members == ("Talker0", "Listener0")
-    assert dict(wanted.composites["Both"].options) == {"exported": ("Talker0.out",)}
+    assert tuple(wanted.composites["Both"].exported) == ("Talker0.out",)
     assert {name: (one.members, dict(one.options)) for name, one in wanted.contexts.items()} == {
         "Both_ec0": (("Both",), {"rate": 10.0})
     }

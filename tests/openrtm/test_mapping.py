@@ -141,7 +141,7 @@ def test_a_composite_and_its_exported_ports(tmp_path: Path) -> None:
     )
     assert list(wanted.components) == ["A0", "B0", "C0"]
     assert wanted.composites["Both0"].members == ("A0", "B0")
-    assert dict(wanted.composites["Both0"].options) == {"exported": ("A0.out", "B0.into")}
+    assert tuple(wanted.composites["Both0"].exported) == ("A0.out", "B0.into")
     assert wanted.connections[0].ports == ("A0.out", "C0.into")
     assert {name: one.members for name, one in wanted.contexts.items()} == {"Both0_ec0": ("Both0",), "C0_ec0": ("C0",)}
     assert notes == []

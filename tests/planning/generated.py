@@ -7,6 +7,7 @@ from random import Random
 from types import MappingProxyType
 from typing import Any
 
+from aiorts.model.policy import ErrorPolicy
 from aiorts.model.wanted.entries import (
     ClockEntry,
     ComponentEntry,
@@ -51,10 +52,8 @@ def random_system(random: Random) -> Wanted:
         count = random.randint(1, min(3, len(left)))
         members, left = left[:count], left[count:]
         shown = {f"{name}.{'a' if name in 'abcd' else 'x'}": f"of_{name}" for name in members if random.random() < 0.3}
-        options: dict[str, Any] = {"exported": MappingProxyType(shown)} if shown else {}
-        if random.random() < 0.2:
-            options["errors"] = "isolate"
-        composites["group"] = CompositeEntry("group", tuple(members), MappingProxyType(options), named=True)
+        errors = ErrorPolicy.ISOLATE if random.random() < 0.2 else ErrorPolicy.STOP
+        composites["group"] = CompositeEntry("group", tuple(members), errors=errors, exported=shown, named=True)
         left.append("group")
         random.shuffle(left)
     contexts: dict[str, ContextEntry] = {}

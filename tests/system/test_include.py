@@ -38,8 +38,8 @@ def test_a_prefix_is_put_before_every_name_and_wherever_one_is_meant(put: Put) -
     assert system.components["left_gauge"].start.after == ("left_motor active",)
     composite = system.composites["left_arm"]
     assert composite.members == ("left_motor", "left_gauge")
-    assert composite.options["exported"] == {"left_gauge.output": "force", "left_motor.*": "{port}"}
-    assert composite.options["groups"] == (("left_motor",), ("left_gauge",))
+    assert composite.exported == {"left_gauge.output": "force", "left_motor.*": "{port}"}
+    assert composite.groups == (("left_motor",), ("left_gauge",))
     assert system.contexts["left_loop"].members == ("left_arm",)
     assert wires(system) == [("left_motor.out", "left_gauge.input")]
     assert system.connections[0].options == {"name": "left_wire"}

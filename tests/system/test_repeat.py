@@ -151,8 +151,8 @@ def test_one_file_is_two_systems(write: Callable[..., Path], sim: bool) -> None:
     assert list(system.components) == [there, "sink"]
     assert system.composites.keys() == {"all"}
     assert system.composites["all"].members == (there, "sink")
-    assert system.composites["all"].options["groups"] == ((there,), ("sink",))
-    assert system.composites["all"].options["exported"] == {f"{there}.out": "{port}"}
+    assert system.composites["all"].groups == ((there,), ("sink",))
+    assert system.composites["all"].exported == {f"{there}.out": "{port}"}
     assert wires(system) == [(f"{there}.out", "sink.input")]
     assert system.contexts.keys() == ({"loop"} if sim else {"loop", "other"})
     assert system.contexts["loop"].members == ("all",)
@@ -279,6 +279,6 @@ def test_a_composite_shows_ports_of_each_of_the_repeated(
 ) -> None:
     text = PAIR.replace('"middle{i}", "sink"]', '"sink"]')
     text += f'[composites.all]\nmembers = ["middle{{i}}"]\nexported = {given}\n'
-    exported = load(write(text)).composites["all"].options["exported"]
+    exported = load(write(text)).composites["all"].exported
     assert list(exported.values()) == names
     assert len(names) == 1 or list(exported) == ["middle0.output", "middle1.output", "middle2.output"]

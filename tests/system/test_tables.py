@@ -37,7 +37,7 @@ def test_the_tables_are_read_as_the_values_that_python_code_would_give(write: Wr
     assert source.sets == {"slow": {"rate_limit": 2}}
     assert source.supervision == Supervision("reset", backoff=0.5, budget=3, deadlines={"on_execute": 0.1})
     assert source.start == StartRule("source", after=("arm active", "sink"), wait=0.25)
-    assert system.composites["arm"].options["errors"] == "isolate"
+    assert system.composites["arm"].errors == "isolate"
     assert system.composites["hand"].members == ("two",)
     assert prepare(system).services["watch_loop"].settings == LoopLimit(2.0, "exit")
     assert prepare(system).settings["source"].sets == {"slow": {"rate_limit": 2}}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -13,8 +12,9 @@ import click
 from aiorts.cli.console.plugins_option import catalogue_of
 from aiorts.cli.runtime.target import is_file
 from aiorts.errors import AiortsError
-from aiorts.kernel.extensions.arguments import OPTION_TYPES, option_flag, options_of
+from aiorts.kernel.extensions.arguments import OPTION_TYPES, flags_of, option_flag
 from aiorts.kernel.service import load_service
+from aiorts.model.declared import Option, options_of
 from aiorts.system import Choices, load
 
 _KEY: Final = "aiorts.service options"
@@ -98,23 +98,24 @@ def _found(args: Iterable[str], own: Iterable[click.Parameter]) -> tuple[dict[st
 
 
 def _sorted_out(
-    settings: Mapping[str, type[Any]], own: Iterable[click.Parameter]
+    settings: Mapping[str, type], own: Iterable[click.Parameter]
 ) -> tuple[dict[str, list[click.Option]], dict[str, str]]:
     """The options that can be used by service, and by its flag why another cannot."""
     owners = {flag: ["`aiorts run` itself"] for option in own for flag in _flags(option)}
     faults: dict[str, str] = {}
     made: dict[str, list[click.Option]] = {}
     for service, cls in settings.items():
-        kinds = options_of(cls)
-        for field in dataclasses.fields(cls):
-            if field.name in kinds and kinds[field.name] is None:
-                flag = option_flag(service, field)
-                faults[flag] = f"{flag}: {field.name} of the service {service} cannot be an option: use {OPTION_TYPES}"
-            elif field.name in kinds:
-                option = _option(service, field, kinds[field.name])
-                made.setdefault(service, []).append(option)
-                for flag in _flags(option):
-                    owners.setdefault(flag, []).append(f"{field.name} of the service {service}")
+        kinds = flags_of(cls)
+        for name, kind in kinds.items():
+            one = options_of(cls)[name]
+            if kind is None:
+                flag = option_flag(service, name, one)
+                faults[flag] = f"{flag}: {name} of the service {service} cannot be an option: use {OPTION_TYPES}"
+                continue
+            option = _option(service, name, one, kind)
+            made.setdefault(service, []).append(option)
+            for flag in _flags(option):
+                owners.setdefault(flag, []).append(f"{name} of the service {service}")
     twice = {flag: f"{flag} is of {' and of '.join(who)}; rename one" for flag, who in owners.items() if len(who) > 1}
     usable = {
         service: left
@@ -146,14 +147,14 @@ def _after(option: str, args: Sequence[str]) -> Iterator[str]:
     yield from (word.removeprefix(f"{option}=") for word in args if word.startswith(f"{option}="))
 
 
-def _option(service: str, field: dataclasses.Field[Any], kind: Any) -> click.Option:
-    flag, several = option_flag(service, field), kind is tuple
+def _option(service: str, name: str, one: Option, kind: Any) -> click.Option:
+    flag, several = option_flag(service, name, one), kind is tuple
     if isinstance(kind, tuple):
         kind = click.Choice(kind)
     elif kind is bool:
         flag, kind = f"{flag}/--no-{flag[2:]}", None
     elif several:
         kind = str
-    option = click.Option([flag], type=kind, multiple=several, help=field.metadata["doc"], default=None)
-    option.name = f"{service}.{field.name}"  # no argument of a function: `chosen` takes it out
+    option = click.Option([flag], type=kind, multiple=several, help=one.described, default=None)
+    option.name = f"{service}.{name}"  # no argument of a function: `chosen` takes it out
     return option

@@ -47,10 +47,6 @@ class ControlSettings:
     )
 
     def __post_init__(self) -> None:
-        if self.mode not in ("on", "view", "off"):
-            raise ConfigurationError(f'mode: expected "on", "view" or "off", got {self.mode!r:.80}')
-        if not all(isinstance(one, str) for one in (self.name, self.program, self.runs)):
-            raise ConfigurationError(f"name: expected text, got {self.name!r:.80}")
         if self.files is not None and not self.files.is_dir():
             raise ConfigurationError(f"files: {str(self.files)!r:.80}: there is no such folder")
         if self.name:

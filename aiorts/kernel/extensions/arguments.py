@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from aiorts.errors import AiortsError
+from aiorts.model.declared import Option, fault_of, options_of, words_of
 from aiorts.spelling import nearest
 
 T = TypeVar("T")
@@ -60,14 +61,14 @@ def settings_faults(cls: type, given: Mapping[str, Any], also: Collection[str] =
     Args:
         also: keys that may have been meant by an unknown one, besides its own.
     """
-    known = arguments_of(cls)
+    known, is_declared = arguments_of(cls), dataclasses.is_dataclass(cls)
     rest = dict(given)
     for key, value in given.items():
         if key not in known:
             near = nearest(key, [*known, *also])
             hint = f"did you mean {near!r}?" if near else f"there are {', '.join(known) or 'none'}"
             yield key, f"unknown key {key[:80]!r}; {hint}", True
-        elif what := unfit(value, known[key]):
+        elif what := unfit(value, known[key]) or (fault_of(cls, key, value) if is_declared else ""):
             yield key, what, False
         else:
             continue
@@ -97,25 +98,25 @@ def _meant(value: Any, *, path: bool) -> Any:
     return Path(value) if path and value and isinstance(value, str) else value
 
 
-def options_of(settings: type) -> dict[str, type | tuple[str, ...] | None]:
+def flags_of(settings: type) -> dict[str, type | tuple[str, ...] | None]:
     """By the name of each field that is an option: the type of its values, or the texts that it takes.
 
     `tuple` for one that is repeated, each a text; None for a field that cannot be an option (`OPTION_TYPES`).
     """
     hints = _hints(settings)
     found: dict[str, type | tuple[str, ...] | None] = {}
-    for field in dataclasses.fields(settings):
-        if field.metadata.get("option", False) is False:
+    for name, one in options_of(settings).items():
+        if one.flag is False:
             continue
-        parts = _parts(hints.get(field.name, type(field.default)))
+        parts = _parts(hints.get(name, type(one.default)))
         kind = parts[0] if len(parts) == 1 else None
-        words = tuple(field.metadata["schema"].get("enum", () if kind in _PLAIN else typing.get_args(kind)))
+        words = words_of(kind)
         if kind == tuple[str, ...]:
-            found[field.name] = tuple
+            found[name] = tuple
         elif words and set(_types(kind)) == {str}:
-            found[field.name] = words
+            found[name] = words
         else:
-            found[field.name] = kind if kind in _PLAIN else None
+            found[name] = kind if kind in _PLAIN else None
     return found
 
 
@@ -124,12 +125,12 @@ def path_settings(settings: type) -> frozenset[str]:
     return frozenset(name for name, hint in _hints(settings).items() if _parts(hint) == [Path])
 
 
-def option_flag(service: str, field: dataclasses.Field[Any]) -> str:
+def option_flag(service: str, name: str, one: Option) -> str:
     """The option of `aiorts run` that a field of a service's settings is."""
-    word = field.metadata.get("option")
+    word = one.flag
     if isinstance(word, str) and word.startswith("--"):
         return word
-    parts = (service, field.name if word is True else word)
+    parts = (service, name if word is True else str(word))
     return f"--{'-'.join(filter(None, parts))}".replace("_", "-")
 
 

@@ -69,7 +69,7 @@ def received(text: str) -> Wanted:
         tuple(replace(one, options=_restored(one.options)) for one in read.connections),
         _by_name(read.contexts, _with_options),
         read.clock,
-        _by_name(read.composites, _with_options),
+        _by_name(read.composites, _composite),
         _restored(read.services),
         tuple(map(Path, read.plugin_paths)),
     )
@@ -81,6 +81,10 @@ def _by_name(entries: tuple[Any, ...], restored: Callable[[Any], Any]) -> Mappin
 
 def _component(entry: ComponentEntry) -> ComponentEntry:
     return replace(entry, params=_restored(entry.params), sets=_restored(entry.sets))
+
+
+def _composite(entry: CompositeEntry) -> CompositeEntry:
+    return replace(entry, exported=_restored(entry.exported))
 
 
 def _with_options(entry: Any) -> Any:

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal
 
 from aiorts.late import dataclass
 from aiorts.model.declared import option, options_of
+from aiorts.model.policy import ErrorPolicy
 from aiorts.model.wanted.restart_policy import Supervision
 from aiorts.model.wanted.start_rules import StartRule
 
@@ -60,9 +61,10 @@ CHANGED_BY_RULE: Final = tuple(key for key, one in options_of(ComponentEntry).it
 """The keys of a component that are changed while its instance stays."""
 
 
-def said_keys(entry: ComponentEntry) -> dict[str, Any]:
-    """The declared keys of a component that are not as by default."""
-    keys = options_of(ComponentEntry).items()
+def said_keys(entry: ComponentEntry | CompositeEntry) -> dict[str, Any]:
+    """The declared keys of an entry that are not as by default."""
+    cls: type = type(entry)
+    keys = options_of(cls).items()
     return {key: value for key, one in keys if (value := getattr(entry, key)) != one.default}
 
 
@@ -80,19 +82,23 @@ class CompositeEntry:
     name: str
     members: tuple[str, ...]
     """Components and composites, in order of execution."""
-    options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
-    """What `Composite` takes: exported, order, groups, errors, own_schedule."""
+    order: Literal["stated", "dataflow"] = option("stated", "dataflow: writers run before their readers.")
+    errors: ErrorPolicy = option(
+        ErrorPolicy.STOP,
+        "A member in error. stop: the composite is in error, all stop; report: others go on; isolate: the others go "
+        "on, and the composite is in error once none is active.",
+    )
+    own_schedule: bool = option(False, "Inside another composite: run in a context of its own.")
+    groups: tuple[tuple[str, ...], ...] = option((), '"a,b|c,d": what | parts runs side by side in each cycle.')
+    exported: Mapping[str, str] = option(
+        _NOTHING, 'Ports it shows: ["arm.force"], or names by pattern: {"*.out" = "{component}_out"}.'
+    )
     named: bool = False
-    """Whether `exported` is a table of names by pattern, and no list."""
+    """Whether `exported` is a table of names by pattern in the file, and no list."""
 
     def exported_key(self, number: int) -> str | int:
         """The key in the file of an exported pattern."""
-        return tuple(self.options["exported"])[number] if self.named else number
-
-    @property
-    def own_schedule(self) -> bool:
-        """Whether inside another composite it is not run with it."""
-        return bool(self.options.get("own_schedule", False))
+        return tuple(self.exported)[number] if self.named else number
 
 
 @dataclass(frozen=True, slots=True)

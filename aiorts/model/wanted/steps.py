@@ -331,8 +331,8 @@ class Move(_Change):
                 parts.append(f"{sign}composite {name} ({_listed(members)})")
                 continue
             parts += _membership(name, old.members, composite.members)
-            if old.options != composite.options:
-                parts.append(f"{name}: {_differences(old.options, composite.options)}")
+            if (before := said_keys(old)) != (after := said_keys(composite)):
+                parts.append(f"{name}: {_differences(before, after)}")
         return f"move {'; '.join(parts)}"
 
 

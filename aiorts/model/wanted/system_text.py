@@ -105,7 +105,7 @@ class _Writer:
 
     def _composite(self, one: CompositeEntry) -> Iterator[str]:
         yield self._pair(one.name, "members", one.members)
-        for word, value in one.options.items():
+        for word, value in said_keys(one).items():
             if word == "exported" and all(name == "{port}" for name in value.values()):
                 value = tuple(value)
             yield self._pair(one.name, word, value)

@@ -67,7 +67,7 @@ def leaf_paths(system: SystemFile, drafts: Mapping[str, Draft]) -> SystemFile:
 
 
 def _draft(entry: CompositeEntry, members: Mapping[str, Draft], said: list[Said], *, complete: bool) -> Draft:
-    rules = exports(entry.options.get("exported", {}), entry.name)
+    rules = exports(entry.exported, entry.name)
     every: dict[tuple[str, str], Port[Any]] = {
         (name, port): made for name, one in members.items() for port, made in one.ports.items()
     }
@@ -82,9 +82,8 @@ def _draft(entry: CompositeEntry, members: Mapping[str, Draft], said: list[Said]
 
 def _strangers(entry: CompositeEntry, members: Mapping[str, Draft], *, complete: bool) -> Iterator[Said]:
     """Rules that mean a port that there is not, and patterns that mean none at all."""
-    given = entry.options.get("exported", {})
     ports = [f"{name}.{port}" for name, one in members.items() for port in one.ports]
-    for number, pattern in enumerate(given):
+    for number, pattern in enumerate(entry.exported):
         rule = exports([pattern], entry.name)[0]
         if any(rule.fits(*path.split(".")) for path in ports):
             continue

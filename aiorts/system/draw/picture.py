@@ -153,10 +153,8 @@ def _group(
 
 
 def _composite_title(system: SystemFile, name: str) -> str:
-    options = system.composites[name].options
-    return composite_title(
-        name, str(options.get("order", "stated")), str(options.get("errors", "stop")), options.get("groups") or ()
-    )
+    entry = system.composites[name]
+    return composite_title(name, entry.order, entry.errors, entry.groups)
 
 
 def composite_title(name: str, order: str, errors: str, groups: Iterable[Iterable[str]]) -> str:

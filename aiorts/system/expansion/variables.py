@@ -13,6 +13,7 @@ from itertools import islice
 from typing import Any, Final, TypeAlias
 
 from aiorts.model.configuration.toml_lines import excess, huge_number
+from aiorts.model.values import TRUTH, whole_of
 from aiorts.spelling import suggestion
 from aiorts.system.expansion.faults import Budget, Fault, weight
 from aiorts.system.text.origins import Origin
@@ -25,10 +26,6 @@ _FIELD: Final = re.compile(r"\$\$\{|\$\{([^{}]*)(\}?)")
 _WHOLE: Final = re.compile(r"\$\{([^{}]*)\}")
 _CONDITION: Final = re.compile(r"\s*(not\s+)?(\$\{[^{}]*\})\s*")
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,99}")
-_TRUTH: Final[Mapping[str, bool]] = {
-    **dict.fromkeys(("true", "yes", "on", "1"), True),
-    **dict.fromkeys(("false", "no", "off", "0"), False),
-}
 _LONGEST_NUMBER: Final = 300
 _MOST_NAMES: Final = 1000
 """Among which a near one is looked for."""
@@ -219,7 +216,7 @@ def _converted(text: str, default: Any, fault: Callable[[str], Fault]) -> Any:
         raise fault(f"{text!r:.80} is not UTF-8") from None
     try:
         if isinstance(default, bool):
-            return _TRUTH[text.strip().lower()]
+            return TRUTH[text.strip().lower()]
         if isinstance(default, list):
             return _list(text)
         if isinstance(default, float):
@@ -235,7 +232,7 @@ def _number(text: str) -> int | float:
     if len(text) > _LONGEST_NUMBER:
         raise ValueError
     try:
-        return int(text, 0)
+        return whole_of(text)
     except ValueError:
         return float(text)
 

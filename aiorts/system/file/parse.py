@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
@@ -18,7 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from aiorts.composites import ErrorPolicy, exports, groups_of
+from aiorts.composites import exports, groups_of
 from aiorts.errors import AiortsError, ConfigurationError, InvalidNameError, SystemFileError, WiringError
 from aiorts.model.configuration.sets import DEFAULT
 from aiorts.model.declared import OptionError, kinds_of, options_of, read_option, words_of
@@ -58,12 +58,10 @@ CLOCKS: Final = ("system", "scaled", "simulated")
 _PLUGINS: Final = 'write plugins.path = ["."], the folders with plugins, counted from this file; [] is none'
 TOP: Final = ("schema", *TOP_KEYS, "plugins", "clock", "components", "composites", "connections", "contexts")
 _LIMITS: Final = tuple(field.name for field in fields(Limits))
-_OF_COMPONENT: Final = options_of(ComponentEntry)
-_COMPONENT: Final = ("type", "options", "params", "sets", "active", *_OF_COMPONENT, IF, REPEAT)
-_COMPOSITE: Final = ("members", "exported", "order", "groups", "errors", "own_schedule", IF, REPEAT)
+_COMPONENT: Final = ("type", "options", "params", "sets", "active", *options_of(ComponentEntry), IF, REPEAT)
+_COMPOSITE: Final = ("members", *options_of(CompositeEntry), IF, REPEAT)
 _SUPERVISION: Final = tuple(field.name for field in fields(Supervision))
 _START: Final = tuple(field.name for field in fields(StartRule) if field.name != "component")
-ORDERS: Final = ("stated", "dataflow")
 _LOOSE: Final[Mapping[str, Mapping[str, Any]]] = {"backoff": {"backoff_max": 1e300}, "backoff_max": {"backoff": 1e-300}}
 """What a value is tried with: the two limits of a delay are compared with each other where both are known."""
 
@@ -201,6 +199,7 @@ class _Reader(Reading):
         kind = self._get(key, table, "type", str)
         if kind == "" and not unknown:
             self._say((*key, "type"), "expected FILE.py:Class, package.module:Class or an installed name, got ''")
+        tables = {"supervision": self._supervision, "start": self._start, "limits": self._limits}
         return ComponentEntry(
             name,
             "" if kind is NOTHING else kind,
@@ -208,35 +207,37 @@ class _Reader(Reading):
             self._options((*key, "options"), given),
             self._sets(key, table),
             self._get(key, table, "active", str, ""),
-            **self._declared(key, table),
+            **self._declared(ComponentEntry, key, table, tables),
         )
 
-    def _declared(self, key: Key, table: dict[str, Any]) -> dict[str, Any]:
-        """The declared keys of a component: those of one value by their types, and each table by its own method."""
-        tables = {"supervision": self._supervision, "start": self._start, "limits": self._limits}
+    def _declared(
+        self, cls: type, key: Key, table: dict[str, Any], tables: Mapping[str, Callable[[Key, dict[str, Any]], Any]]
+    ) -> dict[str, Any]:
+        """The declared keys of a class: those of one value by their types, and each table by its own function."""
         return {
-            word: tables[word](key, table) if word in tables else self._value(key, table, word)
-            for word in _OF_COMPONENT
+            word: tables[word](key, table) if word in tables else self._value(cls, key, table, word)
+            for word in options_of(cls)
         }
 
-    def _value(self, key: Key, table: dict[str, Any], word: str) -> Any:
-        one, kind = _OF_COMPONENT[word], kinds_of(ComponentEntry)[word][0]
+    def _value(self, cls: type, key: Key, table: dict[str, Any], word: str) -> Any:
+        one, kind = options_of(cls)[word], kinds_of(cls)[word][0]
         if words := [other for other in words_of(kind) if other]:
-            return self._of_words(key, table, word, words)
+            found = self._of_words(key, table, word, words)
+            return one.default if found is None else kind(found) if isinstance(kind, type) else found
         value = self._get(key, table, word, object if kind in (int, float) else kind, one.default)
         if word not in table or kind not in (int, float):
             return value
         try:
             if isinstance(value, str):  # a number of TOML is none in quotes
                 raise OptionError(f"{word} = {value!r}: expected a number")
-            return read_option(ComponentEntry, word, value)
+            return read_option(cls, word, value)
         except OptionError as error:
             self._say((*key, word), str(error).removeprefix(f"{word} = {value!r}: ") + f", got {value!r:.80}")
             return one.default
 
-    def _of_words(self, key: Key, table: dict[str, Any], word: str, words: list[str]) -> str:
+    def _of_words(self, key: Key, table: dict[str, Any], word: str, words: list[str]) -> str | None:
         if len(words) > 1:
-            return self._word(key, table, word, words) or ""
+            return self._word(key, table, word, words)
         value = self._get(key, table, word, str, "")
         if value not in ("", *words):
             meant = f"; did you mean {words[0]!r}?" if get_close_matches(str(value), words) else ""
@@ -504,21 +505,17 @@ class _Reader(Reading):
         far = {one: None for one in given if isinstance(one, str) and names_kernel(one)}
         members = self._members(key, given, {**known, **far})
         named = tuple(one.rpartition("/")[2] for one in members)
-        options: dict[str, Any] = {
-            word: value
-            for word, allowed in (("order", ORDERS), ("errors", tuple(ErrorPolicy)))
-            if (value := self._word(key, table, word, allowed)) is not None
-        }
-        if self._get(key, table, "own_schedule", bool, default=False):
-            options["own_schedule"] = True
-        if "groups" in table:
-            groups = self._try((*key, "groups"), lambda: groups_of(_texts(table["groups"]), named, name))
-            if groups:
-                options["groups"] = groups
-        given = table.get("exported", [])
-        if exported := self._exported((*key, "exported"), given, named):
-            options["exported"] = exported
-        return CompositeEntry(name, members, MappingProxyType(options), isinstance(given, dict))
+
+        def groups(key: Key, table: dict[str, Any]) -> Any:
+            if "groups" not in table:
+                return ()
+            return self._try((*key, "groups"), lambda: groups_of(_texts(table["groups"]), named, name)) or ()
+
+        def exported(key: Key, table: dict[str, Any]) -> Any:
+            return MappingProxyType(self._exported((*key, "exported"), table.get("exported", []), named))
+
+        keys = self._declared(CompositeEntry, key, table, {"groups": groups, "exported": exported})
+        return CompositeEntry(name, members, named=isinstance(table.get("exported"), dict), **keys)
 
     def _members(self, key: Key, given: Any, known: Mapping[str, Any]) -> tuple[str, ...]:
         """Names of components and composites, each once."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import field, fields
+from dataclasses import field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -20,6 +20,7 @@ from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.extensions.finders import offer_from
 from aiorts.kernel.service import ServicePlan, load_service
 from aiorts.late import dataclass
+from aiorts.model.declared import options_of
 from aiorts.model.options import PortLimits, connector_profile, link_options
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry
@@ -199,12 +200,13 @@ def _service(found: Survey, name: str, table: Mapping[str, Any], chosen: Mapping
     except (PluginError, SystemFileError) as error:
         found.say((name,), error, of_key=True)
         return
-    by_name = {one.name: one for one in fields(kind.settings)}
+    settings: type = kind.settings
+    declared = options_of(settings)
     own = _in_folder(found.system.folder_of((name,)), kind.settings, table)
     given = {**own, **chosen}
     faults = list(settings_faults(kind.settings, given))
     for key, what, of_key in faults:
-        option = option_flag(name, by_name[key]) if key in chosen and key in by_name else ""
+        option = option_flag(name, key, declared[key]) if key in chosen and key in declared else ""
         where, what = _listed(name, what) if key == name else ((name, key) if key else (name,), what)
         found.say(where, SystemFileError(what), option, of_key=of_key)
     if not faults:

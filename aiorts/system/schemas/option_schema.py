@@ -6,16 +6,23 @@ from enum import StrEnum
 from typing import Any, Final
 
 from aiorts.model.declared import Option, words_of
+from aiorts.model.values import TRUTH, WHOLE
 
-_TEXT: Final = {"type": "string", "pattern": r"^\s*[+-]?[0-9._]+([eE][+-]?[0-9]+)?\s*$"}
+_FLOAT: Final = r"[+-]?[0-9._]+([eE][+-]?[0-9]+)?"
+
+
+def _spelled(word: str) -> str:
+    """The pattern of a word in any case."""
+    return "".join(f"[{c}{c.upper()}]" if c.isalpha() else c for c in word)
+
+
 _YES: Final = {
     "anyOf": [
         {"type": "boolean"},
         {"enum": [0, 1]},
         {
             "type": "string",
-            "pattern": r"^\s*([yY][eE][sS]|[tT][rR][uU][eE]|1|[nN][oO]|[fF][aA][lL][sS][eE]|0|[eE][nN][aA][bB][lL][eE]"
-            r"|[dD][iI][sS][aA][bB][lL][eE])\s*$",
+            "pattern": rf"^\s*({'|'.join(map(_spelled, TRUTH))})\s*$",
         },
     ]
 }
@@ -24,26 +31,29 @@ _YES: Final = {
 def _choice(kind: type[StrEnum], one: Option) -> dict[str, Any]:
     """The words of an option for an editor to offer, and the same in any case, with blanks round them."""
     words = [*(member.value for member in kind), *one.words, *([""] if one.default is None else [])]
-    spelled = ("".join(f"[{c}{c.upper()}]" if c.isalpha() else c for c in word) for word in words)
-    return {"anyOf": [{"enum": words}, {"type": "string", "pattern": rf"^\s*({'|'.join(spelled)})\s*$"}]}
+    return {"anyOf": [{"enum": words}, {"type": "string", "pattern": rf"^\s*({'|'.join(map(_spelled, words))})\s*$"}]}
 
 
 def _number(kind: type, one: Option) -> dict[str, Any]:
-    return {"anyOf": [_range(kind, one), _TEXT]}
+    return {
+        "anyOf": [_range(kind, one), {"type": "string", "pattern": rf"^\s*({WHOLE if kind is int else _FLOAT})\s*$"}]
+    }
 
 
 def _range(kind: type, one: Option) -> dict[str, Any]:
-    ends = {"minimum": one.low, "maximum": None if one.endless else one.high}
-    return {
-        "type": "integer" if kind is int else "number",
-        **{word: end for word, end in ends.items() if end is not None},
-    }
+    return {"type": "integer" if kind is int else "number", **limits_schema(one)}
+
+
+def limits_schema(one: Option) -> dict[str, Any]:
+    """What JSON Schema says of the range of a number."""
+    ends = {"minimum": one.low, "exclusiveMinimum": one.above, "maximum": None if one.endless else one.high}
+    return {word: end for word, end in ends.items() if end is not None}
 
 
 def _yes(others: tuple[Any, ...]) -> dict[str, Any]:
     words = [word for other in others for word in words_of(other)]
-    texts = ("".join(f"[{c}{c.upper()}]" for c in word) for word in words)
-    return {"anyOf": [*_YES["anyOf"], *({"type": "string", "pattern": rf"^\s*{text}\s*$"} for text in texts)]}
+    texts = ({"type": "string", "pattern": rf"^\s*{_spelled(word)}\s*$"} for word in words)
+    return {"anyOf": [*_YES["anyOf"], *texts]}
 
 
 def option_schema(kinds: tuple[Any, ...], one: Option) -> dict[str, Any]:

@@ -25,8 +25,10 @@ from aiorts.kernel.extensions.arguments import arguments_of, needs_rate
 from aiorts.kernel.extensions.catalogue import Catalogue, Extension
 from aiorts.kernel.service import load_service
 from aiorts.model.configuration.parameters import Constraint, ParameterSpec
+from aiorts.model.declared import kinds_of, options_of, words_of
 from aiorts.system.file.parse import SCHEMA
 from aiorts.system.schemas.connection_schema import connection_schema
+from aiorts.system.schemas.option_schema import limits_schema
 from aiorts.system.schemas.table_schemas import (
     active_schema,
     composite_schema,
@@ -268,23 +270,25 @@ def _services(catalogue: Catalogue) -> dict[str, Any]:
         kinds = arguments_of(cls)
         whole = next((one for one in dataclasses.fields(cls) if one.name == name), None)
         if whole is not None and kinds[name] == (list,):  # [[NAME]]
-            found[name] = _setting(whole, kinds[name])
+            found[name] = _setting(cls, name, kinds[name])
             continue
         found[name] = {
             "type": "object",
             "description": inspect.cleandoc(cls.__doc__ or name).partition("\n\n")[0],
             "additionalProperties": False,
-            "properties": {one.name: _setting(one, kinds[one.name]) for one in dataclasses.fields(cls)},
+            "properties": {one.name: _setting(cls, one.name, kinds[one.name]) for one in dataclasses.fields(cls)},
         }
     return found
 
 
-def _setting(one: dataclasses.Field[Any], kinds: tuple[type, ...]) -> dict[str, Any]:
-    told = one.metadata
-    made = _argument(one.name, kinds, one.default, {one.name: told["doc"]} if "doc" in told else {})
-    if "enum" in told.get("schema", ()):
-        made.pop("type", None)
-    return {**made, **told.get("schema", {})}
+def _setting(cls: type, name: str, kinds: tuple[type, ...]) -> dict[str, Any]:
+    one = options_of(cls).get(name)
+    if one is None:
+        return _argument(name, kinds, None, {})
+    made = _argument(name, kinds, one.default, {name: one.described})
+    if words := [word for kind in kinds_of(cls)[name] for word in words_of(kind)]:
+        made = {"enum": words} | {key: value for key, value in made.items() if key != "type"}
+    return {**made, **limits_schema(one), **one.schema}
 
 
 # -- contexts ----------------------------------------------------------------------------------------------------------

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final
 
-from aiorts.composites import ErrorPolicy
 from aiorts.model.declared import kinds_of, options_of
 from aiorts.model.lifecycle import HOOKS
-from aiorts.model.wanted.entries import ComponentEntry
+from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry
 from aiorts.supervision import ACTIONS, StartRule, Supervision
-from aiorts.system.file.parse import ORDERS
 from aiorts.system.schemas.option_schema import plain_schema
 from aiorts.system.schemas.template_schema import PART
 
@@ -19,6 +18,13 @@ _GIVEN: Final = Supervision()
 _CONDITION: Final = {"type": "string", "pattern": r"^\s*[A-Za-z0-9_-]+(\s+(added|inactive|active|error))?\s*$"}
 _KEYS: Final = options_of(ComponentEntry)
 _TEXTS: Final = {"type": "array", "items": {"type": "string"}}
+_OF_COMPOSITE: Final = {
+    key: {"anyOf": kinds, "description": options_of(CompositeEntry)[key].doc}
+    for key, kinds in (
+        ("exported", [_TEXTS, {"type": "string"}, {"type": "object", "additionalProperties": {"type": "string"}}]),
+        ("groups", [{"type": "string"}, {"type": "array", "items": _TEXTS}]),
+    )
+}
 
 
 def sets_schema(params: dict[str, Any], name: str) -> dict[str, Any]:
@@ -43,7 +49,13 @@ def keys_schema() -> dict[str, Any]:
         "start": {"$ref": "#/$defs/start"},
         "limits": _limits_schema(_KEYS["limits"].doc),
     }
-    return {key: tables.get(key) or plain_schema(kinds_of(ComponentEntry)[key][0], one) for key, one in _KEYS.items()}
+    return _keys(ComponentEntry, tables)
+
+
+def _keys(cls: type, tables: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """The declared keys of a class: those that are tables as given, the others by their types."""
+    kinds, keys = kinds_of(cls), options_of(cls).items()
+    return {key: tables.get(key) or plain_schema(kinds[key][0], one) for key, one in keys}
 
 
 def _limits_schema(text: str) -> dict[str, Any]:
@@ -125,30 +137,7 @@ def composite_schema() -> dict[str, Any]:
                 "uniqueItems": True,
                 "description": "Components, composites, KERNEL/COMPONENT elsewhere, in the order in which they run.",
             },
-            "exported": {
-                "anyOf": [_TEXTS, {"type": "string"}, {"type": "object", "additionalProperties": {"type": "string"}}],
-                "description": 'Ports it shows: ["arm.force"], or names by pattern: {"*.out" = "{component}_out"}.',
-            },
-            "order": {
-                "enum": list(ORDERS),
-                "default": "stated",
-                "description": "dataflow: writers run before their readers.",
-            },
-            "groups": {
-                "anyOf": [{"type": "string"}, {"type": "array", "items": _TEXTS}],
-                "description": '"a,b|c,d": what | parts runs side by side in each cycle.',
-            },
-            "errors": {
-                "enum": [policy.value for policy in ErrorPolicy],
-                "default": "stop",
-                "description": "A member in error. stop: the composite is in error, all stop; report: others go on; "
-                "isolate: the others go on, and the composite is in error once none is active.",
-            },
-            "own_schedule": {
-                "type": "boolean",
-                "default": False,
-                "description": "Inside another composite: run in a context of its own.",
-            },
+            **_keys(CompositeEntry, _OF_COMPOSITE),
             **PART,
         },
     )

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from aiorts import KernelService, setting
-from aiorts.errors import ConfigurationError
 from aiorts_battery.watch import BatteryWatch
 
 if TYPE_CHECKING:
@@ -23,14 +22,8 @@ _LOG = logging.getLogger(__name__)
 class Limits:
     """How much of the battery is left alone."""
 
-    reserve: float = setting(0.1, "Charge, 0 to 1, below which the run ends.", option=True, minimum=0, maximum=1)
-    interval: float = setting(1.0, "Seconds between two looks.", exclusiveMinimum=0)
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.reserve <= 1.0:
-            raise ConfigurationError(f"reserve: expected a charge from 0 to 1, got {self.reserve!r}")
-        if not 0.0 < self.interval < float("inf"):
-            raise ConfigurationError(f"interval: expected seconds above 0, got {self.interval!r}")
+    reserve: float = setting(0.1, "Charge, 0 to 1, below which the run ends.", option=True, low=0, high=1)
+    interval: float = setting(1.0, "Time between two looks.", unit="s", above=0)
 
 
 class BatteryGuard(KernelService):

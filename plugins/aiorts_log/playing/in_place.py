@@ -12,7 +12,6 @@ import asyncio
 import copy
 import inspect
 import logging
-import math
 import time
 import types
 import warnings
@@ -69,21 +68,17 @@ class ReplaySettings:
     )
     start: str = setting("", "From +SECONDS after its first sample, or seconds since 1970.", option=True)
     end: str = setting("", "Up to there, without it.", option=True)
-    speed: float = setting(1.0, "So many times as fast; inf is as fast as the readers take it.", option=True)
-    rate: float | None = setting(None, "Samples in a second, whatever their times are.", option=True)
-    loop: int = setting(1, "How often; 0 is without end.", option=True, minimum=0)
-    max_gap: float = setting(3600.0, "Seconds of a gap that are waited for.", option=True, exclusiveMinimum=0)
+    speed: float = setting(
+        1.0, "So many times as fast; inf is as fast as the readers take it.", option=True, above=0, endless=True
+    )
+    rate: float | None = setting(None, "Samples in a second, whatever their times are.", option=True, above=0)
+    loop: int = setting(1, "How often; 0 is without end.", option=True, low=0)
+    max_gap: float = setting(3600.0, "The longest gap that is waited for.", option=True, unit="s", above=0)
     absolute: bool = setting(False, "Time stamps as recorded, in place of the time now.", option=True)
 
     def __post_init__(self) -> None:
         if self.file is None and any(getattr(self, one.name) != one.default for one in fields(self)):
             raise ConfigurationError("file: nothing says what to replay; give file = 'run.mcap', or --replay")
-        if self.loop < 0:
-            raise ConfigurationError(f"loop: expected 1 or more, or 0 without end, got {self.loop}")
-        for key in ("speed", "rate", "max_gap"):
-            value = getattr(self, key)
-            if value is not None and (not value > 0 or (key != "speed" and math.isinf(value))):
-                raise ConfigurationError(f"{key}: expected a number above 0, got {value!r}")
 
 
 class InPlace(KernelService):

@@ -7,7 +7,7 @@ from dataclasses import fields
 from typing import Any, Final
 
 from aiorts import Supervision
-from aiorts.system import ComponentEntry, CompositeEntry, ContextEntry
+from aiorts.system import ComponentEntry, CompositeEntry, ContextEntry, said_keys
 from aiorts_openrtm.mapping.context_kinds import kind_of
 from aiorts_openrtm.mapping.extras import MARK, extra_text
 from aiorts_openrtm.mapping.types import word_of
@@ -132,10 +132,9 @@ def _composite(element: Element, new: CompositeEntry) -> Element:
     members = [made("Participants", made("Participant", componentId="", instanceName=one)) for one in new.members]
     element = element.edited(lambda child: None if child.local == "Participants" else child)
     element = element.edited(added=[(before("Participants"), one) for one in members])
-    listed = new.options.get("exported", ())
-    exported = ",".join(listed) if isinstance(listed, tuple) else ""
+    exported = ",".join(new.exported) if {*new.exported.values()} <= {"{port}"} else ""
     element = _with_set(element, _DEFAULT, {}, {"members": ",".join(new.members), "exported_ports": exported})
-    others = {key: value for key, value in new.options.items() if key != "exported" or not exported}
+    others = {key: value for key, value in said_keys(new).items() if key != "exported" or not exported}
     return with_property(element, f"{MARK}options", others or None)
 
 

@@ -215,11 +215,9 @@ class _Importer:
         for key in default.values:
             if key not in _OF_COMPOSITES:
                 self._notes.append(Note(one.where, f"{name}: the parameter {key!r:.60} of a composite stays there"))
-        options: dict[str, Any] = {"exported": tuple(exported)} if exported else {}
+        options: dict[str, Any] = {"exported": dict.fromkeys(exported, "{port}")} if exported else {}
         options.update(frozen(extra(one.properties, "options", dict, one.where, self._notes) or {}))
-        return CompositeEntry(
-            name, tuple(members), MappingProxyType(options), isinstance(options.get("exported"), dict)
-        )
+        return CompositeEntry(name, tuple(members), **options)
 
     # -- contexts --------------------------------------------------------------------------------------------------
 
