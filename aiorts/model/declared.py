@@ -14,6 +14,7 @@ from functools import lru_cache
 from types import MappingProxyType, NoneType, UnionType
 from typing import Any, Final, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from aiorts.errors import ConfigurationError
 from aiorts.model.values import truth_of, whole_of
 from aiorts.spelling import meant, suggestion
 
@@ -141,24 +142,51 @@ def read_yes(name: str, value: object) -> bool:
 
 
 def fault_of(cls: type, name: str, value: Any) -> str:
-    """What is wrong with a value that has the type of its option; "" where nothing is."""
+    """What is wrong with the value of an option; "" where nothing is. It looks at numbers and words alone."""
     one = options_of(cls).get(name)
-    if one is None or value is None:
+    if one is None or value is None or not (what := expected_of(cls, name, value)):
         return ""
-    if isinstance(value, str):
-        words = [str(word) for kind in kinds_of(cls)[name] for word in words_of(kind)]
-        return f"unknown {name} {value[:80]!r}; {suggestion(value, words)}" if words and value not in words else ""
-    if not isinstance(value, int | float) or (one.low, one.high, one.above) == (None, None, None):
+    if isinstance(value, str) and (words := _words_among(cls, name)):
+        return f"unknown {name} {value[:80]!r}; {suggestion(value, words)}"
+    return f"{what}, got {value!r:.80}"
+
+
+def expected_of(cls: type, name: str, value: Any) -> str:
+    """What was expected in place of a number or a word; "" where the value fits, and of another type."""
+    one, kinds = options_of(cls)[name], kinds_of(cls)[name]
+    if value is None and may_be_none(cls, name):
         return ""
-    if one.above is not None:
-        fits, range_ = one.above < value and (one.endless or value < math.inf), f"above {one.above:g}"
+    if words := _words_among(cls, name):
+        return "" if isinstance(value, str) and value in words else f"expected one of {', '.join(words)}"
+    if not {int, float}.intersection(kinds):
+        return ""
+    is_number = isinstance(value, int if float not in kinds else int | float) and not isinstance(value, bool)
+    low, high = (-math.inf if one.low is None else one.low), (math.inf if one.high is None else one.high)
+    if one.above is None:
+        fits, range_ = is_number and low <= value <= high, f" from {low}" + ("" if one.high is None else f" to {high}")
     else:
-        low, high = (-math.inf if one.low is None else one.low), (math.inf if one.high is None else one.high)
-        fits = low <= value <= high
-        range_ = f"from {low:g}" if one.high is None else f"from {low:g} to {high:g}"
-    number = _NUMBERS.get(one.unit) or ("a whole number" if int in kinds_of(cls)[name] else "a number")
-    such = "" if one.default is None else f", such as {one.default!r}"
-    return "" if fits else f"expected {number} {range_}{such}, got {value!r:.80}"
+        fits, range_ = is_number and one.above < value, f" above {one.above:g}"
+    fits = fits and (one.endless or value < math.inf)
+    number = _NUMBERS.get(one.unit) or ("a number" if float in kinds else "a whole number")
+    such = f", such as {one.default!r}" if one.default else ""
+    return "" if fits else f"expected {number}{range_ if one.low is not None or one.above is not None else ''}{such}"
+
+
+def check_declared(made: Any) -> None:
+    """Refuse numbers and words that are out of range.
+
+    Raises:
+        ConfigurationError: names the first such field.
+    """
+    cls: type = type(made)
+    for name in options_of(cls):
+        value = getattr(made, name)
+        if what := expected_of(cls, name, value):
+            raise ConfigurationError(f"{name} = {value!r:.80}: {what}")
+
+
+def _words_among(cls: type, name: str) -> list[str]:
+    return [str(word) for kind in kinds_of(cls)[name] for word in words_of(kind)]
 
 
 def folded(value: Any) -> Any:

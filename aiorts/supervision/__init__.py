@@ -10,7 +10,7 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.model.wanted.restart_policy import ACTIONS, Supervision
+    from aiorts.model.wanted.restart_policy import Supervision
     from aiorts.model.wanted.start_rules import ADDED, StartRule, in_order
     from aiorts.supervision.readiness import wait_ready
     from aiorts.supervision.saved_state import standing_of
@@ -23,7 +23,7 @@ _late(
     {
         "aiorts.supervision.readiness": "wait_ready",
         "aiorts.supervision.saved_state": "standing_of",
-        "aiorts.model.wanted.restart_policy": "ACTIONS Supervision",
+        "aiorts.model.wanted.restart_policy": "Supervision",
         "aiorts.model.wanted.start_rules": "ADDED StartRule in_order",
         "aiorts.supervision.start_sequence": "Patience",
         "aiorts.supervision.supervising": "Supervising",

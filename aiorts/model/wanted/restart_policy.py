@@ -10,15 +10,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import field
 from types import MappingProxyType
-from typing import Final
+from typing import Final, Literal
 
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
+from aiorts.model.declared import check_declared, option
 from aiorts.model.lifecycle import HOOKS
 
-ACTIONS: Final = ("never", "reset", "restart")
 _MOST: Final = 1_000_000
 _FACTOR: Final = 2.0
 _AGES: Final = 1e9
@@ -31,38 +30,29 @@ _OUTSIDE: Final = frozenset({"on_initialize", "on_finalize"})
 class Supervision:
     """The options of `Kernel.supervise`; the keys of a system file's table have the same names.
 
-    Args:
-        restart: what is done about an error: "never"; "reset" (`on_reset`, then active again); "restart" (a new
-            instance of the same name in its place).
-        backoff: seconds before the first recovery. It doubles with each failure, up to `backoff_max` seconds.
-        budget: number of recoveries within `window` seconds.
-        deadline: seconds that each of its hooks may take, see `Context`; None leaves that to the context. In a thread
-            nothing can be cancelled: a hook over it is reported while it runs, and is an error when it returns.
-        deadlines: seconds for single hooks, by name; they come before `deadline`.
+    A deadline of its own comes before that of the context. In a thread nothing can be cancelled: a hook over its
+    deadline is reported while it runs, and is an error when it returns.
 
     Raises:
         ConfigurationError: a value is out of range; it is named.
     """
 
-    restart: str = "never"
-    backoff: float = 0.1
-    backoff_max: float = 30.0
-    budget: int = 5
-    window: float = 30.0
-    deadline: float | None = None
-    deadlines: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    restart: Literal["never", "reset", "restart"] = option(
+        "never", "What is done about an error: never; reset (on_reset, active again); restart (a new instance)."
+    )
+    backoff: float = option(0.1, "The delay of the first recovery.", unit="s", above=0)
+    backoff_max: float = option(30.0, "The delay up to which it doubles with each failure.", unit="s", above=0)
+    budget: int = option(5, "Recoveries within the window at the most.", low=0, high=1_000_000)
+    window: float = option(30.0, "The time over which recoveries are counted.", unit="s", above=0)
+    deadline: float | None = option(None, "The longest that each of its hooks may take.", unit="s", above=0)
+    deadlines: Mapping[str, float] = option(
+        MappingProxyType({}), "The same for single hooks, by name; it comes before deadline."
+    )
 
     def __post_init__(self) -> None:
-        if self.restart not in ACTIONS:
-            raise ConfigurationError(f"restart = {self.restart!r}: expected one of {', '.join(ACTIONS)}")
-        for name in ("backoff", "backoff_max", "window"):
-            _check_seconds(name, getattr(self, name))
+        check_declared(self)
         if self.backoff_max < self.backoff:
             raise ConfigurationError(f"backoff_max = {self.backoff_max!r}: is less than backoff = {self.backoff!r}")
-        if not isinstance(self.budget, int) or isinstance(self.budget, bool) or not 0 <= self.budget <= _MOST:
-            raise ConfigurationError(f"budget = {self.budget!r}: expected a whole number from 0 to {_MOST}")
-        if self.deadline is not None:
-            _check_seconds("deadline", self.deadline)
         for hook, seconds in self.deadlines.items():
             if hook not in HOOKS or hook in _OUTSIDE:
                 known = ", ".join(one for one in HOOKS if one not in _OUTSIDE)

@@ -7,12 +7,12 @@ the reverse.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
+from aiorts.model.declared import check_declared, option
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import check_name
 from aiorts.model.values import shown
@@ -51,11 +51,8 @@ class Condition:
 class StartRule:
     """When a component is activated by `Kernel.start_in_order`.
 
-    Args:
+    Attributes:
         component: its name.
-        after: conditions that come first: "camera active", or several.
-        wait: seconds between the last of them and the activation.
-        timeout: seconds that all the conditions together may take.
 
     Raises:
         ConfigurationError: a value is wrong; it is named.
@@ -63,16 +60,18 @@ class StartRule:
     """
 
     component: str
-    after: str | Sequence[str] = ()
-    wait: float = 0.0
-    timeout: float = 10.0
+    after: str | Sequence[str] = option(
+        (), 'Conditions that come first, such as "camera active": another lifecycle state, or "added".'
+    )
+    wait: float = option(0.0, "The time from the last condition to the activation.", unit="s", low=0)
+    timeout: float = option(10.0, "The time that all conditions together may take.", unit="s", low=0)
 
     def __post_init__(self) -> None:
         check_name(self.component, "component")
-        for name in ("wait", "timeout"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
-                raise ConfigurationError(f"{self.component}: {name} = {value!r}: expected seconds from 0 on")
+        try:
+            check_declared(self)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{self.component}: {error}") from None
         if not isinstance(self.after, str | Sequence):
             raise ConfigurationError(f"{self.component}: after = {self.after!r}: expected a condition or several")
         given = (self.after,) if isinstance(self.after, str) else tuple(self.after)

@@ -8,16 +8,19 @@ from typing import Any, Final
 from aiorts.model.declared import kinds_of, options_of
 from aiorts.model.lifecycle import HOOKS
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry
-from aiorts.supervision import ACTIONS, StartRule, Supervision
+from aiorts.supervision import StartRule, Supervision
 from aiorts.system.schemas.option_schema import plain_schema
 from aiorts.system.schemas.template_schema import PART
 
 _SECONDS: Final = {"type": "number", "exclusiveMinimum": 0}
-_FROM_ZERO: Final = {"type": "number", "minimum": 0}
-_GIVEN: Final = Supervision()
 _CONDITION: Final = {"type": "string", "pattern": r"^\s*[A-Za-z0-9_-]+(\s+(added|inactive|active|error))?\s*$"}
 _KEYS: Final = options_of(ComponentEntry)
 _TEXTS: Final = {"type": "array", "items": {"type": "string"}}
+_LIMITS: Final = {
+    "memory": {"type": "integer", "minimum": 1, "description": "Bytes above what it has after its imports."},
+    "cpu": {"type": "number", "exclusiveMinimum": 0, "description": "Share of one processor."},
+    "processes": {"type": "integer", "minimum": 1, "description": "Processes and threads, itself included."},
+}
 _OF_COMPOSITE: Final = {
     key: {"anyOf": kinds, "description": options_of(CompositeEntry)[key].doc}
     for key, kinds in (
@@ -47,7 +50,7 @@ def keys_schema() -> dict[str, Any]:
     tables = {
         "supervision": {"$ref": "#/$defs/supervision"},
         "start": {"$ref": "#/$defs/start"},
-        "limits": _limits_schema(_KEYS["limits"].doc),
+        "limits": _table(_KEYS["limits"].doc, _LIMITS),
     }
     return _keys(ComponentEntry, tables)
 
@@ -58,73 +61,19 @@ def _keys(cls: type, tables: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     return {key: tables.get(key) or plain_schema(kinds[key][0], one) for key, one in keys}
 
 
-def _limits_schema(text: str) -> dict[str, Any]:
-    return _table(
-        text,
-        {
-            "memory": {"type": "integer", "minimum": 1, "description": "Bytes above what it has after its imports."},
-            "cpu": {"type": "number", "exclusiveMinimum": 0, "description": "Share of one processor."},
-            "processes": {"type": "integer", "minimum": 1, "description": "Processes and threads, itself included."},
-        },
-    )
-
-
 def supervision_schema() -> dict[str, Any]:
     """`[components.X.supervision]`."""
-    text = "What is done about an error: never; reset (on_reset, active again); restart (a new instance)."
-    return _table(
-        _KEYS["supervision"].doc,
-        {
-            "restart": {"enum": list(ACTIONS), "default": _GIVEN.restart, "description": text},
-            "backoff": {**_SECONDS, "default": _GIVEN.backoff, "description": "Seconds before the first recovery."},
-            "backoff_max": {
-                **_SECONDS,
-                "default": _GIVEN.backoff_max,
-                "description": "Seconds up to which the delay doubles with each failure.",
-            },
-            "budget": {
-                "type": "integer",
-                "minimum": 0,
-                "maximum": 1_000_000,
-                "default": _GIVEN.budget,
-                "description": "Recoveries within the window at the most.",
-            },
-            "window": {
-                **_SECONDS,
-                "default": _GIVEN.window,
-                "description": "Seconds over which recoveries are counted.",
-            },
-            "deadline": {**_SECONDS, "description": "Seconds that each of its hooks may take."},
-            "deadlines": _table(
-                "Seconds for single hooks.",
-                {hook: _SECONDS for hook in HOOKS if hook not in ("on_initialize", "on_finalize")},
-            ),
-        },
-    ) | {"anyOf": [{"required": [word]} for word in ("restart", "deadline", "deadlines")]}
+    hooks = {hook: _SECONDS for hook in HOOKS if hook not in ("on_initialize", "on_finalize")}
+    deadlines = _table(options_of(Supervision)["deadlines"].described, hooks)
+    keys = _table(_KEYS["supervision"].doc, _keys(Supervision, {"deadlines": deadlines}))
+    return keys | {"anyOf": [{"required": [word]} for word in ("restart", "deadline", "deadlines")]}
 
 
 def start_schema() -> dict[str, Any]:
     """`[components.X.start]`."""
-    rule = StartRule("x")
-    return _table(
-        _KEYS["start"].doc,
-        {
-            "after": {
-                "anyOf": [_CONDITION, {"type": "array", "items": _CONDITION}],
-                "description": 'Conditions such as "camera active": another lifecycle state, or "added".',
-            },
-            "wait": {
-                **_FROM_ZERO,
-                "default": rule.wait,
-                "description": "Seconds from the last condition to the activation.",
-            },
-            "timeout": {
-                **_FROM_ZERO,
-                "default": rule.timeout,
-                "description": "Seconds that all conditions together may take.",
-            },
-        },
-    )
+    after = {"anyOf": [_CONDITION, {"type": "array", "items": _CONDITION}]}
+    described = {**after, "description": options_of(StartRule)["after"].described}
+    return _table(_KEYS["start"].doc, _keys(StartRule, {"after": described}))
 
 
 def composite_schema() -> dict[str, Any]:
