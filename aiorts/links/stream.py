@@ -14,6 +14,7 @@ import asyncio
 import contextlib
 import errno
 import os
+import select
 import socket
 import struct
 from collections import deque
@@ -121,6 +122,14 @@ class Stream:
         self._descriptor = -1
         """The one that has come; -1: none."""
         self.closed = False
+        self._hung_up: select.poll | None = None
+        """Says whether the other end has hung up, on a loop that calls a reader once at a socket with an error.
+
+        What comes then may be data; uvloop does not call again for what is behind them. One call of it takes 0.4 us.
+        """
+        if not isinstance(loop, asyncio.SelectorEventLoop):
+            self._hung_up = select.poll()
+            self._hung_up.register(sock.fileno(), 0)
         sock.setblocking(False)
         loop.add_reader(sock.fileno(), self._readable)
 
@@ -317,6 +326,8 @@ class Stream:
         """How many bytes were received, where there may be more."""
         if self.closed:
             return 0
+        if self._hung_up is not None and not self._reset and self._hung_up.poll(0):
+            self._reset = True
         return self._receive() if self._reset else count * (count == asked)
 
     def expect_descriptor(self) -> None:

@@ -225,12 +225,17 @@ class Launcher:
         self._outgoing.clear()
 
     def _read(self) -> None:
+        while self._read_once():
+            pass  # to the last byte: uvloop calls a reader once at a socket with an error, whatever is to be read
+
+    def _read_once(self) -> bool:
+        """Take what has come; False: there is no more."""
         data = b""
         try:
             if self._control is not None:
                 data = self._control.recv(_AT_ONCE)
         except BlockingIOError:
-            return
+            return False
         except OSError:  # as if it had closed it
             pass
         *lines, self._incoming = (self._incoming + data).split(b"\n")
@@ -238,6 +243,7 @@ class Launcher:
             self._take(json.loads(line))
         if not data:
             self._lose()
+        return bool(data)
 
     def _take(self, report: dict[str, Any]) -> None:
         number = report.pop("number")

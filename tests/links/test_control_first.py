@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import socket
+import struct
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
@@ -201,3 +202,13 @@ def test_of_the_frames_of_a_link_samples_and_what_speaks_of_them_are_in_order() 
         "none": Turn.LAST,
         "bye": Turn.LAST,
     }
+
+
+async def test_an_end_that_is_gone_with_something_unread_is_noticed_behind_what_it_said_last() -> None:
+    """uvloop calls a reader once at such a socket: what comes then is data, and nothing calls again for the end."""
+    async with one_that_takes_nothing() as (end, far):
+        assert end.stream.send(SAMPLE, 1, b"unread")
+        far.send(struct.pack("<IBBHI", 4, SAMPLE, 0, 0, 7) + b"last")
+        far.close()
+        await end.until(lambda: end.why)
+        assert (end.why, end.numbers(SAMPLE)) == ("it has ended", [7])
