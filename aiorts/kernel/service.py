@@ -38,7 +38,7 @@ def setting(default: T, doc: str, *, option: bool | str = False, **declared: Any
             in the place of the field's, "" makes it `--SERVICE` itself, the service's main setting, and "--word" is
             the whole option.
         declared: the range and the unit of a number: `low=0`, `high=10`, `above=0`, `unit="s"`; `endless=True` where
-            infinity is a value, too. `schema`: what JSON Schema says of what is in a table or a list.
+            infinity is a value, too. `schema`: the JSON Schema of the contents of a table or a list.
     """
     from aiorts.model.declared import option as declare
 

@@ -20,7 +20,7 @@ from aiorts.spelling import meant, suggestion
 
 T = TypeVar("T")
 _NUMBERS: Final[Mapping[str, str]] = MappingProxyType({"s": "seconds", "MB": "MB"})
-"""What numbers of a unit are called."""
+"""The words for numbers of a unit."""
 
 
 class OptionError(ValueError):
@@ -40,7 +40,7 @@ class Option(NamedTuple):
     high: float | None = None
     """The largest number."""
     above: float | None = None
-    """What a number is larger than; infinity is none then, unless the option is endless."""
+    """The bound that a number is above; infinity is refused then, unless the option is endless."""
     words: Mapping[str, str] = MappingProxyType({})
     """OpenRTM's word for a value -> ours, where they differ."""
     end: str = "both"
@@ -54,9 +54,9 @@ class Option(NamedTuple):
     takes: Callable[[Any], Any] | None = None
     """A function that reads a value which is no text, number or word; None: its type says how."""
     schema: Mapping[str, Any] = MappingProxyType({})
-    """What JSON Schema says of what is in a table or a list."""
+    """The JSON Schema of the contents of a table or a list."""
     flag: bool | str = False
-    """Of a service's setting, whether it is an option of `aiorts run`, and under which word (`aiorts.setting`)."""
+    """Whether a service's setting is an option of `aiorts run`, and under which word (`aiorts.setting`)."""
 
     @property
     def described(self) -> str:
@@ -142,7 +142,7 @@ def read_yes(name: str, value: object) -> bool:
 
 
 def fault_of(cls: type, name: str, value: Any) -> str:
-    """What is wrong with the value of an option; "" where nothing is. It looks at numbers and words alone."""
+    """The fault of an option's value, in words; "" where there is none. Only numbers and words are looked at."""
     one = options_of(cls).get(name)
     if one is None or value is None or not (what := expected_of(cls, name, value)):
         return ""
@@ -152,7 +152,7 @@ def fault_of(cls: type, name: str, value: Any) -> str:
 
 
 def expected_of(cls: type, name: str, value: Any) -> str:
-    """What was expected in place of a number or a word; "" where the value fits, and of another type."""
+    """The expectation that a number or a word misses, in words; "" where the value fits, or is of another type."""
     one, kinds = options_of(cls)[name], kinds_of(cls)[name]
     if value is None and may_be_none(cls, name):
         return ""

@@ -41,7 +41,7 @@ class ErrorPolicy(StrEnum):
     REPORT = "report"
     """The composite is in error, and the other members go on."""
     ISOLATE = "isolate"
-    """The other members go on, and the composite is in error only when no member is active."""
+    """Other members go on, and the composite is in error only when no member is active."""
 
 
 class Stamp(StrEnum):

@@ -45,7 +45,7 @@ def _range(kind: type, one: Option) -> dict[str, Any]:
 
 
 def limits_schema(one: Option) -> dict[str, Any]:
-    """What JSON Schema says of the range of a number."""
+    """The JSON Schema of the range of a number."""
     ends = {"minimum": one.low, "exclusiveMinimum": one.above, "maximum": None if one.endless else one.high}
     return {word: end for word, end in ends.items() if end is not None}
 

@@ -166,7 +166,7 @@ class Ends:
         return await self._sent_back(count, FRAME)
 
     async def bare_working(self, count: int) -> Reading:
-        """The same, and each end works 40 us: an idle processor is as awake as beside a link."""
+        """Send 24 bytes there and back between ends that work 40 us each: processors are as awake as beside a link."""
         return await self._sent_back(count, WORKING, work)
 
     async def _sent_back(self, count: int, message: bytes, taken: Callable[[], object] | None = None) -> Reading:
