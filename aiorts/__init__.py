@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         Microkernel,
         OutPort,
         Param,
+        check_settings,
         setting,
         wait_any,
     )
@@ -123,6 +124,7 @@ __all__ = (
     "profile_schema",
     "profile_to_plain",
     "run",
+    "check_settings",
     "setting",
     "wait_any",
 )
@@ -135,7 +137,8 @@ _late(
         "aiorts.contexts": "EventContext ExternalContext PeriodicContext ThreadContext",
         "aiorts.errors": "AiortsError",
         "aiorts.kernel": (
-            "Bus Component Connection Connector Context InPort KernelService Microkernel OutPort Param setting wait_any"
+            "Bus Component Connection Connector Context InPort KernelService Microkernel OutPort Param check_settings "
+            "setting wait_any"
         ),
         "aiorts.kernel.extensions.catalogue": "Catalogue Extension",
         "aiorts.kernel.extensions.type_modules": "import_types",

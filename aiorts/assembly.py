@@ -539,9 +539,8 @@ class Kernel(Microkernel):
         """
         self.check_open("monitor the loop")
         from aiorts.diagnostics import LoopLimit, LoopMonitor
-        from aiorts.kernel.service import settings_from
 
-        return self.service(LoopMonitor).monitor(settings_from(LoopLimit, {"limit": limit, "policy": policy}))
+        return self.service(LoopMonitor).monitor(LoopLimit(limit, policy))  # type: ignore[arg-type] # it refuses others
 
     @property
     def loop_stalls(self) -> LoopStalls:

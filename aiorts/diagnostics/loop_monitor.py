@@ -28,7 +28,7 @@ from aiorts.kernel.loop import timers
 from aiorts.kernel.loop.bus import ContextStarted, Event
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import owner_of
-from aiorts.kernel.service import KernelService, setting
+from aiorts.kernel.service import KernelService, check_settings, setting
 from aiorts.late import dataclass
 from aiorts.model.blame import Blame
 
@@ -78,6 +78,9 @@ class LoopLimit:
 
     limit: float = setting(5.0, "Time until policy comes into force.", unit="s", above=0)
     policy: Literal["warn", "exit"] = setting("warn", "warn: say so; exit: end the process at once with status 70.")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 class LoopMonitor(KernelService):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.parameters import Param
     from aiorts.kernel.ports import InPort, OutPort, wait_any
     from aiorts.kernel.ports.connector import Connector
-    from aiorts.kernel.service import KernelService, setting
+    from aiorts.kernel.service import KernelService, check_settings, setting
 
 __all__ = (
     "Bus",
@@ -35,6 +35,7 @@ __all__ = (
     "OutPort",
     "Param",
     "Wait",
+    "check_settings",
     "setting",
     "wait_any",
 )
@@ -49,7 +50,7 @@ _late(
         "aiorts.kernel.execution.context": "Context",
         "aiorts.kernel.execution.cycle": "Wait",
         "aiorts.kernel.ports": "InPort OutPort wait_any",
-        "aiorts.kernel.service": "KernelService setting",
+        "aiorts.kernel.service": "KernelService check_settings setting",
         "aiorts.kernel.microkernel": "Microkernel",
         "aiorts.kernel.parameters": "Param",
     },

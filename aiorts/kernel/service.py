@@ -45,6 +45,17 @@ def setting(default: T, doc: str, *, option: bool | str = False, **declared: Any
     return declare(default, doc, flag=option, **declared)
 
 
+def check_settings(settings: object) -> None:
+    """Refuse numbers and words that their fields do not take, for `__post_init__`: a program may make settings, too.
+
+    Raises:
+        ConfigurationError: names the first such field.
+    """
+    from aiorts.model.declared import check_declared
+
+    check_declared(settings)
+
+
 @dataclass(frozen=True, slots=True)
 class _NoSettings:
     """Nothing can be set."""
@@ -225,23 +236,15 @@ def plan_service(catalogue: Catalogue, name: str, given: Mapping[str, Any]) -> S
         PluginError: no plugin offers it, or it cannot be loaded.
         ConfigurationError: names each setting that is wrong.
     """
-    kind = load_service(catalogue.find("services", name))
-    try:
-        return ServicePlan(kind, settings_from(kind.settings, given))
-    except ConfigurationError as error:
-        raise ConfigurationError(f"service {name!r}: {error}") from None
-
-
-def settings_from(cls: type[T], given: Mapping[str, Any]) -> T:
-    """The settings of a service. ConfigurationError names each value that is wrong."""
     from aiorts.kernel.extensions.arguments import (  # late: only who names a service needs it
         settings_faults,
         settings_of,
     )
 
-    if faults := [f"{key}: {what}" if key else what for key, what, _ in settings_faults(cls, given)]:
-        raise ConfigurationError("; ".join(faults))
-    return settings_of(cls, given)
+    kind = load_service(catalogue.find("services", name))
+    if faults := [f"{key}: {what}" if key else what for key, what, _ in settings_faults(kind.settings, given)]:
+        raise ConfigurationError(f"service {name!r}: {'; '.join(faults)}")
+    return ServicePlan(kind, settings_of(kind.settings, given))
 
 
 Hook = Literal[

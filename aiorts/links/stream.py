@@ -270,11 +270,13 @@ class Stream:
     # -- receiving -------------------------------------------------------------------------------------------------
 
     def _readable(self) -> None:
-        if not (count := self._receive()):
+        if self.closed or not (count := self._receive()):
             return
         until, left = self._loop.time() + _ONE_TURN_SECONDS, _ONE_TURN - count
         while left > 0 and (count := self._receive()) and self._loop.time() < until:
             left -= count
+        if self._reset and not self.closed:
+            self._loop.call_soon(self._readable)  # to the end: the loop may not call again
 
     def _receive(self) -> int:
         """Receive once; how many bytes, where there may be more; 0: there is no more, or the connection is over."""
@@ -328,7 +330,7 @@ class Stream:
             return 0
         if self._hung_up is not None and not self._reset and self._hung_up.poll(0):
             self._reset = True
-        return self._receive() if self._reset else count * (count == asked)
+        return count if self._reset else count * (count == asked)
 
     def expect_descriptor(self) -> None:
         """Receive one descriptor, which comes with any message from now on.

@@ -40,7 +40,7 @@ class Option(NamedTuple):
     high: float | None = None
     """The largest number."""
     above: float | None = None
-    """The bound that a number is above; infinity is refused then, unless the option is endless."""
+    """The bound that a number is above. Where there is a bound, infinity is refused unless the option is endless."""
     words: Mapping[str, str] = MappingProxyType({})
     """OpenRTM's word for a value -> ours, where they differ."""
     end: str = "both"
@@ -67,7 +67,7 @@ class Option(NamedTuple):
 def option(default: T, doc: str, **declared: Any) -> T:
     """A field that users set; `declared` are further fields of `Option`."""
     metadata = {"option": Option(default, doc, **declared)}
-    if default.__class__.__hash__ is None:  # one that could be changed, for all that a dataclass knows
+    if isinstance(default, MappingProxyType):  # it can not be changed, which a dataclass does not know
         return field(default_factory=lambda: default, metadata=metadata)
     return field(default=default, metadata=metadata)
 
@@ -75,15 +75,21 @@ def option(default: T, doc: str, **declared: Any) -> T:
 @lru_cache
 def options_of(cls: type) -> Mapping[str, Option]:
     """The declared options of a class, in the order of its fields; the class is not written for it (see `late`)."""
-    given: Mapping[str, Any] = cls.__dict__.get("__declared__") or cls.__dict__["__dataclass_fields__"]
-    fields = ((name, one.metadata) for name, one in given.items() if isinstance(one, Field))
-    return MappingProxyType({name: metadata["option"] for name, metadata in fields if "option" in metadata})
+    given: dict[str, Any] = {}
+    for base in reversed(cls.__mro__):
+        space = vars(base)
+        given |= space["__declared__"] if "__declared__" in space else space.get("__dataclass_fields__", {})
+    found = ((name, one.metadata.get("option")) for name, one in given.items() if isinstance(one, Field))
+    return MappingProxyType({name: one for name, one in found if isinstance(one, Option)})
 
 
 @lru_cache
 def _alternatives_of(cls: type) -> Mapping[str, tuple[Any, ...]]:
-    """The alternatives in the annotation of each declared option, None among them."""
-    hints = get_type_hints(cls)
+    """The alternatives in the annotation of each declared option, None among them; none where a name is not known."""
+    try:
+        hints = get_type_hints(cls)
+    except (NameError, TypeError):
+        return {}
     is_union = {name: get_origin(hints[name]) in (Union, UnionType) for name in options_of(cls)}
     return {name: get_args(hints[name]) if several else (hints[name],) for name, several in is_union.items()}
 
@@ -97,7 +103,7 @@ def kinds_of(cls: type) -> Mapping[str, tuple[Any, ...]]:
 
 def may_be_none(cls: type, name: str) -> bool:
     """Whether None is among the values of an option."""
-    return NoneType in _alternatives_of(cls)[name]
+    return NoneType in _alternatives_of(cls).get(name, (NoneType,))
 
 
 def words_of(kind: Any) -> tuple[str, ...]:
@@ -146,30 +152,42 @@ def fault_of(cls: type, name: str, value: Any) -> str:
     one = options_of(cls).get(name)
     if one is None or value is None or not (what := expected_of(cls, name, value)):
         return ""
-    if isinstance(value, str) and (words := _words_among(cls, name)):
+    if isinstance(value, str) and (words := words_among(cls, name)):
         return f"unknown {name} {value[:80]!r}; {suggestion(value, words)}"
     return f"{what}, got {value!r:.80}"
 
 
 def expected_of(cls: type, name: str, value: Any) -> str:
-    """The expectation that a number or a word misses, in words; "" where the value fits, or is of another type."""
-    one, kinds = options_of(cls)[name], kinds_of(cls)[name]
-    if value is None and may_be_none(cls, name):
+    """The expectation that a number or a word misses, in words; "" where the value fits, or the option has other types.
+
+    An option of words takes nothing else, one of numbers nothing else: those with alternatives are for their class to
+    refuse.
+    """
+    one, kinds = options_of(cls)[name], kinds_of(cls).get(name, ())
+    if not kinds or (value is None and may_be_none(cls, name)):
         return ""
-    if words := _words_among(cls, name):
+    if words := words_among(cls, name):
         return "" if isinstance(value, str) and value in words else f"expected one of {', '.join(words)}"
-    if not {int, float}.intersection(kinds):
+    if not {*kinds} <= {int, float}:
         return ""
     is_number = isinstance(value, int if float not in kinds else int | float) and not isinstance(value, bool)
-    low, high = (-math.inf if one.low is None else one.low), (math.inf if one.high is None else one.high)
-    if one.above is None:
-        fits, range_ = is_number and low <= value <= high, f" from {low}" + ("" if one.high is None else f" to {high}")
-    else:
-        fits, range_ = is_number and one.above < value, f" above {one.above:g}"
-    fits = fits and (one.endless or value < math.inf)
+    ends = ("from", one.low), ("above", one.above), ("to", one.high)
+    bounds = [f"{word} {_shown(end)}" for word, end in ends if end is not None]
+    fits = is_number and (not bounds or _is_within(one, value))
     number = _NUMBERS.get(one.unit) or ("a number" if float in kinds else "a whole number")
     such = f", such as {one.default!r}" if one.default else ""
-    return "" if fits else f"expected {number}{range_ if one.low is not None or one.above is not None else ''}{such}"
+    return "" if fits else " ".join(("expected", number, *bounds)) + such
+
+
+def _is_within(one: Option, value: float) -> bool:
+    if value == math.inf:
+        return one.endless
+    low, high = (-math.inf if one.low is None else one.low), (math.inf if one.high is None else one.high)
+    return low <= value <= high and (one.above is None or one.above < value)
+
+
+def _shown(end: float) -> str:
+    return f"{end:g}" if isinstance(end, float) else str(end)
 
 
 def check_declared(made: Any) -> None:
@@ -185,8 +203,12 @@ def check_declared(made: Any) -> None:
             raise ConfigurationError(f"{name} = {value!r:.80}: {what}")
 
 
-def _words_among(cls: type, name: str) -> list[str]:
-    return [str(word) for kind in kinds_of(cls)[name] for word in words_of(kind)]
+def words_among(cls: type, name: str) -> list[str]:
+    """The words of an option that takes words alone; none of another."""
+    kinds = kinds_of(cls).get(name, ())
+    words = [word for kind in kinds for word in words_of(kind)]
+    are_all = all(map(words_of, kinds)) and all(isinstance(word, str) for word in words)
+    return [str(word) for word in words] if are_all else []
 
 
 def folded(value: Any) -> Any:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         ContextEntry,
         Wanted,
         said_keys,
+        with_option,
     )
     from aiorts.model.wanted.system_text import system_text
     from aiorts.system.blueprint import Blueprint, build, prepare
@@ -78,6 +79,7 @@ __all__ = (
     "wait_finished",
     "wanted",
     "said_keys",
+    "with_option",
 )
 
 _late(
@@ -85,7 +87,7 @@ _late(
     {
         "aiorts.kernel.component": "construct",
         "aiorts.model.wanted.entries": (
-            "ClockEntry ComponentEntry CompositeEntry ConnectionEntry ContextEntry Wanted said_keys"
+            "ClockEntry ComponentEntry CompositeEntry ConnectionEntry ContextEntry Wanted said_keys with_option"
         ),
         "aiorts.model.wanted.system_text": "system_text",
         "aiorts.system.blueprint": "Blueprint build prepare",

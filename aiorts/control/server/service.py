@@ -16,7 +16,7 @@ from aiorts.control.server.listener import Listener
 from aiorts.control.session import LOG
 from aiorts.errors import ConfigurationError, ControlError
 from aiorts.kernel.execution.file_access import FileAccess
-from aiorts.kernel.service import KernelService, setting
+from aiorts.kernel.service import KernelService, check_settings, setting
 from aiorts.late import dataclass
 from aiorts.model.names import check_name
 from aiorts.sessions import Claim, TakenError, is_supported
@@ -47,6 +47,7 @@ class ControlSettings:
     )
 
     def __post_init__(self) -> None:
+        check_settings(self)
         if self.files is not None and not self.files.is_dir():
             raise ConfigurationError(f"files: {str(self.files)!r:.80}: there is no such folder")
         if self.name:

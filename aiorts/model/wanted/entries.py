@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import field, fields
+from collections.abc import Callable, Mapping
+from dataclasses import field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
+from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
-from aiorts.model.declared import option, options_of
+from aiorts.model.declared import expected_of, option, options_of
 from aiorts.model.policy import ErrorPolicy
 from aiorts.model.wanted.restart_policy import Supervision
 from aiorts.model.wanted.start_rules import StartRule
+from aiorts.spelling import suggestion
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
@@ -99,6 +101,31 @@ class CompositeEntry:
     def exported_key(self, number: int) -> str | int:
         """The key in the file of an exported pattern."""
         return tuple(self.exported)[number] if self.named else number
+
+
+def with_option(entry: CompositeEntry, key: str, value: Any) -> CompositeEntry:
+    """The composite with an option as plain data has it. ConfigurationError: there is no such one, or no such value."""
+    known = options_of(CompositeEntry)
+    if key not in known:
+        raise ConfigurationError(f"{key:.60}: no option of a composite; {suggestion(key, known)}")
+    if what := expected_of(CompositeEntry, key, value):
+        raise ConfigurationError(f"{key} = {value!r:.60}: {what}")
+    fits: Mapping[str, Callable[[Any], bool]] = {
+        "own_schedule": lambda given: isinstance(given, bool),
+        "groups": lambda given: all(isinstance(one, list | tuple) and all(map(_is_text, one)) for one in given),
+        "exported": lambda given: isinstance(given, Mapping) and all(map(_is_text, (*given, *given.values()))),
+    }
+    try:
+        if key in fits and not fits[key](value):
+            raise TypeError
+    except TypeError:
+        raise ConfigurationError(f"{key} = {value!r:.60}: expected what a system file has there") from None
+    changed: dict[str, Any] = {key: ErrorPolicy(value) if key == "errors" else value}
+    return replace(entry, **changed)
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ from aiorts.kernel.extensions.arguments import arguments_of, needs_rate
 from aiorts.kernel.extensions.catalogue import Catalogue, Extension
 from aiorts.kernel.service import load_service
 from aiorts.model.configuration.parameters import Constraint, ParameterSpec
-from aiorts.model.declared import kinds_of, options_of, words_of
+from aiorts.model.declared import options_of, words_among
 from aiorts.system.file.parse import SCHEMA
 from aiorts.system.schemas.connection_schema import connection_schema
 from aiorts.system.schemas.option_schema import limits_schema
@@ -282,11 +282,11 @@ def _services(catalogue: Catalogue) -> dict[str, Any]:
 
 
 def _setting(cls: type, name: str, kinds: tuple[type, ...]) -> dict[str, Any]:
-    one = options_of(cls).get(name)
-    if one is None:
-        return _argument(name, kinds, None, {})
+    one, field = options_of(cls).get(name), cls.__dataclass_fields__[name]  # type: ignore[attr-defined]
+    if one is None:  # a plain field, of somebody's own dataclass
+        return _argument(name, kinds, field.default, {name: field.metadata["doc"]} if "doc" in field.metadata else {})
     made = _argument(name, kinds, one.default, {name: one.described})
-    if words := [word for kind in kinds_of(cls)[name] for word in words_of(kind)]:
+    if words := words_among(cls, name):
         made = {"enum": words} | {key: value for key, value in made.items() if key != "type"}
     return {**made, **limits_schema(one), **one.schema}
 

@@ -22,7 +22,7 @@ from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts import Component, InPort, KernelService, OutPort, Provided, StateMachineComponent, setting
+from aiorts import Component, InPort, KernelService, OutPort, Provided, StateMachineComponent, check_settings, setting
 from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.exits import FAILED
 from aiorts.spelling import nearest
@@ -77,6 +77,7 @@ class ReplaySettings:
     absolute: bool = setting(False, "Time stamps as recorded, in place of the time now.", option=True)
 
     def __post_init__(self) -> None:
+        check_settings(self)
         if self.file is None and any(getattr(self, one.name) != one.default for one in fields(self)):
             raise ConfigurationError("file: nothing says what to replay; give file = 'run.mcap', or --replay")
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from time import sleep
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from aiorts import KernelService, OutPort, SimulatedClock, setting
+from aiorts import KernelService, OutPort, SimulatedClock, check_settings, setting
 from aiorts.errors import ConfigurationError
 from aiorts.events import ContextStarted, PortAdded, PortRemoved
 from aiorts.spelling import suggestion
@@ -78,6 +78,7 @@ class RecordSettings:
     )
 
     def __post_init__(self) -> None:
+        check_settings(self)
         if self.file is None:
             if self._says_more():
                 raise ConfigurationError("file: nothing says where to record; give file = 'run.mcap', or --record")

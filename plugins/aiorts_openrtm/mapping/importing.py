@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from aiorts import StartRule, Supervision
-from aiorts.errors import AiortsError
-from aiorts.system import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
+from aiorts.errors import AiortsError, ConfigurationError
+from aiorts.system import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted, with_option
 from aiorts_openrtm.errors import OpenRTMError
 from aiorts_openrtm.mapping.connections import options_of
 from aiorts_openrtm.mapping.context_kinds import kind_of
@@ -215,9 +215,14 @@ class _Importer:
         for key in default.values:
             if key not in _OF_COMPOSITES:
                 self._notes.append(Note(one.where, f"{name}: the parameter {key!r:.60} of a composite stays there"))
-        options: dict[str, Any] = {"exported": dict.fromkeys(exported, "{port}")} if exported else {}
-        options.update(frozen(extra(one.properties, "options", dict, one.where, self._notes) or {}))
-        return CompositeEntry(name, tuple(members), **options)
+        entry = CompositeEntry(name, tuple(members), exported=dict.fromkeys(exported, "{port}"))
+        given = frozen(extra(one.properties, "options", dict, one.where, self._notes) or {})
+        for key, value in given.items():
+            try:
+                entry = with_option(entry, key, value)
+            except ConfigurationError as error:
+                self._notes.append(Note(one.where, f"{name}: aiorts.options: {error}"))
+        return entry
 
     # -- contexts --------------------------------------------------------------------------------------------------
 

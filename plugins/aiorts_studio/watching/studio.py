@@ -172,6 +172,7 @@ class Studio:
         """Say how what is watched has ended."""
         for view in self.scene.views.values():
             if view.say("ended", why):
+                self.said(view)
                 self.changed()
 
     async def close(self) -> None:
@@ -355,6 +356,7 @@ class Studio:
             is_watched = watch is not None and watch.session.is_open
             is_known = view.about["state"] == "ended" or view.address in there or is_watched
             if not is_known and view.say("ended", ENDED):
+                self.said(view)
                 self.changed()
 
     def _forget(self) -> None:

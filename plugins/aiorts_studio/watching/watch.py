@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Coroutine, Iterable, Mapping
-from contextlib import suppress
 from typing import Any, Final, Protocol
 
 from aiorts.errors import AiortsError, NoAnswerError
@@ -185,11 +184,14 @@ class Watch:
             counted = {name: one["overruns"] for name, one in self.figures.now["contexts"].items()}
             late = [name for name, count in counted.items() if count > overruns.get(name, 0)]
             overruns = counted
-            touched, self._touched = [name for name in self._touched if name in self.view.components][:_LINKS], {}
+            there = [name for name in self._touched if name in self.view.components]
+            touched, self._touched = there[:_LINKS], dict.fromkeys(there[_LINKS:])
             if links or late or touched:
                 asked = {"connectors": links[:_LINKS], "contexts": late, "components": touched}
-                with suppress(AiortsError):  # no answer, or one of them has just gone: the next look is another
+                try:
                     self._take_part(await self.session.call("part", **asked), touched)
+                except AiortsError:  # no answer, or one of them has just gone: the next look is another
+                    self._touched |= dict.fromkeys(touched)
             await asyncio.sleep(_PAUSE)
 
     def _take_part(self, part: Mapping[str, Any], touched: Iterable[str]) -> None:

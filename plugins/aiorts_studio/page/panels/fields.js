@@ -6,7 +6,7 @@ const ELEMENTS = 16;
 const MOST = 200, DEEPEST = 6;
 
 /** @typedef {{type?: string | string[], properties?: Record<string, Schema>, prefixItems?: Schema[], items?: Schema | false, $ref?: string,
- *   $defs?: Record<string, Schema>, anyOf?: Schema[], minItems?: number, maxItems?: number, "x-array"?: unknown}} Schema */
+ *   $defs?: Record<string, Schema>, anyOf?: Schema[], minItems?: number, maxItems?: number, "x-array"?: {dimensions?: number}}} Schema */
 
 /** @param {string} text the JSON schema of frames @returns {string[]} paths inside the data; "" is the data itself */
 export function fieldsOf(text) {
@@ -21,7 +21,7 @@ export function fieldsOf(text) {
     if (depth > DEEPEST || found.length > MOST) return;
     const inside = (/** @type {string | number} */ name) => (path ? `${path}.${name}` : String(name));
     const types = [schema.type ?? []].flat();
-    if (schema["x-array"]) for (let index = 0; index < ELEMENTS; index++) found.push(inside(index));
+    if (schema["x-array"]?.dimensions === 1) for (let index = 0; index < ELEMENTS; index++) found.push(inside(index));
     if (types.some((one) => one === "number" || one === "integer" || one === "boolean")) found.push(path);
     for (const [name, one] of Object.entries(schema.properties ?? {})) if (name !== "tm") walk(resolved(one, whole), inside(name), depth + 1);
     if (schema.prefixItems) schema.prefixItems.forEach((one, index) => walk(resolved(one, whole), inside(index), depth + 1));
