@@ -179,7 +179,7 @@ def expected_of(cls: type, name: str, value: Any) -> str:
     return "" if fits else " ".join(("expected", number, *bounds)) + such
 
 
-def _is_within(one: Option, value: float) -> bool:
+def _is_within(one: Option, value: Any) -> bool:
     if value == math.inf:
         return one.endless
     low, high = (-math.inf if one.low is None else one.low), (math.inf if one.high is None else one.high)
