@@ -173,6 +173,8 @@ def expected_of(cls: type, name: str, value: Any) -> str:
     is_number = isinstance(value, int if float not in kinds else int | float) and not isinstance(value, bool)
     ends = ("from", one.low), ("above", one.above), ("to", one.high)
     bounds = [f"{word} {_shown(end)}" for word, end in ends if end is not None]
+    if one.low is not None and one.high is None:
+        bounds.append("on")
     fits = is_number and (not bounds or _is_within(one, value))
     number = _NUMBERS.get(one.unit) or ("a number" if float in kinds else "a whole number")
     such = f", such as {one.default!r}" if one.default else ""

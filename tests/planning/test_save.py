@@ -123,8 +123,8 @@ exported = { "twice0.output" = "result", "*.v*" = "{component}_{port}" }
 [composites.outer]
 members = ["stop", "inner"]
 order = "dataflow"
-groups = [["stop"], ["inner"]]
 errors = "isolate"
+groups = [["stop"], ["inner"]]
 exported = ["stop.inp"]
 
 [[connections]]

@@ -7,10 +7,16 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from aiorts.control.operation import Operation
-from aiorts.control.operations.table import OPERATIONS
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.control.operation import Operation
+    from aiorts.control.operations.table import OPERATIONS
 
 __all__ = ("OPERATIONS", "operations_of")
+
+_late(globals(), {"aiorts.control.operations.table": "OPERATIONS"})
 
 
 def operations_of(*subjects: str) -> dict[str, Operation]:

@@ -74,7 +74,7 @@ def test_the_table_and_the_option_say_what_it_goes_by(tmp_path: Path) -> None:
     path.write_text("schema = 1\n[battery]\nreserv = 0.2\ninterval = 0\n")
     assert [(one.line, one.message) for one in check(path, plugins=[PLUGIN])] == [
         (3, "unknown key 'reserv'; did you mean 'reserve'?"),
-        (4, "expected seconds above 0, got 0"),
+        (4, "expected seconds above 0, such as 1.0, got 0"),
     ]
     command = [sys.executable, "-m", "aiorts", "--plugins", str(PLUGIN), "run", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
