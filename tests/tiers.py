@@ -34,7 +34,8 @@ ALWAYS = (
 )
 """What whoever changes anything is to see at once, with all cases and however long it takes."""
 ONE_CASE = (
-    *("tests/isolation/", "tests/studio/test_", "tests/endings/", "tests/execution/", "tests/realtime/"),
+    *("tests/isolation/", "tests/endings/", "tests/execution/", "tests/realtime/"),
+    *("tests/studio/test_page.py", "tests/studio/test_streams.py", "tests/studio/test_refused.py"),
     *("tests/network/test_stopped.py", "tests/network/test_claims.py", "tests/network/test_calls_at_once.py"),
     *("tests/network/test_refusals.py", "tests/network/test_cuts.py", "tests/network/test_slow_links.py"),
     *("tests/network/test_ends.py", "tests/links/test_held_up.py", "tests/scale/test_giving_up.py"),

@@ -17,7 +17,7 @@ LOOSE = {
     # What users decide the types of: values of parameters, options, arguments and results of services, samples.
     *("given.Calling.args", "given.Calling.kwargs", "given.Configuring.values", "given.Creation.params"),
     *("given.Sending.data", "given.Start.options", "given.Wiring.options", "Tapping.data"),
-    *("ComponentEntry.limits", "ComponentEntry.params", "ComponentEntry.sets", "CompositeEntry.options"),
+    *("ComponentEntry.limits", "ComponentEntry.params", "ComponentEntry.sets"),
     *("ConfigurationProfile.sets", "ConfigurationReport.sets", "ConnectionEntry.options", "ContextEntry.options"),
     *("Limits.choices", "ParameterReport.choices", "ParameterReport.value", "Reading.values"),
     *("configuration_profile.ParameterProfile.choices", "configuration_profile.ParameterProfile.value"),
