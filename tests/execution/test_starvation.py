@@ -162,7 +162,8 @@ async def test_an_embedded_kernel_leaves_the_collector_alone_and_reports_its_pau
         await asyncio.sleep(0.05)
         assert kernel.gc_pauses[2].max_ns >= 5 * MS
         assert context.statistics.missed["garbage collection of generation 2"] >= 1
-    assert (gc.get_freeze_count(), gc.get_threshold()) == (frozen, thresholds)
+    assert gc.get_threshold() == thresholds
+    assert gc.get_freeze_count() <= frozen  # what was frozen may have gone: methods that are written at a first use
     assert len(heap) == 1_000_000
 
 
