@@ -522,7 +522,7 @@ class Kernel(Microkernel):
 
     # -- what holds it up -------------------------------------------------------------------------------------------
 
-    def watch_loop(self, limit: float = 5.0, policy: str = "warn") -> bool:
+    def watch_loop(self, limit: float = 5.0, policy: Literal["warn", "exit"] = "warn") -> bool:
         """Watch the loop: what keeps it from turning for 0.2 s is logged in one line while it does, with its stack.
 
         Nothing is said while a debugger holds the process. Called again it changes limit and policy.
@@ -540,7 +540,7 @@ class Kernel(Microkernel):
         self.check_open("monitor the loop")
         from aiorts.diagnostics import LoopLimit, LoopMonitor
 
-        return self.service(LoopMonitor).monitor(LoopLimit(limit, policy))  # type: ignore[arg-type] # it refuses others
+        return self.service(LoopMonitor).monitor(LoopLimit(limit, policy))
 
     @property
     def loop_stalls(self) -> LoopStalls:

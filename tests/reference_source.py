@@ -171,13 +171,14 @@ def fields_of(cls: type) -> list[Entry]:
 
 
 def default_of(of: Source, value: ast.expr | None) -> tuple[str, str]:
-    """A default as it is written, and the description of `setting(default, text)`."""
+    """A default as it is written, and the description of `setting(default, text)`, with its unit."""
     if value is None:
         return "", ""
     if isinstance(value, ast.Call):
         name = of.of(value.func)
         if name in ("setting", "option"):
-            return _plain(of, value.args[0]), str(getattr(value.args[1], "value", ""))
+            unit = next((f" Unit: {of.of(one.value)[1:-1]}." for one in value.keywords if one.arg == "unit"), "")
+            return _plain(of, value.args[0]), str(getattr(value.args[1], "value", "")) + unit
         if name == "field" and any(one.arg == "default" for one in value.keywords):
             return _plain(of, next(one.value for one in value.keywords if one.arg == "default")), ""
         return "...", ""

@@ -46,7 +46,9 @@ def setting(default: T, doc: str, *, option: bool | str = False, **declared: Any
 
 
 def check_settings(settings: object) -> None:
-    """Refuse numbers and words that their fields do not take, for `__post_init__`: a program may make settings, too.
+    """Refuse settings with a number or a word that its field does not take; `__post_init__` may call it.
+
+    Those of files and command lines are checked in any case.
 
     Raises:
         ConfigurationError: names the first such field.

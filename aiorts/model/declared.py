@@ -241,14 +241,14 @@ def _word(name: str, kind: type[StrEnum], value: Any, one: Option) -> StrEnum | 
 
 
 def _number(name: str, kind: type[int] | type[float], value: Any, low: Any, high: Any) -> int | float:
-    spelled = f"{low} to {high}" if kind is int else f"{low:g} to {high:g}"
-    wrong = f"{name} = {value!r}: expected a {'whole ' if kind is int else ''}number from {spelled}"
+    number = "a whole number" if kind is int else "a number"
+    wrong = f"{name} = {value!r}: expected {number} from {_shown(low)} to {_shown(high)}"
     try:
         if isinstance(value, bool) or (kind is int and isinstance(value, float) and not value.is_integer()):
             raise OptionError(wrong)
-        number = whole_of(value) if kind is int and isinstance(value, str) else kind(value)
+        read = whole_of(value) if kind is int and isinstance(value, str) else kind(value)
     except (TypeError, ValueError, OverflowError):
         raise OptionError(wrong) from None
-    if not low <= number <= high:  # also refuses NaN
+    if not low <= read <= high:  # also refuses NaN
         raise OptionError(wrong)
-    return number
+    return read

@@ -11,6 +11,7 @@ import sys
 import textwrap
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import anyio
@@ -152,18 +153,23 @@ def _run_with(tmp_path: Path, objects: int, seconds: str) -> tuple[dict[str, int
 @pytest.mark.slow
 @pytest.mark.fault("C07")
 async def test_an_embedded_kernel_leaves_the_collector_alone_and_reports_its_pauses() -> None:
+    async def run() -> tuple[int, Mapping[str, int]]:
+        """The longest collection of everything, and who was to blame for cycles that were late."""
+        async with Kernel() as kernel:
+            late = await kernel.add(Late("late", 2 * MS))
+            context = await kernel.start(PeriodicContext(500.0), late, activate=True)
+            await asyncio.sleep(0.05)
+            gc.collect()
+            await asyncio.sleep(0.05)
+            return kernel.gc_pauses[2].max_ns, context.statistics.missed
+
+    await run()  # writes the methods of dataclasses that are first used here, in the place of frozen ones
     frozen, thresholds = gc.get_freeze_count(), gc.get_threshold()
     heap = [[number] for number in range(1_000_000)]
-    async with Kernel() as kernel:
-        late = await kernel.add(Late("late", 2 * MS))
-        context = await kernel.start(PeriodicContext(500.0), late, activate=True)
-        await asyncio.sleep(0.05)
-        gc.collect()
-        await asyncio.sleep(0.05)
-        assert kernel.gc_pauses[2].max_ns >= 5 * MS
-        assert context.statistics.missed["garbage collection of generation 2"] >= 1
-    assert gc.get_threshold() == thresholds
-    assert gc.get_freeze_count() <= frozen  # what was frozen may have gone: methods that are written at a first use
+    longest_ns, missed = await run()
+    assert longest_ns >= 5 * MS
+    assert missed["garbage collection of generation 2"] >= 1
+    assert (gc.get_freeze_count(), gc.get_threshold()) == (frozen, thresholds)
     assert len(heap) == 1_000_000
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from aiorts.errors import AiortsError
 from aiorts.model.declared import kinds_of, options_of, read_option
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.values import convert_value
+from aiorts.system.expansion.faults import Typed
 from aiorts.system.expansion.variables import typed
 from aiorts.system.schemas.option_schema import option_schema
 
@@ -23,16 +25,13 @@ TRUTH = {
 WHOLE = {"7": 7, "007": 7, "+12": 12, "0x10": 16, "0b11": 3, "0o17": 15, "1_000": 1000, " 8 ": 8} | dict.fromkeys(
     ("1.5", "x", "", "1__0", "0x")
 )
-
-
-class Refused(Exception):
-    """A variable is none of its kind."""
+REFUSED = partial(Typed, "--var")
 
 
 def read(way: Callable[[], Any]) -> Any:
     try:
         return way()
-    except (AiortsError, ValueError, TypeError, Refused):
+    except (AiortsError, ValueError, TypeError):
         return None
 
 
@@ -45,7 +44,7 @@ def is_allowed(name: str, text: str) -> bool:
 def test_a_truth_value(text: str, value: bool | None) -> None:
     assert read(lambda: read_option(ConnectorProfile, "keep_last", text)) is value
     assert read(lambda: convert_value(text, bool)) is value
-    assert read(lambda: typed(text, lambda what: Refused(what))(True)) is value  # type: ignore[arg-type,return-value]
+    assert read(lambda: typed(text, REFUSED)(True)) is value
     assert is_allowed("keep_last", text) is (value is not None)
 
 
@@ -54,5 +53,5 @@ def test_a_whole_number(text: str, value: int | None) -> None:
     assert read(lambda: read_option(ConnectorProfile, "length", text)) == value
     assert read(lambda: convert_value(text, int)) == value
     if text != "1.5":  # a default 1 is no promise that a variable stays whole
-        assert read(lambda: typed(text, lambda what: Refused(what))(1)) == value  # type: ignore[arg-type,return-value]
+        assert read(lambda: typed(text, REFUSED)(1)) == value
     assert is_allowed("length", text) is (value is not None)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from aiorts import Kernel
 from aiorts.cli.app import run_command
 from aiorts.errors import MissingExtra
-from aiorts.system import build, load, wanted
+from aiorts.system import build, load, said_keys, wanted
 from aiorts.testing import simulate
 from aiorts_openrtm import Conf, OpenRTMError, read_system
 from openrtm_parts import REAL
@@ -349,7 +349,7 @@ def test_a_composite_that_a_manager_makes(tmp_path: Path) -> None:
     lab(tmp_path, conf, both=f"{both}exec_cxt.periodic.rate: 10\n")
     wanted, notes = read_system(tmp_path / "rtc.conf", folder=tmp_path)
     assert wanted.composites["Both"].members == ("Talker0", "Listener0")
-    assert tuple(wanted.composites["Both"].exported) == ("Talker0.out",)
+    assert said_keys(wanted.composites["Both"]) == {"exported": {"Talker0.out": "{port}"}}
     assert {name: (one.members, dict(one.options)) for name, one in wanted.contexts.items()} == {
         "Both_ec0": (("Both",), {"rate": 10.0})
     }

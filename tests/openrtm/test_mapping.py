@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -10,7 +11,7 @@ from typing import Any
 import pytest
 
 from aiorts.cli.app import run_command
-from aiorts.system import Wanted, parse, system_text
+from aiorts.system import Wanted, parse, said_keys, system_text
 from aiorts_openrtm import RtcProfile, RtsProfile, read_system
 from openrtm_parts import REAL, canonical, component, configuration, connector, context, preceding, profile, prop, step
 
@@ -141,13 +142,29 @@ def test_a_composite_and_its_exported_ports(tmp_path: Path) -> None:
     )
     assert list(wanted.components) == ["A0", "B0", "C0"]
     assert wanted.composites["Both0"].members == ("A0", "B0")
-    assert tuple(wanted.composites["Both0"].exported) == ("A0.out", "B0.into")
+    assert said_keys(wanted.composites["Both0"]) == {"exported": {"A0.out": "{port}", "B0.into": "{port}"}}
     assert wanted.connections[0].ports == ("A0.out", "C0.into")
     assert {name: one.members for name, one in wanted.contexts.items()} == {"Both0_ec0": ("Both0",), "C0_ec0": ("C0",)}
     assert notes == []
 
 
 # -- order -------------------------------------------------------------------------------------------------------------
+
+
+def test_options_of_a_composite_that_cannot_be_are_said_and_left_out(tmp_path: Path) -> None:
+    given = {"order": "dataflow", "own_schedule": True, "errors": "nope", "groups": "A0", "exported": ["x"], "ordr": 1}
+    told = prop("aiorts.options", json.dumps(given))
+    sets = configuration("default", members="A0")
+    composite = component("Both0", sets + context() + told, compositeType="PeriodicECShared")
+    wanted, notes = read(tmp_path, component("A0", context()), composite)
+    assert said_keys(wanted.composites["Both0"]) == {"order": "dataflow", "own_schedule": True}
+    said = [note.partition("aiorts.options: ")[2] for note in notes if "aiorts.options: " in note]
+    assert said == [
+        "errors = 'nope': expected one of stop, report, isolate",
+        'groups = \'A0\': expected lists of members, such as [["a", "b"], ["c"]]',
+        'exported = (\'x\',): expected names by pattern, such as {"a.out": "{port}"}',
+        "ordr: no option of a composite; did you mean 'order'?",
+    ]
 
 
 def rules(wanted: Wanted) -> dict[str, tuple[Any, ...]]:

@@ -12,6 +12,8 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from queue import Queue
 
@@ -69,11 +71,21 @@ members = ["sink"]
 """
 
 
-def test_a_link_is_one_edge_of_two_kernels(tmp_path: Path) -> None:
-    (tmp_path / "parts.py").write_text(PARTS)
-    (tmp_path / "alpha.toml").write_text(SOURCE)
-    (tmp_path / "beta.toml").write_text(SINK)
+@contextmanager
+def linked(folder: Path, *watched: str) -> Iterator[Site]:
+    """A server beside two kernels, of which `alpha` writes to `beta`."""
+    (folder / "parts.py").write_text(PARTS)
+    for name, system in (("beta", SINK), ("alpha", SOURCE)):
+        (folder / f"{name}.toml").write_text(system)
+    with (
+        running("beta", str(folder / "beta.toml")),
+        running("alpha", str(folder / "alpha.toml")),
+        serving(*watched) as (_, client),
+    ):
+        yield client
 
+
+def test_a_link_is_one_edge_of_two_kernels(tmp_path: Path) -> None:
     async def look() -> None:
         await client.enter()
         async with paging(client) as page:
@@ -90,19 +102,11 @@ def test_a_link_is_one_edge_of_two_kernels(tmp_path: Path) -> None:
             assert edge["link"]
             await page.until(lambda: (page.figures.get(edge["id"]) or [None])[0])
 
-    with (
-        running("beta", str(tmp_path / "beta.toml")),
-        running("alpha", str(tmp_path / "alpha.toml")),
-        serving() as (_, client),
-    ):
+    with linked(tmp_path) as client:
         asyncio.run(look())
 
 
 def test_the_far_end_of_a_link_to_a_kernel_that_is_not_watched_stands_apart(tmp_path: Path) -> None:
-    (tmp_path / "parts.py").write_text(PARTS)
-    (tmp_path / "alpha.toml").write_text(SOURCE)
-    (tmp_path / "beta.toml").write_text(SINK)
-
     async def look() -> None:
         await client.enter()
         async with paging(client) as page:
@@ -111,11 +115,7 @@ def test_the_far_end_of_a_link_to_a_kernel_that_is_not_watched_stands_apart(tmp_
             assert (frame["name"], frame["said"]) == ("elsewhere", "other kernels")
             assert page.frames[source["frame"]]["name"] == "loop"
 
-    with (
-        running("beta", str(tmp_path / "beta.toml")),
-        running("alpha", str(tmp_path / "alpha.toml")),
-        serving("alpha") as (_, client),
-    ):
+    with linked(tmp_path, "alpha") as client:
         asyncio.run(look())
 
 

@@ -272,7 +272,7 @@ def _follow(session: Session, given: Following, stream: Stream) -> tuple[str, ..
 
 _HOLD: Final = 0.000_1
 """Seconds of a turn of a look at counters: in one turn a look at ten contexts takes 1.1 ms, five times a second, which
-was the p99 of lateness of contexts at 100 Hz; in these it is 0.3 ms."""
+was the p99 of lateness of contexts at 100 Hz; with turns of this length that is 0.3 ms."""
 
 
 class _Following:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -110,22 +110,30 @@ def with_option(entry: CompositeEntry, key: str, value: Any) -> CompositeEntry:
         raise ConfigurationError(f"{key:.60}: no option of a composite; {suggestion(key, known)}")
     if what := expected_of(CompositeEntry, key, value):
         raise ConfigurationError(f"{key} = {value!r:.60}: {what}")
-    fits: Mapping[str, Callable[[Any], bool]] = {
-        "own_schedule": lambda given: isinstance(given, bool),
-        "groups": lambda given: all(isinstance(one, list | tuple) and all(map(_is_text, one)) for one in given),
-        "exported": lambda given: isinstance(given, Mapping) and all(map(_is_text, (*given, *given.values()))),
-    }
-    try:
-        if key in fits and not fits[key](value):
-            raise TypeError
-    except TypeError:
-        raise ConfigurationError(f"{key} = {value!r:.60}: expected what a system file has there") from None
+    if key in _PLAIN and not _PLAIN[key][0](value):
+        raise ConfigurationError(f"{key} = {value!r:.60}: expected {_PLAIN[key][1]}")
     changed: dict[str, Any] = {key: ErrorPolicy(value) if key == "errors" else value}
     return replace(entry, **changed)
 
 
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
+def _are_texts(values: object) -> bool:
+    return isinstance(values, Collection) and all(isinstance(one, str) for one in values)
+
+
+_PLAIN: Final[Mapping[str, tuple[Callable[[Any], bool], str]]] = MappingProxyType(
+    {
+        "own_schedule": (lambda value: isinstance(value, bool), "true or false"),
+        "groups": (
+            lambda value: isinstance(value, list | tuple) and all(map(_are_texts, value)),
+            'lists of members, such as [["a", "b"], ["c"]]',
+        ),
+        "exported": (
+            lambda value: isinstance(value, Mapping) and _are_texts(value) and _are_texts(value.values()),
+            'names by pattern, such as {"a.out": "{port}"}',
+        ),
+    }
+)
+"""What plain data has for options that are neither numbers nor words: how that is told, and in words."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -223,7 +223,9 @@ class _Reader(Reading):
         one, kind = options_of(cls)[word], kinds_of(cls)[word][0]
         if words := [other for other in words_of(kind) if other]:
             found = self._of_words(key, table, word, words)
-            return one.default if found is None else kind(found) if isinstance(kind, type) else found
+            if found is None:
+                return one.default
+            return kind(found) if isinstance(kind, type) else found
         value = self._get(key, table, word, object if kind in (int, float) else kind, one.default)
         if word not in table or kind not in (int, float):
             return value

@@ -270,21 +270,22 @@ def _services(catalogue: Catalogue) -> dict[str, Any]:
         kinds = arguments_of(cls)
         whole = next((one for one in dataclasses.fields(cls) if one.name == name), None)
         if whole is not None and kinds[name] == (list,):  # [[NAME]]
-            found[name] = _setting(cls, name, kinds[name])
+            found[name] = _setting(cls, whole, kinds[name])
             continue
         found[name] = {
             "type": "object",
             "description": inspect.cleandoc(cls.__doc__ or name).partition("\n\n")[0],
             "additionalProperties": False,
-            "properties": {one.name: _setting(cls, one.name, kinds[one.name]) for one in dataclasses.fields(cls)},
+            "properties": {one.name: _setting(cls, one, kinds[one.name]) for one in dataclasses.fields(cls)},
         }
     return found
 
 
-def _setting(cls: type, name: str, kinds: tuple[type, ...]) -> dict[str, Any]:
-    one, field = options_of(cls).get(name), cls.__dataclass_fields__[name]  # type: ignore[attr-defined]
-    if one is None:  # a plain field, of somebody's own dataclass
-        return _argument(name, kinds, field.default, {name: field.metadata["doc"]} if "doc" in field.metadata else {})
+def _setting(cls: type, field: dataclasses.Field[Any], kinds: tuple[type, ...]) -> dict[str, Any]:
+    name, told = field.name, field.metadata
+    one = options_of(cls).get(name)
+    if one is None:  # a field without a declaration
+        return _argument(name, kinds, field.default, {name: told["doc"]} if "doc" in told else {})
     made = _argument(name, kinds, one.default, {name: one.described})
     if words := words_among(cls, name):
         made = {"enum": words} | {key: value for key, value in made.items() if key != "type"}

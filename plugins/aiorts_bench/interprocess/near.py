@@ -162,11 +162,10 @@ class Ends:
 
     async def bare(self, count: int) -> Reading:
         """Send 24 bytes there and back."""
-
         return await self._sent_back(count, FRAME)
 
     async def bare_working(self, count: int) -> Reading:
-        """Send 24 bytes there and back between ends that work 40 us each: processors are as awake as beside a link."""
+        """Send 24 bytes there and back between ends that work 40 us each: processors stay as awake as with a link."""
         return await self._sent_back(count, WORKING, work)
 
     async def _sent_back(self, count: int, message: bytes, taken: Callable[[], object] | None = None) -> Reading:

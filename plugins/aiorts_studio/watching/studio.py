@@ -172,7 +172,7 @@ class Studio:
         """Say how what is watched has ended."""
         for view in self.scene.views.values():
             if view.say("ended", why):
-                self.said(view)
+                self.state_changed(view)
                 self.changed()
 
     async def close(self) -> None:
@@ -356,7 +356,7 @@ class Studio:
             is_watched = watch is not None and watch.session.is_open
             is_known = view.about["state"] == "ended" or view.address in there or is_watched
             if not is_known and view.say("ended", ENDED):
-                self.said(view)
+                self.state_changed(view)
                 self.changed()
 
     def _forget(self) -> None:
@@ -420,7 +420,7 @@ class Studio:
         """Draw the scene again, soon."""
         self._dirty.set()
 
-    def said(self, view: View) -> None:
+    def state_changed(self, view: View) -> None:
         """Tell pages that a kernel does not answer, or does so again, also those that come within a minute."""
         if view.about["simulated"]:
             return  # its events have times of its own

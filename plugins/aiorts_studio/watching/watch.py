@@ -49,7 +49,7 @@ class Told(Protocol):
     def counted(self, watch: Watch) -> object:
         """Take that there are new figures."""
 
-    def said(self, view: View) -> object:
+    def state_changed(self, view: View) -> object:
         """Take that a kernel, which has answered before, does not any more, or does so again."""
 
     def happened(self, watch: Watch, item: Mapping[str, Any]) -> object:
@@ -211,6 +211,6 @@ class Watch:
         if self.view.say(state, why):
             self.figures.are_old = state != "live"
             if not is_new:
-                self._told.said(self.view)
+                self._told.state_changed(self.view)
             self._told.changed()
             self._told.counted(self)

@@ -63,7 +63,7 @@ on("hello", () => { asked.value = new Set(); });
 
 /** The age of samples when they are read: known where it is measured. @param {{edge: Edge, row: EdgeFigures | undefined, measured: boolean}} props */
 function Age({ edge, row, measured }) {
-  const known = typeof row?.age === "number" && row.age < LONGEST_MS, [why, can] = typeof row?.age === "number" && !known ? ["its time stamps are of another time, as in a recording", false] : unaged(edge, measured || asked.value.has(edge.id));
+  const known = typeof row?.age === "number" && row.age < LONGEST_MS, [why, can] = unaged(edge, row, measured || asked.value.has(edge.id));
   const measure = () => {
     if (!say({ t: "measure", edges: [edge.id], on: true })) return;
     asked.value = new Set([...asked.value, edge.id]);
@@ -73,8 +73,9 @@ function Age({ edge, row, measured }) {
     ${!known && can && html` <button onClick=${measure}>Measure</button>`}${!known && html`<small>${why}</small>`}</td></tr>`;
 }
 
-/** Why the age of what passes is not known, and whether it can be measured. @param {Edge} edge @param {boolean} measured @returns {[string, boolean]} */
-function unaged(edge, measured) {
+/** Why the age of what passes is not known, and whether it can be measured. @param {Edge} edge @param {EdgeFigures | undefined} row @param {boolean} measured @returns {[string, boolean]} */
+function unaged(edge, row, measured) {
+  if (typeof row?.age === "number") return ["its time stamps are of another time, as in a recording", false];
   if (edge.link) return ["samples are read in another kernel: what is measured here ends at the link", false];
   if (edge.policy === "service") return ["calls have no age", false];
   return measured ? ["no sample has been read yet", false] : ["not measured", true];
