@@ -116,6 +116,7 @@ __all__ = (
     "SystemProfile",
     "ThreadContext",
     "WouldBlock",
+    "check_settings",
     "component",
     "declaration_of",
     "idempotent",
@@ -124,7 +125,6 @@ __all__ = (
     "profile_schema",
     "profile_to_plain",
     "run",
-    "check_settings",
     "setting",
     "wait_any",
 )

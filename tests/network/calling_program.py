@@ -2,7 +2,8 @@
 
 `python calling_program.py HOST:PORT CERTIFICATES NAME COUNT OPERATION`; it says how many were answered, how many were
 refused as too many, and how many in another way. With "session" it begins as many sessions, each with a hello, and says
-how many messages have come back. It ends when its standard input does.
+how many messages have come back. It ends when its standard input does, and all have come back: beside other programs two
+thousand take longer than a round. It waits for the last of them for `LAST` seconds.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from aiorts_zenoh.security.tls import secured_by
 
 ADDRESS, CERTIFICATES, NAME, COUNT, OPERATION = sys.argv[1:]
 SECONDS = 30.0
+LAST = 4.0  # less than a round waits for the end of its attacker
 
 config = zenoh.Config()
 secured = secured_by(Path(CERTIFICATES), NAME, (VIEWER,))
@@ -38,19 +40,25 @@ for key, value in engine_settings(settings, secured).items():
     config.insert_json5(key, json.dumps(value))
 keys = ClientKeys("default", NAME)
 found: Counter[str] = Counter()
-ended = threading.Event()
-threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+all_came, ended = threading.Event(), threading.Event()
+threading.Thread(target=lambda: (sys.stdin.read(), all_came.wait(LAST), ended.set()), daemon=True).start()
+
+
+def count(what: str) -> None:
+    found[what] += 1
+    if found.total() >= int(COUNT):
+        all_came.set()
 
 
 def came(reply: zenoh.Reply) -> None:
     if reply.ok is None:
-        found["other"] += 1
+        count("other")
         return
     answer = msgpack.unpackb(reply.ok.payload.to_bytes())
     if "error" in answer and answer["error"]["code"] == BusyError.code:
-        found["refused"] += 1
+        count("refused")
     else:
-        found["other" if "error" in answer else "answered"] += 1
+        count("other" if "error" in answer else "answered")
 
 
 def victim(session: zenoh.Session) -> Peer:
@@ -73,7 +81,7 @@ def calls(session: zenoh.Session, peer: Peer) -> None:
 
 def sessions(session: zenoh.Session, peer: Peer) -> None:
     def heard(_: zenoh.Sample) -> None:
-        found["answered"] += 1
+        count("answered")
 
     hello = framed({"hello": {"oldest": OLDEST, "newest": NEWEST, "who": "it"}})
     subscribers = [session.declare_subscriber(keys.answers(INFO), heard)]

@@ -23,7 +23,7 @@ const REASONS = /** @type {Record<string, [string, string]>} */ ({
   disconnected: ["The link was cut while the sample was on its way.", "See the state of the link; on_link_lost says what becomes of samples then."],
 });
 const SLOW = new Set(["overwritten", "rejected"]);
-const CHANGED = "Options stand in the file of the system, at the connection; aiorts apply FILE changes them while it runs: give it the --set of the run, too, or that is undone.";
+const CHANGED = "Options stand in the file of the system, at the connection; aiorts apply FILE changes them while it runs: repeat there what the command line of the run had set, or that is undone.";
 
 /** @param {Edge} edge @param {string} reason @returns {Advice} */
 export function adviceOf(edge, reason) {

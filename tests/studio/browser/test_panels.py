@@ -214,6 +214,17 @@ def test_a_row_of_the_log_leads_to_its_component_and_its_place_is_copied(page: O
     page.page.get_by_role("combobox", name="Component").select_option("")
 
 
+def test_a_log_that_was_scrolled_may_be_closed_before_the_browser_tells_of_the_scroll(page: Opened) -> None:
+    page.show("Log")
+    rows = page.page.locator(".log .rows").element_handle()
+    page.page.locator("aside").click()
+    page.page.keyboard.press("l")
+    page.page.locator("body.low").wait_for()
+    assert rows.evaluate("rows => [rows.isConnected, rows.dispatchEvent(new Event('scroll'))]") == [False, True]
+    page.page.wait_for_timeout(50)
+    assert page.complaints == []
+
+
 def test_one_change_of_a_parameter_is_one_readable_event(page: Opened, site: Served) -> None:
     page.show("Events")
     page.page.get_by_role("button", name="Clear").click()

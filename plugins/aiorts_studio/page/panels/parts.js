@@ -128,8 +128,8 @@ export function Rows({ count, height, row, role, label, follow = false, focus = 
     if (top < node.scrollTop) node.scrollTop = top;
     else if (top + height > node.scrollTop + node.clientHeight) node.scrollTop = top + height - node.clientHeight;
   }, [at]);
-  const scrolled = () => {
-    const node = /** @type {HTMLElement} */ (host.current);
+  // a browser tells of a scroll a frame later: the list may have left the page, and host is null
+  const scrolled = (/** @type {{currentTarget: HTMLElement}} */ { currentTarget: node }) => {
     atEnd.current = node.scrollTop + node.clientHeight >= node.scrollHeight - height;
     from.value = Math.floor(node.scrollTop / height);
   };

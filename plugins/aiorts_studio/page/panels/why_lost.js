@@ -6,11 +6,12 @@ import { html } from "./parts.js";
 
 /** @import {Edge} from "../types.js" */
 
-/** @param {{edge: Edge, reasons: [string, number][]}} props */
+/** The reason that cost the most comes first. @param {{edge: Edge, reasons: [string, number][]}} props */
 export function WhyLost({ edge, reasons }) {
   if (!reasons.length) return null;
+  const most = reasons.toSorted(([, one], [, other]) => other - one);
   return html`<section class="failure" aria-label="Why samples are lost"><h3 class="over">Why samples are lost</h3>
-    ${reasons.map(([reason, times]) => html`<${Reason} key=${reason} edge=${edge} reason=${reason} times=${times} />`)}</section>`;
+    ${most.map(([reason, times]) => html`<${Reason} key=${reason} edge=${edge} reason=${reason} times=${times} />`)}</section>`;
 }
 
 /** @param {{edge: Edge, reason: string, times: number}} props */
