@@ -2,8 +2,8 @@
 
 `python calling_program.py HOST:PORT CERTIFICATES NAME COUNT OPERATION`; it says how many were answered, how many were
 refused as too many, and how many in another way. With "session" it begins as many sessions, each with a hello, and says
-how many messages have come back. It ends when its standard input does, and all have come back: beside other programs two
-thousand take longer than a round. It waits for the last of them for `LAST` seconds.
+how many messages have come back. It ends when its standard input does, and all have come back, or `LAST` seconds later:
+beside other programs two thousand take longer than a round.
 """
 
 from __future__ import annotations
