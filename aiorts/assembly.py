@@ -345,7 +345,7 @@ class Kernel(Microkernel):
             ClosedError: the kernel is not open.
         """
         self.check_open("samples")
-        return self._introspection.samples(port, length, keep_last=keep_last)
+        return self._introspection.samples(port, {"length": length, "keep_last": keep_last})
 
     def heartbeat(self, interval: float = 1.0) -> Callable[[], None]:
         """Send a ContextBeat of each context and a ComponentBeat of each component at this interval, in seconds of

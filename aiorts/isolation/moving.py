@@ -33,7 +33,7 @@ from aiorts.kernel.ports.port import host_of
 from aiorts.kernel.quality.succession import pass_on
 from aiorts.links import Links
 from aiorts.model.lifecycle import LifecycleState
-from aiorts.model.options import chosen_options, link_options, said_options
+from aiorts.model.options import AGAIN, chosen_options, link_options, said_options
 from aiorts.services import ServicePort
 from aiorts.supervision import standing_of
 
@@ -446,7 +446,7 @@ class _Move:
                 if reads
                 else (new.ports[connector.out.path.rpartition(".")[2]], connector.in_)
             )
-            given = {**chosen, "name": connector.name, "allow_duplicate": True}
+            given = {**chosen, **AGAIN, "name": connector.name}
             (made,) = kernel.connections.make(ports, given)
             self._made.append(made)
             if transport_of(connector).losses is not None:  # the length is given here: it seems to be chosen

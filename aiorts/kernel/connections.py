@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Unpack
 
 from aiorts.errors import StateError, WiringError
 from aiorts.kernel.execution.apart import check_connection
@@ -20,6 +20,7 @@ from aiorts.kernel.quality import FEATURES, Gaps
 from aiorts.kernel.service import notify, report_fault
 from aiorts.model.naming import Numbering
 from aiorts.model.options import (
+    AGAIN,
     PortLimits,
     changed_profile,
     connector_profile,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.far import FarPorts
     from aiorts.kernel.ports.port import Connecting
     from aiorts.kernel.service import KernelService
+    from aiorts.model.connect_options import ConnectOptions
 
 _LOG = KernelLog()
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
@@ -245,10 +247,7 @@ class Connections:
         service: KernelService,
         out: OutPort[Any],
         take: Callable[[InPort[Any]], object],
-        *,
-        length: int,
-        full: str = "overwrite",
-        keep_last: bool = False,
+        **options: Unpack[ConnectOptions],
     ) -> Connector:
         """Let a service take what an out-port writes, until the returned connector is closed.
 
@@ -258,11 +257,11 @@ class Connections:
         ledger counts like any other's. Of an out-port in another process it counts what has come from there.
 
         Args:
-            length: samples that it may leave unread. full: what a write does then: "overwrite", "reject", "block".
-            keep_last: there is the sample that the port wrote last before, too; `take` is not called for it.
+            options: those of a connector; a write waits without a time-out unless they say one. With `keep_last` there
+                is the sample that the port wrote last before, too; `take` is not called for it.
         """
-        options = {"length": length, "full": full, "timeout": None, "keep_last": keep_last}
-        profile, _ = connector_profile(out.path, options, f"{out.path}-{service.name}", (out.path,))
+        given = {"timeout": None, **options}
+        profile, _ = connector_profile(out.path, given, f"{out.path}-{service.name}", (out.path,))
 
         def contained(port: InPort[Any]) -> None:
             try:
@@ -346,7 +345,7 @@ class Connections:
         """
         if not isinstance(profile, ConnectorProfile):
             return self._renew_other(profile)
-        given = {"allow_duplicate": True, "convert": profile.convert, "on_link_lost": profile.on_link_lost}
+        given = {**AGAIN, "convert": profile.convert, "on_link_lost": profile.on_link_lost}
         ends, options = self._resolve(profile.ports[:2], given)
         ((writer, reader, planned),) = wiring.plan(self._kernel, ends, options)
         wiring.check_features(writer, reader, profile)

@@ -21,6 +21,7 @@ from aiorts.links.sides import LinkSide, Wakening, report
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.declared import options_of
 from aiorts.model.links import FATES, SOLE, ReaderEnd
+from aiorts.model.options import AGAIN
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
 from aiorts.model.profile import ConnectorProfile
 
@@ -345,7 +346,7 @@ def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
     With flush the writer waits for the answer, so the policy of the full buffer is the reader's own.
     """
     options: dict[str, Any] = {key: getattr(profile, key) for key in _KEPT_BY_READER}
-    options |= {"timeout": None, "allow_duplicate": True, "measure": min(profile.measure, _MEASURED)}
+    options |= {**AGAIN, "timeout": None, "measure": min(profile.measure, _MEASURED)}
     if profile.stamp in (Stamp.RECEIVED, Stamp.READ):
         options["stamp"] = profile.stamp
     if profile.dataflow is Dataflow.PULL:

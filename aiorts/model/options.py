@@ -132,6 +132,12 @@ class ServiceOptions:
 SERVICE_KEYS: Final = tuple(options_of(ServiceOptions))
 """Options of service ports; for data ports they mean nothing, and connecting those reports it."""
 
+
+def without_identity(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of a connector that is there: without its name, by which it was found, and `AGAIN`."""
+    return {key: value for key, value in options.items() if key != "name" and key not in AGAIN}
+
+
 OPENRTM: Final = "openrtm"
 """The keyword of `connect` whose value is a mapping of OpenRTM's keys: with their dots they are no keywords."""
 
@@ -140,6 +146,8 @@ _OF_PORTS: Final = options_of(PortLimits)
 OWN_OPTIONS: Final[Mapping[str, Option]] = MappingProxyType({**_OF_CONNECTORS, **_OF_PORTS})
 """The options for data ports."""
 OWN_KEYS: Final = tuple(OWN_OPTIONS)
+AGAIN: Final[Mapping[str, Any]] = MappingProxyType({"allow_duplicate": True})
+"""The options of a connector between two ports that have one."""
 
 
 def with_openrtm(options: Mapping[str, Any]) -> Mapping[str, Any]:

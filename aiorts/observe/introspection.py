@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports import OutPort
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.model.connect_options import ConnectOptions
     from aiorts.observe.changes import Changes
     from aiorts.observe.heartbeats import Heartbeat
     from aiorts.observe.listening import Listening
@@ -45,12 +46,12 @@ class Introspection(KernelService):
         self._changes.add(made)
         return made
 
-    def samples(self, port: OutPort[Any] | str, length: int, *, keep_last: bool) -> Samples[Any]:
+    def samples(self, port: OutPort[Any] | str, options: ConnectOptions) -> Samples[Any]:
         """See `Kernel.samples`."""
         from aiorts.observe.samples import samples_of
 
-        check_length("samples", length)
-        feed, made = samples_of(self, port, length, keep_last=keep_last)
+        check_length("samples", options["length"])
+        feed, made = samples_of(self, port, options)
         self._feeds.add(feed)
         return made
 

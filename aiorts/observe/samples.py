@@ -15,6 +15,8 @@ from aiorts.errors import BusyError, ConfigurationError, WiringError
 from aiorts.kernel.loop.bus import ComponentRemoved, PortRemoved
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.kernel.ports.port import host_of
+from aiorts.model.declared import kinds_of
+from aiorts.model.profile import ConnectorProfile
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.service import KernelService
+    from aiorts.model.connect_options import ConnectOptions
 
 T = TypeVar("T")
 
@@ -84,15 +87,13 @@ class Samples(AsyncIterator[T], Generic[T]):
 class Feed(Generic[T]):
     """The tap of one `Samples`; it does not refer to the iterator, which may go unclosed."""
 
-    def __init__(self, service: KernelService, out: OutPort[T], length: int, *, keep_last: bool) -> None:
+    def __init__(self, service: KernelService, out: OutPort[T], options: ConnectOptions) -> None:
         self.path = out.path
         self._rest: deque[T] = deque()
         """The samples that waited when the tap was closed."""
         self._waiter: asyncio.Future[None] | None = None
         self._kernel: Microkernel = service.kernel
-        self._connector: Connector = service.kernel.connections.tap(
-            service, out, lambda _: self._wake(), length=length, keep_last=keep_last
-        )
+        self._connector: Connector = service.kernel.connections.tap(service, out, lambda _: self._wake(), **options)
         self._unsubscribe = when_removed(service.kernel.bus, out.path, lambda _: self.end())
 
     @property
@@ -184,7 +185,7 @@ def when_removed(bus: Bus, path: str, call: Callable[[str], object]) -> Callable
 
 
 def samples_of(
-    service: KernelService, port: OutPort[Any] | str, length: int, *, keep_last: bool
+    service: KernelService, port: OutPort[Any] | str, options: ConnectOptions
 ) -> tuple[Feed[Any], Samples[Any]]:
     """The feed of an out-port of this kernel and the iterator over it. See `Kernel.samples`."""
     kernel = service.kernel
@@ -198,7 +199,8 @@ def samples_of(
     host = host_of(out) if isinstance(out, OutPort) else None
     if host is None or host.kernel is not kernel:
         raise WiringError(f"samples({out!r:.100}): expected an out-port of a component of this kernel, or its path")
-    if type(keep_last) is not bool:
-        raise ConfigurationError(f"samples: keep_last = {keep_last!r:.60}: expected True or False")
-    feed: Feed[Any] = Feed(service, out, length, keep_last=keep_last)
+    for key, value in options.items():
+        if kinds_of(ConnectorProfile)[key] == (bool,) and type(value) is not bool:
+            raise ConfigurationError(f"samples: {key} = {value!r:.60}: expected True or False")
+    feed: Feed[Any] = Feed(service, out, options)
     return feed, Samples(feed)

@@ -32,7 +32,7 @@ from aiorts.kernel.ports.port import host_of
 from aiorts.kernel.service import owned_by
 from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
 from aiorts.model.lifecycle import LifecycleState
-from aiorts.model.options import CHANGEABLE, connector_profile
+from aiorts.model.options import CHANGEABLE, connector_profile, without_identity
 from aiorts.model.wanted.restart_policy import Supervision
 from aiorts.model.wanted.steps import (
     Activate,
@@ -455,7 +455,7 @@ class Application:
         connections = self._kernel.connections
         connector = connections.connectors.get(self._named(step.name))
         if connector is not None and not (connector.in_.is_far or connector.out.is_far):
-            connections.replace_options(connector, _own(options))
+            connections.replace_options(connector, without_identity(options))
         else:
             # Both kernels agree anew on a link: what was under way is counted, and whether it came is not known.
             connections.end(connections.service_connectors[step.name] if connector is None else connector)
@@ -589,13 +589,9 @@ def _as_declared(setting: Setting, name: str, declared: ConfigurationState) -> C
     return setting.merged(declared, name)
 
 
-def _own(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of a connector that is there, which keeps its name."""
-    return {word: value for word, value in options.items() if word not in ("name", "allow_duplicate")}
-
-
 def _profile(connector: Connector, entry: ConnectionEntry) -> Any:
     usual = connector.in_.length
     length = () if usual is None else (usual,)
-    profile, _ = connector_profile("", _own({**entry.options, "convert": None}), connector.name, entry.ports, *length)
+    options = without_identity({**entry.options, "convert": None})
+    profile, _ = connector_profile("", options, connector.name, entry.ports, *length)
     return profile

@@ -20,7 +20,7 @@ from aiorts.kernel.service import KernelService, stand_in_reason
 from aiorts.model.configuration.sets import DEFAULT, same
 from aiorts.model.converter import Converter
 from aiorts.model.names import names_kernel
-from aiorts.model.options import chosen_options, said_options
+from aiorts.model.options import AGAIN, chosen_options, said_options
 from aiorts.model.policy import OnLinkLost, Subscription
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry
 from aiorts.model.wanted.restart_policy import Supervision
@@ -178,7 +178,7 @@ class Canon:
         if profile.name not in ("", usual_name) and not (again and profile.name.startswith(usual_name)):
             options = {"name": profile.name, **options}
         if again:
-            options["allow_duplicate"] = True
+            options |= AGAIN
         converter = profile.convert
         if isinstance(converter, Converter):
             text = self.named(converter.function, "converters")

@@ -13,8 +13,8 @@ from aiorts.kernel.declarations import declarations
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.model.names import names_kernel
 from aiorts.model.options import connector_profile, link_options
+from aiorts.model.pairs import ConnectedPairs
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted, said_keys
-from aiorts.model.wanted.pairs import ConnectedPairs
 from aiorts.planning import Canon, service_connection, table, whole
 from aiorts.services import ServicePort, pairs_of
 from aiorts.system.blueprint import Blueprint, prepare
@@ -101,8 +101,7 @@ class _Reader:
                 if elsewhere(out) or elsewhere(in_):
                     said = link_options("", options, from_reader=names_kernel(out))
                 profile, limits = connector_profile("", said, "", (out, in_), 8 if length is None else length)
-                allowed = limits.allow_duplicate
-                if (fault := joined.fault(out, in_, entry.number, allowed=allowed)) is not None:
+                if (fault := joined.fault(out, in_, entry.number, limits)) is not None:
                     place = self._system.at("connections", entry.number - 1, of_key=True)
                     raise WiringError(f"{place}: connections[{entry.number}]: {fault}")
                 name = f"{profile.name}-{at + 1}" if at and profile.name else profile.name

@@ -16,7 +16,7 @@ from typing import Any, Final, TypeVar
 from aiorts.late import dataclass
 from aiorts.model.names import names_kernel
 from aiorts.model.naming import Numbering
-from aiorts.model.options import CHANGEABLE, USUAL_APART
+from aiorts.model.options import CHANGEABLE, USUAL_APART, without_identity
 from aiorts.model.wanted.entries import (
     CHANGED_BY_RULE,
     ComponentEntry,
@@ -312,7 +312,7 @@ class _Planner:
             old = before.get(name)
             if old is None or old.ports != one.ports:
                 connecting.append(Connect(name, one))
-            elif (made := _options(one)) != (was := _options(old)):
+            elif (made := without_identity(one.options)) != (was := without_identity(old.options)):
                 words = [word for word in {**was, **made} if was.get(word, _ABSENT) != made.get(word, _ABSENT)]
                 kind = Change if all(word in CHANGEABLE for word in words) and _in_place(old, one) else Renew
                 changing.append(kind(name, old, one, USUAL_APART if self._is_linked(one) else _NOTHING))
@@ -370,11 +370,6 @@ def rules_of(system: Wanted) -> tuple[Mapping[str, Any], ...]:
 def _shape(one: ComponentEntry) -> tuple[Any, ...]:
     """What the ports of a component may follow from."""
     return one.type, one.params, one.sets, one.active
-
-
-def _options(one: ConnectionEntry) -> Mapping[str, Any]:
-    """The options, without the name, which is what it was found by."""
-    return {word: value for word, value in one.options.items() if word not in ("name", "allow_duplicate")}
 
 
 def _components_of(connection: ConnectionEntry) -> list[str]:

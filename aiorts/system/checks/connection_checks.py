@@ -11,8 +11,8 @@ from aiorts.kernel.ports.wiring import converter_between, pair_faults
 from aiorts.kernel.quality import FEATURES
 from aiorts.model.names import names_kernel
 from aiorts.model.options import doubts, idle, link_options, transport_notice, without_effect
+from aiorts.model.pairs import ConnectedPairs
 from aiorts.model.wanted.entries import ConnectionEntry
-from aiorts.model.wanted.pairs import ConnectedPairs
 from aiorts.services import ServicePort, fault_of
 from aiorts.spelling import nearest
 from aiorts.system.checks.adapt import adaptation
@@ -216,10 +216,10 @@ def _limits(
     counts: dict[str, int],
 ) -> Iterator[Said]:
     """Connected already, and more connectors than a port takes."""
-    allowed = connection.number in found.profiles and found.profiles[connection.number][1].allow_duplicate
+    _, limits = found.profiles.get(connection.number, (None, None))
     for out in (port for port in ports if isinstance(port, OutPort)):
         for in_ in (port for port in ports if isinstance(port, InPort)):
-            if (fault := joined.fault(out.path, in_.path, connection.number, allowed=allowed)) is not None:
+            if (fault := joined.fault(out.path, in_.path, connection.number, limits)) is not None:
                 yield Said("error", fault.code, _key(connection), str(fault), of_key=True)
             for port in (out, in_):
                 counts[port.path] = counts.get(port.path, 0) + 1

@@ -25,8 +25,8 @@ from aiorts.model.declared import OptionError, kinds_of, options_of, read_option
 from aiorts.model.names import Path as PortPath
 from aiorts.model.names import check_name, names_kernel
 from aiorts.model.options import OWN_KEYS, SERVICE_KEYS, connector_profile
+from aiorts.model.pairs import ConnectedPairs
 from aiorts.model.wanted.entries import ClockEntry, ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry
-from aiorts.model.wanted.pairs import ConnectedPairs
 from aiorts.processes import Limits
 from aiorts.spelling import suggestion
 from aiorts.supervision import StartRule, Supervision, in_order
@@ -315,12 +315,12 @@ class _Reader(Reading):
     def _once(self, key: Key, entry: ConnectionEntry) -> None:
         """Refuse what is connected already, as far as that can be seen without the ports."""
         try:
-            allowed = connector_profile("", entry.options, "", entry.ports)[1].allow_duplicate
+            _, limits = connector_profile("", entry.options, "", entry.ports)
         except WiringError:  # wrong, or an option of service ports: for who knows the ports
             return
         writer, *readers = entry.ports
         for reader in readers:
-            if (fault := self._joined.fault(writer, reader, entry.number, allowed=allowed)) is not None:
+            if (fault := self._joined.fault(writer, reader, entry.number, limits)) is not None:
                 self._say(key, str(fault), of_key=True)
 
     def _no_tables(self, key: Key, options: Mapping[str, Any]) -> None:

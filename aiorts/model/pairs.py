@@ -5,7 +5,12 @@ It is used where a system file is read (`system/file/parse.py`) and where `Wante
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from aiorts.errors import WiringError
+
+if TYPE_CHECKING:
+    from aiorts.model.options import PortLimits
 
 
 class ConnectedPairs:
@@ -14,17 +19,17 @@ class ConnectedPairs:
     def __init__(self) -> None:
         self._pairs: dict[frozenset[str], int] = {}
 
-    def fault(self, one: str, other: str, number: int, *, allowed: bool) -> WiringError | None:
+    def fault(self, one: str, other: str, number: int, limits: PortLimits | None) -> WiringError | None:
         """Join two ports by the connection of this number; why they must not be, or None.
 
         Args:
-            allowed: whether its options say that there may be a second (`allow_duplicate`).
+            limits: what its options say of the ports; None where they are wrong.
         """
         pair = frozenset((one, other))
         first = self._pairs.get(pair)
         if first is None:
             self._pairs[pair] = number
             return None
-        if allowed:
+        if limits is not None and limits.allow_duplicate:
             return None
         return WiringError(f"{one} and {other} are connected already, by connections[{first}]; take one of them away")
