@@ -6,14 +6,12 @@ pay for the kernel.
 
 from __future__ import annotations
 
+from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 from aiorts.late import provide as _provide
 
-TYPE_CHECKING = False
-"""What `typing` calls so; importing that would take as long as all else until the command line can take Ctrl-C."""
-
 if TYPE_CHECKING:
-    from typing import Any
+    from typing import Any as _Any
 
     from anyio import WouldBlock
 
@@ -129,61 +127,14 @@ __all__ = (
     "wait_any",
 )
 
-_late(
-    globals(),
-    {
-        "aiorts.assembly": "Kernel",
-        "aiorts.clock": "Clock ScaledClock SimulatedClock SystemClock",
-        "aiorts.contexts": "EventContext ExternalContext PeriodicContext ThreadContext",
-        "aiorts.errors": "AiortsError",
-        "aiorts.kernel": (
-            "Bus Component Connection Connector Context InPort KernelService Microkernel OutPort Param check_settings "
-            "setting wait_any"
-        ),
-        "aiorts.kernel.extensions.catalogue": "Catalogue Extension",
-        "aiorts.kernel.extensions.type_modules": "import_types",
-        "aiorts.composites": "Composite",
-        "aiorts.diagnostics": "LoopStalls",
-        "aiorts.functions": "component",
-        "aiorts.observe": (
-            "Declaration SystemProfile declaration_of profile_from_plain profile_schema profile_to_plain"
-        ),
-        "aiorts.realtime": "RealtimeContext",
-        "aiorts.reload": "Dropped Reloaded",
-        "aiorts.services": "Goal Provided Required ServiceConnector ServicePort idempotent",
-        "aiorts.statemachines": "EventPort MultiModeComponent Participant StateMachine StateMachineComponent",
-        "aiorts.supervision": "StartRule Supervised Supervision",
-        "aiorts.sync": "Synchronizer",
-        "aiorts.kernel.configuring": "Configuration",
-        "aiorts.model.blame": "Blame",
-        "aiorts.model.connect_options": "ConnectOptions",
-        "aiorts.model.lifecycle": "LifecycleState",
-        "aiorts.model.naming": "NamePolicy",
-        "aiorts.model.reading": "PlainLimits",
-        "aiorts.running": "run",
-        "anyio": "WouldBlock",
-    },
-    modules=(
-        "clock",
-        "contexts",
-        "errors",
-        "events",
-        "kernel",
-        "model",
-        "statechart",
-        "system",
-        "testing",
-        "types",
-        "wire",
-    ),
-)
-"""Where each public name lives; the events are in `aiorts.events`, the words of state charts in `aiorts.statechart`.
+_late("clock", "contexts", "errors", "events", "kernel", "model", "statechart", "system", "testing", "types", "wire")
+"""The events are in `aiorts.events`, the words of state charts in `aiorts.statechart`.
 
 `import aiorts` is enough to say `aiorts.types.TimedDouble`.
 """
 
 
-def _finders(kind: str) -> Any:
+def _finders(kind: str) -> _Any:
     from aiorts.kernel.extensions.finders import FINDERS
 
     return FINDERS[kind]

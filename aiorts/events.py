@@ -7,9 +7,8 @@ These are the names of the events; each is defined in the room that reports it.
 
 from __future__ import annotations
 
+from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
-
-TYPE_CHECKING = False
 
 if TYPE_CHECKING:
     from aiorts.composites import CompositeChanged
@@ -121,28 +120,4 @@ __all__ = (
     "WriterSilent",
 )
 
-_late(
-    globals(),
-    {
-        "aiorts.kernel.loop.bus": (
-            "Assembled CallFailed Closing ComponentAdded ComponentRemoved Connected ConnectorChanged ContextStarted "
-            "ContextStopped ConversionFailed Disconnected Event HookAfter HookBefore HookFailed MemberAdded "
-            "MemberRemoved Overrun ParametersChanged PortAdded PortRemoved RateChanged ServiceCalled "
-            "StateChanged ThreadsExhausted"
-        ),
-        "aiorts.kernel.quality": "WriterBack WriterSilent",
-        "aiorts.composites": "CompositeChanged",
-        "aiorts.diagnostics": "LoopStall",
-        "aiorts.observe": (
-            "Change ComponentBeat ConnectorEvent ConnectorEventKind ContextBeat PastEvent ProfileSnapshot"
-        ),
-        "aiorts.reload": "ComponentReloaded",
-        "aiorts.services": "GoalAccepted GoalEnded",
-        "aiorts.statemachines": "MachineAfter MachineBefore MachineChanged MachineEnded ModeChanged",
-        "aiorts.supervision": "ComponentRecovered RestartLimitReached",
-        "aiorts.kernel.configuration_events": (
-            "ConfigurationSetActivated ConfigurationSetAdded ConfigurationSetChanged ConfigurationSetRemoved "
-            "ParameterAdded ParameterChanged ParameterRemoved"
-        ),
-    },
-)
+_late()

@@ -4,40 +4,70 @@ higher one for by kind.
 
 from __future__ import annotations
 
+import sys
+
 TYPE_CHECKING = False
 """What `typing` calls so; importing that would take as long as all else until the command line can take Ctrl-C."""
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
     from dataclasses import dataclass
     from typing import Any
 
 __all__ = ("dataclass", "finder", "late", "provide")
 
 
-def late(face: dict[str, Any], homes: Mapping[str, str], modules: tuple[str, ...] = ()) -> None:
-    """Import names into a module at their first use; type checkers see none of this.
+def late(*modules: str) -> None:
+    """Make the imports of a face that stand under `if TYPE_CHECKING` when their names are first used.
+
+    A face calls it once, at its own level and below these imports; type checkers see nothing but them.
 
     Args:
-        face: `globals()` of the module.
-        homes: names, with spaces between them, by the module that each is imported from.
         modules: submodules that can be asked for like names.
     """
+    caller = sys._getframe(1)
+    face = caller.f_globals
     package: str = face["__name__"]
-    home = {name: place for place, names in homes.items() for name in names.split()}
+    # What stands above the call runs again, as type checkers see it and without importing anything.
+    noted: dict[str, Any] = {"__builtins__": {"__import__": lambda module, *_: _Noted(module)}}
+    try:  # noqa: SIM105 - `contextlib` is not loaded yet
+        exec(caller.f_code, noted)  # noqa: S102 - the face's own code
+    except _CalledError:
+        pass
+    homes = {name: home for name, home in noted.items() if name not in face and not name.startswith("_")}
 
     def found(name: str) -> object:
         from importlib import import_module
 
         if name in modules:
             return import_module(f"{package}.{name}")
-        if name not in home:
+        if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = face[name] = getattr(import_module(home[name]), name)
+        home = homes[name]
+        value = face[name] = getattr(import_module(home.module), home.name)
         return value
 
     face["__getattr__"] = found
-    face["__dir__"] = lambda: sorted({*face, *home, *modules})
+    face["__dir__"] = lambda: sorted({*face, *homes, *modules})
+
+
+class _CalledError(Exception):
+    """The call of `late` is reached again."""
+
+
+class _Noted:
+    """Stands for a module, or for what is imported from it: both are true, and `late` is called."""
+
+    __slots__ = ("module", "name")
+
+    def __init__(self, module: str, name: str = "") -> None:
+        self.module, self.name = module, name
+
+    def __getattr__(self, name: str) -> _Noted:
+        return _Noted(self.module, name)
+
+    def __call__(self, *modules: str) -> None:
+        raise _CalledError
 
 
 _FINDERS: dict[str, Callable[[str], Callable[[str], Any]]] = {}

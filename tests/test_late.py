@@ -1,18 +1,77 @@
-"""`aiorts.late.dataclass`: what a user sees of a frozen value is what `dataclasses.dataclass` makes."""
+"""`aiorts.late`: a face has the names that type checkers see, wherever its code lies; what a user sees of a frozen
+value is what `dataclasses.dataclass` makes.
+"""
 
 from __future__ import annotations
 
+import compileall
 import copy
 import dataclasses
+import importlib
 import inspect
 import pickle
+import sys
 from dataclasses import field
+from pathlib import Path
 from threading import Thread
 from typing import ClassVar
+from zipfile import ZipFile
 
 import pytest
 
 from aiorts.late import dataclass
+
+FACE = '''"""A face."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from typing import Any as _Any
+
+    from {package}.first import NUMBER, Thing as Renamed
+
+__all__ = ("NUMBER", "Renamed")
+
+_late("second")
+
+REST = __name__
+'''
+
+
+@pytest.mark.parametrize("form", ["sources", "zip", "bytecode"])
+def test_a_face_imports_its_names_one_by_one_wherever_it_lies(
+    form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = f"late_face_of_{form}"
+    folder = tmp_path / package
+    folder.mkdir()
+    (folder / "__init__.py").write_text(FACE.format(package=package), encoding="utf-8")
+    (folder / "first.py").write_text("NUMBER = 1\nclass Thing: pass\n", encoding="utf-8")
+    (folder / "second.py").write_text("", encoding="utf-8")
+    place = tmp_path
+    if form != "sources":
+        compileall.compile_dir(folder, quiet=1, legacy=True)
+    if form == "zip":
+        place = tmp_path / "all.zip"
+        with ZipFile(place, "w") as archive:
+            for path in folder.glob("*.py"):
+                archive.write(path, f"{package}/{path.name}")
+    if form != "sources":
+        for path in folder.glob("*.py"):
+            path.unlink()
+    monkeypatch.syspath_prepend(str(place))
+
+    face = importlib.import_module(package)
+    assert {"NUMBER", "REST", "Renamed", "second"} <= set(dir(face))
+    assert not {"Any", "_Any", "Thing"} & set(dir(face))
+    assert (face.REST, f"{package}.first" in sys.modules) == (package, False)
+    assert (face.NUMBER, face.Renamed.__name__, f"{package}.second" in sys.modules) == (1, "Thing", False)
+    assert face.second.__name__ == f"{package}.second"
+    with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'Thing'"):
+        face.Thing  # noqa: B018 - asks for it
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,7 @@ each change takes effect as a whole or not at all.
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.composites.composite import Composite, CompositeChanged
@@ -19,16 +18,4 @@ if TYPE_CHECKING:
     from aiorts.composites.recovery import bring_back, stopped_with
     from aiorts.model.policy import ErrorPolicy
 
-_late(
-    globals(),
-    {
-        "aiorts.composites.composite": "Composite CompositeChanged",
-        "aiorts.composites.composition": "exports groups_of shown",
-        "aiorts.model.policy": "ErrorPolicy",
-        "aiorts.composites.composition_check": "group_of leaves_of outer_of parts_of",
-        "aiorts.composites.group": "CompositeGroup",
-        "aiorts.composites.membership": "Wanted change transition",
-        "aiorts.composites.previous_placement": "PreviousPlacement",
-        "aiorts.composites.recovery": "bring_back stopped_with",
-    },
-)
+late()

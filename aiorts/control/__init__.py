@@ -6,8 +6,7 @@ a `Session` on the kernel's loop. The protocol and the client's end are in `aior
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.control.operation import Operation, Right, converters_read, is_code
@@ -29,14 +28,4 @@ __all__ = (
     "state_text",
 )
 
-_late(
-    globals(),
-    {
-        "aiorts.control.operation": "Operation Right converters_read is_code",
-        "aiorts.control.operations": "OPERATIONS",
-        "aiorts.control.server.service": "Control",
-        "aiorts.control.session": "Session",
-        "aiorts.model.lifecycle": "state_text",
-        "aiorts.model.plain": "Schemas",
-    },
-)
+late()

@@ -6,19 +6,11 @@ context that is on time pays one comparison in most cycles.
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.diagnostics.deadline_monitor import ContextTimer, DeadlineMonitor
     from aiorts.diagnostics.loop_monitor import LoopLimit, LoopMonitor, LoopStall, LoopStalls
     from aiorts.diagnostics.unawaited import unawaited_told
 
-_late(
-    globals(),
-    {
-        "aiorts.diagnostics.deadline_monitor": "ContextTimer DeadlineMonitor",
-        "aiorts.diagnostics.loop_monitor": "LoopLimit LoopMonitor LoopStall LoopStalls",
-        "aiorts.diagnostics.unawaited": "unawaited_told",
-    },
-)
+late()

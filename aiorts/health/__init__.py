@@ -5,10 +5,9 @@
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.health.measuring import Health
 
-_late(globals(), {"aiorts.health.measuring": "Health"})
+late()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from aiorts.late import late as _late
+from aiorts.late import late
 
 if TYPE_CHECKING:
     from aiorts.isolation.handover import give_state, hold, packed, release, state_of, taken
@@ -21,45 +21,4 @@ if TYPE_CHECKING:
     from aiorts.isolation.stand_in import RemoteComponent
     from aiorts.processes import Limits
 
-__all__ = (
-    "MARK",
-    "OPERATE",
-    "REPORT",
-    "First",
-    "Isolation",
-    "Limits",
-    "RemoteComponent",
-    "Report",
-    "asked",
-    "described",
-    "done",
-    "exchange",
-    "fail",
-    "follow",
-    "give_state",
-    "given_of",
-    "hold",
-    "hold_at",
-    "make_replacement",
-    "move",
-    "packed",
-    "placed",
-    "refused",
-    "release",
-    "state_of",
-    "taken",
-)
-
-_late(
-    globals(),
-    {
-        "aiorts.isolation.handover": "give_state hold packed release state_of taken",
-        "aiorts.isolation.isolating": "Isolation",
-        "aiorts.isolation.messages": "MARK OPERATE REPORT First Report asked done refused",
-        "aiorts.isolation.moving": "exchange hold_at make_replacement move",
-        "aiorts.isolation.placing": "given_of placed",
-        "aiorts.isolation.ports": "described fail follow",
-        "aiorts.isolation.stand_in": "RemoteComponent",
-        "aiorts.processes": "Limits",
-    },
-)
+late()

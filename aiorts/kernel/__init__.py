@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from aiorts.late import late as _late
+from aiorts.late import late
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -40,18 +40,4 @@ __all__ = (
     "wait_any",
 )
 
-_late(
-    globals(),
-    {
-        "aiorts.kernel.loop.bus": "Bus",
-        "aiorts.kernel.component": "Component",
-        "aiorts.kernel.connection": "Connection",
-        "aiorts.kernel.ports.connector": "Connector",
-        "aiorts.kernel.execution.context": "Context",
-        "aiorts.kernel.execution.cycle": "Wait",
-        "aiorts.kernel.ports": "InPort OutPort wait_any",
-        "aiorts.kernel.service": "KernelService check_settings setting",
-        "aiorts.kernel.microkernel": "Microkernel",
-        "aiorts.kernel.parameters": "Param",
-    },
-)
+late()

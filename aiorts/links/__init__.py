@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from aiorts.late import late as _late
+from aiorts.late import late
 
 if TYPE_CHECKING:
     from aiorts.links.calls import FarProvider
@@ -51,18 +51,4 @@ __all__ = (
     "turn_of",
 )
 
-_late(
-    globals(),
-    {
-        "aiorts.links.calls": "FarProvider",
-        "aiorts.links.connecting": "Links LinksSettings",
-        "aiorts.links.ledgers": "LinkLedger",
-        "aiorts.links.transport": (
-            "BaseChannel BaseTransport Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of "
-            "checked_peer"
-        ),
-        "aiorts.links.reaching": "find_transport",
-        "aiorts.links.unix": "UnixTransport",
-        "aiorts.model.links": "RIGHTS Allowed Turn turn_of",
-    },
-)
+late()

@@ -5,8 +5,7 @@ It is a service of the kernel, made at the first look. Nothing in it changes the
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.observe.change_values import Change, PastEvent, ProfileSnapshot
@@ -34,26 +33,4 @@ if TYPE_CHECKING:
     from aiorts.observe.schema import profile_schema
     from aiorts.observe.special_reports import calls, thread_writes
 
-_late(
-    globals(),
-    {
-        "aiorts.observe.change_values": "Change PastEvent ProfileSnapshot",
-        "aiorts.observe.changes": "Changes system_profile_in_turns",
-        "aiorts.observe.declaration": "Declaration declaration_of",
-        "aiorts.observe.heartbeats": "ComponentBeat ContextBeat",
-        "aiorts.observe.html": "html_of kernel_html",
-        "aiorts.observe.introspection": "Introspection",
-        "aiorts.observe.listening": "ConnectorEvent ConnectorEventKind Listening",
-        "aiorts.observe.monitor": "Monitor Reading",
-        "aiorts.observe.part": "SystemPart system_part",
-        "aiorts.observe.profiles": (
-            "ComponentReport CompositeReport ConnectorReport ContextReport MachineReport ModeReport ParameterReport "
-            "SystemProfile"
-        ),
-        "aiorts.observe.profiling": "context_report declared_params system_profile visible",
-        "aiorts.observe.reading": "ToldChange ToldSnapshot profile_from_plain profile_to_plain",
-        "aiorts.observe.samples": "Samples out_port_of when_removed",
-        "aiorts.observe.schema": "profile_schema",
-        "aiorts.observe.special_reports": "calls thread_writes",
-    },
-)
+late()

@@ -5,8 +5,7 @@ It is a service of the kernel, which keeps what a system file said that nothing 
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.planning.canon import Canon, service_connection, table, whole, without_provenance
@@ -16,14 +15,4 @@ if TYPE_CHECKING:
     from aiorts.planning.setting import ACTIVE, Setting, setting_alone
     from aiorts.planning.switching import switch, tops
 
-_late(
-    globals(),
-    {
-        "aiorts.planning.canon": "Canon service_connection table whole without_provenance",
-        "aiorts.planning.component_rows": "put_in_force",
-        "aiorts.planning.planning": "Planning",
-        "aiorts.planning.reading": "wanted_of",
-        "aiorts.planning.setting": "ACTIVE Setting setting_alone",
-        "aiorts.planning.switching": "switch tops",
-    },
-)
+late()

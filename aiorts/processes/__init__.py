@@ -6,21 +6,11 @@ limits and output within bounds and kills what has lost its parent. A child's pr
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.processes.child import DESCRIPTOR, limit_memory, prepare
     from aiorts.processes.launcher import Child, Launcher
     from aiorts.processes.values import Ending, Limits
 
-__all__ = ("DESCRIPTOR", "Child", "Ending", "Launcher", "Limits", "limit_memory", "prepare")
-
-_late(
-    globals(),
-    {
-        "aiorts.processes.child": "DESCRIPTOR limit_memory prepare",
-        "aiorts.processes.launcher": "Child Launcher",
-        "aiorts.processes.values": "Ending Limits",
-    },
-)
+late()

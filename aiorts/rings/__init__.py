@@ -8,20 +8,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from aiorts.late import late as _late
+from aiorts.late import late
 
 if TYPE_CHECKING:
     from aiorts.rings.ends import Rings
     from aiorts.rings.frames import OFFERED, REFUSAL
     from aiorts.rings.program import proof, proves
 
-__all__ = ("OFFERED", "REFUSAL", "Rings", "proof", "proves")
-
-_late(
-    globals(),
-    {
-        "aiorts.rings.ends": "Rings",
-        "aiorts.rings.frames": "OFFERED REFUSAL",
-        "aiorts.rings.program": "proof proves",
-    },
-)
+late()

@@ -5,11 +5,10 @@ It is a service of the kernel, there only where a system has `[[rules]]`; what a
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.rules.connecting import ConnectingRules, RulesSettings
     from aiorts.rules.rule import ruled
 
-_late(globals(), {"aiorts.rules.connecting": "ConnectingRules RulesSettings", "aiorts.rules.rule": "ruled"})
+late()

@@ -6,8 +6,7 @@ They are a kind of port (`PortDeclaration`), so the kernel adds and connects the
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.services.goal_keeper import GoalAccepted, GoalEnded, GoalKeeper
@@ -21,18 +20,4 @@ if TYPE_CHECKING:
     from aiorts.services.service_proxy import Relayed
     from aiorts.services.service_wiring import fault_of, pairs_of
 
-_late(
-    globals(),
-    {
-        "aiorts.services.goal_keeper": "GoalAccepted GoalEnded GoalKeeper",
-        "aiorts.services.goals": "Goal",
-        "aiorts.services.outside_caller": "OutsideCaller",
-        "aiorts.services.service_arguments": "GoalTypes goal_types",
-        "aiorts.services.service_call": "seconds_left",
-        "aiorts.services.service_ends": "Provided Required idempotent",
-        "aiorts.services.service_heritage": "ServiceHeritage",
-        "aiorts.services.service_port": "Made Service ServiceConnector ServiceEnd ServicePort is_service",
-        "aiorts.services.service_proxy": "Relayed",
-        "aiorts.services.service_wiring": "fault_of pairs_of",
-    },
-)
+late()

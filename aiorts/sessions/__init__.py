@@ -6,8 +6,7 @@ which is imported late, uses asyncio. The kernel's end is `aiorts.control`.
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.sessions.async_client import AsyncClient, AsyncStream
@@ -112,25 +111,4 @@ __all__ = (
     "the_one",
 )
 
-_late(
-    globals(),
-    {
-        "aiorts.sessions.async_client": "AsyncClient AsyncStream",
-        "aiorts.sessions.base_client": "END TIMEOUT CutOff",
-        "aiorts.sessions.client": "Client Silent Stream open_all",
-        "aiorts.sessions.folder": (
-            "FURTHER Carrier Claim Entry TakenError entries is_supported private_folder remove_left"
-        ),
-        "aiorts.sessions.many": "FEW",
-        "aiorts.sessions.protocol": (
-            "BYE REQUESTS STALL_SECONDS WAITING Made RightName agreed answer_in framed frames has_frame packed "
-            "request_in"
-        ),
-        "aiorts.sessions.session": "Call ClientSession",
-        "aiorts.sessions.target": (
-            "FILES PATIENCE Found Kernels Running fitting is_file is_glob kernels likely offered outlines sharing "
-            "the_one"
-        ),
-        "aiorts.sessions.together": "Outcome change_all",
-    },
-)
+late()

@@ -6,8 +6,7 @@ any other component.
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.statemachines.chart_structure import StateStructure
@@ -19,16 +18,4 @@ if TYPE_CHECKING:
     from aiorts.statemachines.paths import ChartPath, ChartPaths, Move, chart_paths
     from aiorts.statemachines.statechart import After, Always, End, History, In, On, Parallel, State
 
-_late(
-    globals(),
-    {
-        "aiorts.statemachines.coverage": "ChartCoverage chart_coverage",
-        "aiorts.statemachines.paths": "ChartPath ChartPaths Move chart_paths",
-        "aiorts.statemachines.chart_structure": "StateStructure",
-        "aiorts.statemachines.charting": "Chart ChartWarning",
-        "aiorts.statemachines.machine": "EventPort StateMachine StateMachineComponent",
-        "aiorts.statemachines.machine_events": "MachineAfter MachineBefore MachineChanged MachineEnded",
-        "aiorts.statemachines.modes": "ModeChanged MultiModeComponent Participant",
-        "aiorts.statemachines.statechart": "After Always End History In On Parallel State",
-    },
-)
+late()

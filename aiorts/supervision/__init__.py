@@ -6,8 +6,7 @@ bus.
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.model.wanted.restart_policy import Supervision
@@ -18,15 +17,4 @@ if TYPE_CHECKING:
     from aiorts.supervision.supervising import Supervising
     from aiorts.supervision.supervisor import ComponentRecovered, RestartLimitReached, Supervised
 
-_late(
-    globals(),
-    {
-        "aiorts.supervision.readiness": "wait_ready",
-        "aiorts.supervision.saved_state": "standing_of",
-        "aiorts.model.wanted.restart_policy": "Supervision",
-        "aiorts.model.wanted.start_rules": "ADDED StartRule in_order",
-        "aiorts.supervision.start_sequence": "Patience",
-        "aiorts.supervision.supervising": "Supervising",
-        "aiorts.supervision.supervisor": "ComponentRecovered RestartLimitReached Supervised",
-    },
-)
+late()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from aiorts.late import late as _late
+from aiorts.late import late
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import construct
@@ -82,31 +82,4 @@ __all__ = (
     "with_option",
 )
 
-_late(
-    globals(),
-    {
-        "aiorts.kernel.component": "construct",
-        "aiorts.model.wanted.entries": (
-            "ClockEntry ComponentEntry CompositeEntry ConnectionEntry ContextEntry Wanted said_keys with_option"
-        ),
-        "aiorts.model.wanted.system_text": "system_text",
-        "aiorts.system.blueprint": "Blueprint build prepare",
-        "aiorts.system.checks.check": "check check_text",
-        "aiorts.system.checks.findings": "Finding",
-        "aiorts.system.checks.running": "check_running",
-        "aiorts.system.draw.graph": "GRAPH_FORMATS graph",
-        "aiorts.system.draw.running": "running_graph",
-        "aiorts.system.ending": "Ending ended_in_error is_source wait_finished",
-        "aiorts.system.expansion.choices": "AS_WRITTEN Choices",
-        "aiorts.system.file.arguments": "option_params parse_options",
-        "aiorts.system.file.load": "load",
-        "aiorts.system.file.parse": "parse",
-        "aiorts.system.file.values": "Override SystemFile",
-        "aiorts.system.schemas.schema": "schema",
-        "aiorts.system.stdio.frames": "FrameInput FrameOutput",
-        "aiorts.system.stdio.live": "LiveInput",
-        "aiorts.system.stdio.pipes": "StandardInput StandardOutput",
-        "aiorts.kernel.loop.line_stream": "LineStream standard_output",
-        "aiorts.system.wanting": "wanted",
-    },
-)
+late()

@@ -56,22 +56,4 @@ __all__ = (
     "simulated",
 )
 
-_late(
-    globals(),
-    {
-        "aiorts.statemachines": "ChartCoverage ChartPath ChartPaths Move chart_coverage chart_paths",
-        "aiorts.testing.codec_checks": "CODEC_CHECKS check_codec",
-        "aiorts.testing.component_checks": "COMPONENT_CHECKS check_component",
-        "aiorts.testing.conformance": "ConformanceError",
-        "aiorts.testing.context_checks": "CONTEXT_CHECKS check_context",
-        "aiorts.testing.converter_checks": "CONVERTER_CHECKS check_converter",
-        "aiorts.testing.memory_links": "MemoryNetwork",
-        "aiorts.testing.rig": "Caught Rig",
-        "aiorts.testing.samples": "difference",
-        "aiorts.testing.service_checks": "SERVICE_CHECKS check_service",
-        "aiorts.testing.decorator": "simulated",
-        "aiorts.testing.simulation": "SimulatedLoop current_clock simulate",
-        "aiorts.testing.transport_checks": "TRANSPORT_CHECKS check_transport",
-    },
-    modules=("faults",),
-)
+_late("faults")

@@ -46,18 +46,4 @@ __all__ = (
     "with_parts",
 )
 
-_late(
-    globals(),
-    {
-        "aiorts.types.arrays": "sealed_bytes",
-        "aiorts.wire.arrays": "ELEMENTS",
-        "aiorts.wire.codec": "FORMAT Codec MsgpackCodec PartsCodec with_parts",
-        "aiorts.wire.codecs": "find_codec",
-        "aiorts.wire.too_large": "excess",
-        "aiorts.wire.limits": "CONTROL DATA LINK Limits",
-        "aiorts.wire.lines": "LineReader LineWriter json_text line_of split_sample",
-        "aiorts.wire.scan": "count_values",
-        "aiorts.wire.schemas": "json_message schema_text units_in without_units",
-        "aiorts.wire.untyped": "layout_text untyped_decoder",
-    },
-)
+_late()

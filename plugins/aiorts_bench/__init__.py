@@ -18,11 +18,4 @@ if TYPE_CHECKING:
 
 __all__ = ("COST", "Aim", "Bench", "Case", "Measure", "Options", "Reading", "Report", "Row")
 
-late(
-    globals(),
-    {
-        "aiorts_bench.harness.bench": "Bench Options",
-        "aiorts_bench.harness.case": "COST Aim Case Measure Reading",
-        "aiorts_bench.harness.report": "Report Row",
-    },
-)
+late()

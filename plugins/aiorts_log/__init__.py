@@ -66,26 +66,4 @@ __all__ = (
     "schema_of",
 )
 
-late(
-    globals(),
-    {
-        "aiorts_log.analysis.info": "RecordingInfo info_of",
-        "aiorts_log.commands.moment": "moment_ns",
-        "aiorts_log.errors": "DamagedError RecordingError",
-        "aiorts_log.mcap.encodings": "encoder schema_of",
-        "aiorts_log.mcap.reader": "RecordedPort RecordedSample Recording RecordingReader",
-        "aiorts_log.mcap.salvage": "SalvageReport salvage",
-        "aiorts_log.mcap.source": "Limits",
-        "aiorts_log.mcap.survey": "Gap MISSED",
-        "aiorts_log.playing.player": "Player Playing",
-        "aiorts_log.playing.read_ahead": "Reading",
-        "aiorts_log.playing.schedule": "Pace",
-        "aiorts_log.recorder.about": "about_system",
-        "aiorts_log.recorder.control": "BackgroundRecording MakeWriter Notice",
-        "aiorts_log.recorder.options": "RecordingOptions RecordingStatistics",
-        "aiorts_log.recorder.target": "check_parts check_target",
-        "aiorts_log.recorder.writer": "RecordingWriter",
-        "aiorts_log.text.opening": "open_recording",
-        "aiorts_log.text.text_format": "TextReader TextWriter",
-    },
-)
+late()

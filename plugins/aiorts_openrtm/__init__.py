@@ -38,14 +38,4 @@ __all__ = (
     "read_system",
 )
 
-late(
-    globals(),
-    {
-        "aiorts_openrtm.conf.properties": "Conf Entry",
-        "aiorts_openrtm.errors": "OpenRTMError",
-        "aiorts_openrtm.mapping.opening": "read_system",
-        "aiorts_openrtm.notes": "Note",
-        "aiorts_openrtm.profiles.rtc_profile": "RtcDataPort RtcInterface RtcParameter RtcProfile RtcServicePort",
-        "aiorts_openrtm.profiles.rts_profile": "RtsProfile",
-    },
-)
+late()

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from aiorts.late import late as _late
+from aiorts.late import late
 
 if TYPE_CHECKING:
     from aiorts_zenoh.network import Network, NetworkSettings
@@ -20,7 +20,4 @@ if TYPE_CHECKING:
 
 __all__ = ("Network", "NetworkSettings", "ZenohTransport")
 
-_late(
-    globals(),
-    {"aiorts_zenoh.network": "Network NetworkSettings", "aiorts_zenoh.transport": "ZenohTransport"},
-)
+late()

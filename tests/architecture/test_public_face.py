@@ -9,7 +9,7 @@ import sys
 import tomllib
 
 import pytest
-from test_layers import PUBLIC, ROOT, sources
+from test_layers import PUBLIC, ROOT, module_of, sources
 
 
 @pytest.mark.parametrize("module", PUBLIC)
@@ -27,13 +27,14 @@ def test_no_name_that_is_imported_late_is_that_of_a_submodule() -> None:
         if face.name == "__init__.py":
             beside = {path.stem for path in face.parent.iterdir()}
             tree = ast.parse(face.read_text(encoding="utf-8"))
-            late = [
-                node
-                for node in ast.walk(tree)
-                if isinstance(node, ast.Call) and ast.unparse(node.func).strip("_") == "late"
-            ]
+            calls = {ast.unparse(node.func).strip("_") for node in ast.walk(tree) if isinstance(node, ast.Call)}
+            late = [node for node in tree.body if isinstance(node, ast.If) and "late" in calls]
             names = {
-                name for node in late for names in ast.literal_eval(node.args[1]).values() for name in names.split()
+                alias.asname or alias.name
+                for node in late
+                for part in node.body
+                if isinstance(part, ast.ImportFrom) and part.module != module_of(face)
+                for alias in part.names
             }
             clashes += [f"{face.parent}: {name}" for name in names & beside]
     assert clashes == []

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.control.operation import Operation
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ("OPERATIONS", "operations_of")
 
-_late(globals(), {"aiorts.control.operations.table": "OPERATIONS"})
+late()
 
 
 def operations_of(*subjects: str) -> dict[str, Operation]:

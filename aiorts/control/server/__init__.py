@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING
-from aiorts.late import late as _late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.control.server.service import Control, ControlSettings
 
-__all__ = ("Control", "ControlSettings")
-
-_late(globals(), {"aiorts.control.server.service": "Control ControlSettings"})
+late()
