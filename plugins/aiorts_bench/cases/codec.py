@@ -21,7 +21,6 @@ from aiorts import Catalogue
 from aiorts.errors import MissingExtra, PluginError
 from aiorts.types import TimedDouble, TimedDoubleSeq, TimedOctetSeq, to_plain
 from aiorts.wire import MsgpackCodec, find_codec
-from aiorts_bench.harness import machine
 from aiorts_bench.harness.bench import Bench, Options
 from aiorts_bench.harness.case import COST, RATE, Aim, Case, Measure, Reading
 from aiorts_bench.harness.report import Report
@@ -138,13 +137,12 @@ def _same_record(sent: Any, back: Any) -> bool:
 
 def report(options: Options) -> Report:
     """Measure every codec."""
-    described = machine.describe()
     others, notes = _of_plugins()
     rows = options.rows(cases(others))
     has_msgspec = any(row.case.name.startswith("msgspec") for row in rows)
     missing = () if has_msgspec else (str(MissingExtra("the baseline msgspec", "msgspec", "bench")),)
     how = "Cost is one encode and one decode; JSON carries arrays as lists of numbers and bytes as text."
-    return options.report("codec", rows, described, notes=(*missing, *notes), how=how)
+    return options.report("codec", rows, notes=(*missing, *notes), how=how)
 
 
 BENCH: Final = Bench(

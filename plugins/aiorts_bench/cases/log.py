@@ -26,7 +26,6 @@ from aiorts.errors import MissingExtra
 from aiorts.types import TimedDouble, TimedDoubleSeq, TimedOctetSeq
 from aiorts.wire import MsgpackCodec
 from aiorts_bench.cases.log_live import large_cases, live_cases
-from aiorts_bench.harness import machine
 from aiorts_bench.harness.bench import Bench, Options
 from aiorts_bench.harness.case import COST, RATE, Aim, Case, Measure, Reading, Sense
 from aiorts_bench.harness.report import Report
@@ -163,7 +162,6 @@ def cases(folder: Path) -> tuple[Case, ...]:
 
 def report(options: Options) -> Report:
     """Measure every writer, the recorder's neighbours and a large recording."""
-    described = machine.describe()
     with tempfile.TemporaryDirectory(prefix="aiorts-bench-") as folder:
         rows = options.rows((*cases(Path(folder)), *live_cases(Path(folder)), *large_cases(Path(folder))))
     missing = [
@@ -176,7 +174,7 @@ def report(options: Options) -> Report:
         "Lateness is that of a context of 100 Hz in the kernel that offers the samples. A million samples are opened "
         "by a new process each time; info and seek are its processor time."
     )
-    return options.report("log", rows, described, notes=tuple(missing), how=how)
+    return options.report("log", rows, notes=tuple(missing), how=how)
 
 
 BENCH: Final = Bench(

@@ -6,7 +6,7 @@ import json
 from functools import partial
 from typing import Any, Final
 
-from aiorts_bench.harness import child, machine
+from aiorts_bench.harness import child
 from aiorts_bench.harness.bench import Bench, Options
 from aiorts_bench.harness.case import Aim, Case, Measure, Reading
 from aiorts_bench.harness.report import Figure, Report, Row, Series
@@ -69,7 +69,6 @@ def cases(sizes: tuple[int, ...] = SIZES) -> tuple[Case, ...]:
 
 def report(options: Options) -> Report:
     """Measure every size."""
-    described = machine.describe()
     sizes = QUICK_SIZES if options.quick else SIZES
     rows = options.rows(cases(sizes))
     notes = ("--quick stops at 1,000 components",) if options.quick else ()
@@ -79,7 +78,7 @@ def report(options: Options) -> Report:
         "resident set grows (pages, so coarse for few). A message wakes an idle event context and is read there: "
         "one among at most a hundred components while the others are idle, or among all of them in turn."
     )
-    return options.report("scale", rows, described, notes=notes, figures=_figures(rows), how=how)
+    return options.report("scale", rows, notes=notes, figures=_figures(rows), how=how)
 
 
 def _figures(rows: tuple[Row, ...]) -> tuple[Figure, ...]:

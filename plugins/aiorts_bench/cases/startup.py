@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from aiorts_bench.harness import child, machine
+from aiorts_bench.harness import child
 from aiorts_bench.harness.bench import Bench, Options
 from aiorts_bench.harness.case import Aim, Case, Measure, Reading
 from aiorts_bench.harness.report import Report
@@ -117,13 +117,12 @@ def cases(folder: Path) -> tuple[Case, ...]:
 
 def report(options: Options) -> Report:
     """Measure every start."""
-    described = machine.describe()
     with tempfile.TemporaryDirectory(prefix="aiorts-bench-") as folder:
         rows = options.rows(cases(Path(folder)))
     found = loaded()
     note = f"import aiorts loads {', '.join(found) if found else 'none of ' + ', '.join(FORBIDDEN)}"
     how = "From the start of a fresh interpreter to its end, compiled modules in place, one after the other."
-    return options.report("startup", rows, described, notes=(note,), how=how)
+    return options.report("startup", rows, notes=(note,), how=how)
 
 
 BENCH: Final = Bench(

@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from aiorts_bench.harness import machine
 from aiorts_bench.harness.case import Case
+from aiorts_bench.harness.machine import describe
 from aiorts_bench.harness.report import Report, Row
 from aiorts_bench.harness.runner import Beside, Progress, choose_loops, measure
 
@@ -30,6 +30,7 @@ class Options:
         command: the command line that repeats the run.
         given: names of the options that were given, not taken from the defaults.
         aimed: measure only cases that have an aim, and the baselines of those.
+        machine: the machine, described before the run, when the bench is no load yet.
     """
 
     quick: bool = False
@@ -44,6 +45,7 @@ class Options:
     command: str = ""
     given: frozenset[str] = frozenset()
     aimed: bool = False
+    machine: Mapping[str, Any] = field(default_factory=describe)
 
     @property
     def loops(self) -> tuple[str, ...]:
@@ -62,14 +64,13 @@ class Options:
             )
         )
 
-    def report(self, bench: str, rows: tuple[Row, ...], described: Mapping[str, Any], **more: Any) -> Report:
-        """The report of `rows`; `described` is `machine.describe()` from before the run, when the bench was no load."""
-        return Report(bench, self.command, described, self.rounds, self.scale, rows, **more)
+    def report(self, bench: str, rows: tuple[Row, ...], **more: Any) -> Report:
+        """The report of `rows`."""
+        return Report(bench, self.command, self.machine, self.rounds, self.scale, rows, **more)
 
     def simple(self, bench: str, cases: tuple[Case, ...], **more: Any) -> Report:
         """Measure and report a bench that is one table of cases."""
-        described = machine.describe()
-        return self.report(bench, self.rows(cases), described, **more)
+        return self.report(bench, self.rows(cases), **more)
 
 
 def with_aims(cases: tuple[Case, ...]) -> tuple[Case, ...]:

@@ -2,69 +2,55 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import Final
 
-from aiorts_bench.harness import machine
 from aiorts_bench.harness.bench import Bench, Options
-from aiorts_bench.harness.case import LATENCY, RATE, Aim, Case, Measure, tails
-from aiorts_bench.harness.report import Report, Row
+from aiorts_bench.harness.case import LATENCY, RATE, Aim, Case, Measure
+from aiorts_bench.harness.report import Report
 from aiorts_bench.interprocess.isolated import IsolatedEnds
+from aiorts_bench.interprocess.links import ECHO, TAIL, ZENOH_LARGE, report_of
 
 TIME: Final = Measure("time", "ms", digits=1)
 """From asking for the work until all of it is done."""
 CPU_EACH: Final = Measure("cpu each", "us", digits=0)
 """Processor time of both processes for each array."""
-_TAIL: Final = tails("latency", 99.0)
-_ECHO: Final = "socket pair, echo"
 _WORK: Final = "bare processes, work"
-_ZENOH_LARGE: Final = "Zenoh, 1 MiB"
 _ZENOH_ARRAYS: Final = "Zenoh, arrays"
 
 
 def cases(ends: IsolatedEnds) -> tuple[Case, ...]:
     """The cases, baselines first; without Zenoh where `ends` has none."""
-    hop, work = (Aim(_ECHO, factor=2.0),), (Aim(_WORK, factor=1.15),)
+    hop, work = (Aim(ECHO, factor=2.0),), (Aim(_WORK, factor=1.15),)
     large: tuple[Aim, ...] = ()
     arrays: tuple[Aim, ...] = ()
     found = [
-        Case(_ECHO, "24 bytes there and back, nothing else", LATENCY, ends.bare, 300, columns=_TAIL),
+        Case(ECHO, "24 bytes there and back, nothing else", LATENCY, ends.bare, 300, columns=TAIL),
         Case(_WORK, "two processes of Python code alone", TIME, ends.bare_work, 50),
     ]
     if ends.peers:
-        large, arrays = (Aim(_ZENOH_LARGE, factor=0.5),), (Aim(_ZENOH_ARRAYS, factor=0.2),)
+        large, arrays = (Aim(ZENOH_LARGE, factor=0.5),), (Aim(_ZENOH_ARRAYS, factor=0.2),)
         how = "puts with the same codec, handed to the loop"
         found += [
-            Case(_ZENOH_LARGE, how, LATENCY, ends.zenoh_large, 10, columns=_TAIL, peer=True),
+            Case(ZENOH_LARGE, how, LATENCY, ends.zenoh_large, 10, columns=TAIL, peer=True),
             Case(_ZENOH_ARRAYS, how, CPU_EACH, ends.zenoh_arrays, 100, columns=(RATE,), peer=True),
         ]
     return (
         *found,
-        Case("isolated, hop", "a small sample in and out again", LATENCY, ends.hop, 300, hop, columns=_TAIL),
+        Case("isolated, hop", "a small sample in and out again", LATENCY, ends.hop, 300, hop, columns=TAIL),
         Case("isolated, work", "the same in two isolated components", TIME, ends.work, 50, work),
-        Case("isolated, 1 MiB", "in and out again", LATENCY, ends.hop_large, 10, large, columns=_TAIL),
+        Case("isolated, 1 MiB", "in and out again", LATENCY, ends.hop_large, 10, large, columns=TAIL),
         Case("isolated, arrays", "1 MiB in, 1,000/s at the most", CPU_EACH, ends.arrays, 100, arrays, True, (RATE,)),
     )
 
 
 def report(options: Options) -> Report:
     """Measure on each loop."""
-    described = machine.describe()
-    zenoh = options.peers and find_spec("zenoh") is not None
-    rows: tuple[Row, ...] = ()
-    for loop in options.loops:
-        ends = IsolatedEnds(loop, peers=zenoh)
-        rows += options.rows(cases(ends), beside=ends.open, loop=loop)
-    notes = () if zenoh or not options.peers else ("left out: Zenoh is not installed: pip install aiorts[bench]",)
-    return options.report(
-        "isolation",
-        rows,
-        described,
-        notes=notes,
-        how="Components in processes of their own. A hop is a sample in and a sample out, each over a link that "
+    how = (
+        "Components in processes of their own. A hop is a sample in and a sample out, each over a link that "
         "confirms it and counts what became of it; Zenoh and the socket pair do not. Zenoh runs over TCP on 127.0.0.1. "
-        "The processor time of arrays is that of both processes.",
+        "The processor time of arrays is that of both processes."
     )
+    return report_of(options, "isolation", IsolatedEnds, cases, how)
 
 
 BENCH: Final = Bench(

@@ -10,7 +10,6 @@ from typing import Final
 import click
 
 from aiorts.errors import MissingExtra
-from aiorts_bench.harness import machine
 from aiorts_bench.harness.bench import Bench, Options
 from aiorts_bench.harness.case import COST, LATENCY, RATE, Aim, Case, Sense, tails
 from aiorts_bench.harness.report import Report, Row
@@ -73,7 +72,6 @@ def report(options: Options) -> Report:
     """
     if find_spec("zenoh") is None:
         raise click.UsageError(str(MissingExtra("links to other hosts", "eclipse-zenoh", "zenoh")))
-    described = machine.describe()
     zmq = options.peers and find_spec("zmq") is not None
     rows: tuple[Row, ...] = ()
     for loop in options.loops:
@@ -92,7 +90,6 @@ def report(options: Options) -> Report:
     return options.report(
         "network",
         rows,
-        described,
         notes=notes,
         how="Two processes on one host, over TCP on 127.0.0.1; TLS with certificates at both ends; the router is a "
         "third process. A link confirms each sample and counts what became of it, and a component reads it; the others "

@@ -11,7 +11,6 @@ import click
 
 import aiorts
 from aiorts import PeriodicContext, ThreadContext
-from aiorts_bench.harness import machine
 from aiorts_bench.harness.bench import Bench, Options
 from aiorts_bench.harness.case import COST, CPU, Aim, Case, Measure, Reading, Sense, tails
 from aiorts_bench.harness.report import Report
@@ -149,7 +148,6 @@ def _realtime_cases(make: MakeContext, rate: tuple[Aim, ...]) -> list[Case]:
 
 def report(options: Options) -> Report:
     """Measure the kinds of context, or with `--paper` the paper's table."""
-    described = machine.describe()
     with tempfile.TemporaryDirectory(prefix="aiorts-bench-") as folder:
         built = build(folder)
         c_loop = None if isinstance(built, str) else built
@@ -157,14 +155,14 @@ def report(options: Options) -> Report:
         if realtime() is None:
             notes.append("this aiorts has no RealtimeContext: its rows are left out")
         if options.extra.get("paper"):
-            return paper.report(options, described, c_loop, realtime(), tuple(notes), PRIORITY)
+            return paper.report(options, c_loop, realtime(), tuple(notes), PRIORITY)
         threads = options.loops[0]
         notes.append(f"rows in threads and processes were taken once, beside an idle {threads} loop")
         long = options.scale >= _LONG
         if not long:
             notes.append(f"the rate is not judged: that takes longer rounds, --scale {_LONG:g} or more")
         rows = options.rows(loop_cases(long=long)) + options.rows(thread_cases(c_loop, long=long), loop=threads)
-    return options.report("context", rows, described, notes=tuple(notes), how=_HOW)
+    return options.report("context", rows, notes=tuple(notes), how=_HOW)
 
 
 BENCH: Final = Bench(

@@ -6,7 +6,7 @@ section 4.2: a force sensor, a manipulator, a joystick and a damper controller i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
@@ -81,7 +81,6 @@ def _case(name: str, what: str, run: Callable[[int], Any], *aims: Aim) -> Case:
 
 def report(
     options: Options,
-    described: Mapping[str, Any],
     c_loop: CLoop | None,
     make: MakeContext | None,
     notes: tuple[str, ...],
@@ -91,4 +90,4 @@ def report(
     loop = options.loops[-1]
     rows = options.rows(cases(c_loop, make, priority), loop=loop)
     idle = "figures are beside an idle loop; the arm met the wall and came to rest in every round"
-    return options.report("context", rows, described, notes=(*notes, idle), how=_HOW)
+    return options.report("context", rows, notes=(*notes, idle), how=_HOW)

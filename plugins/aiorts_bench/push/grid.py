@@ -10,7 +10,6 @@ from typing import Any, Final
 import click
 
 from aiorts.spelling import nearest
-from aiorts_bench.harness import machine
 from aiorts_bench.harness.bench import Options
 from aiorts_bench.harness.report import Report
 from aiorts_bench.push import answer, load
@@ -205,7 +204,6 @@ def report(options: Options, given: Mapping[str, str]) -> Report:
     seconds = sum(case.messages for case in cases) * options.scale * options.rounds * len(loops) / 1000
     if options.notify is not None and seconds > 10:
         options.notify(f"{len(cases)} combinations, about {_duration(seconds)}")
-    described = machine.describe()
     rows = tuple(row for loop in loops for row in options.rows(cases, loop=loop))
     fixed = ", ".join(f"{name} {word}" for name, word in planned.fixed.items())
     notes = ((f"everywhere: {fixed}",) if fixed else ()) + planned.left_out
@@ -213,7 +211,7 @@ def report(options: Options, given: Mapping[str, str]) -> Report:
     notes += answer.lines(zip((one for _, one in planned.loads), ends, strict=True))
     readers = {one.consumer_rate for _, one in planned.loads}
     figures = load.curves(rows, fixed, readers.pop() if len(readers) == 1 else None) if options.plot else ()
-    return options.report("push", rows, described, how=_how(options.rounds), notes=notes, figures=figures)
+    return options.report("push", rows, how=_how(options.rounds), notes=notes, figures=figures)
 
 
 def _title(axes: Mapping[str, str]) -> str:

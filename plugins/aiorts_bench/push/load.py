@@ -178,9 +178,7 @@ def figures(options: Options) -> tuple[Figure, ...]:
             load = replace(policy, producer_rate=float(rate), consumer_rate=CAPACITY)
             cases.append(case(f"{name} at {rate}/s", load, {"policy": name, "producer-rate": str(rate)}))
     scale = 0.4 if options.quick else 1.0
-    short = Options(
-        options.quick, rounds=min(options.rounds, 3), scale=min(options.scale, scale), progress=options.progress
-    )
+    short = replace(options, rounds=min(options.rounds, 3), scale=min(options.scale, scale))
     loop = options.loops[-1]
     note = (
         f"{loop}; a reader of {CAPACITY:.0f} cycles a second (dashed) that takes one message in each; "

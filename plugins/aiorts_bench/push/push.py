@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
-from aiorts_bench.harness import machine
 from aiorts_bench.harness.bench import Bench, Options
 from aiorts_bench.harness.case import COST, CPU, LATENCY, RATE, Aim, Case, Measure, Sense, tails
 from aiorts_bench.harness.report import Report, Row
@@ -178,7 +177,6 @@ def report(options: Options) -> Report:
     axes = grid.chosen(options)
     if axes:
         return grid.report(options, axes)
-    described = machine.describe()
     cases = CASES
     notes: tuple[str, ...] = (answer.POINTER,)
     if options.peers:
@@ -189,7 +187,7 @@ def report(options: Options) -> Report:
         rows += options.rows(cases, loop=loop)
         rows += options.rows(CROWD_CASES, loop=loop, beside=flow.crowd(CROWD))
     figures = load.figures(options) if options.plot else ()
-    return options.report("push", rows, described, notes=notes, figures=figures)
+    return options.report("push", rows, notes=notes, figures=figures)
 
 
 BENCH: Final = Bench(
