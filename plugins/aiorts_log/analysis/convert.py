@@ -18,7 +18,7 @@ from aiorts.progress import Step, progress
 from aiorts_log.errors import DamagedError, RecordingError
 from aiorts_log.mcap.encodings import Encoding
 from aiorts_log.mcap.format import Attachment
-from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording, not_closed
+from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording, counted, not_closed
 from aiorts_log.mcap.source import Limits
 from aiorts_log.text.csv_format import TableOptions
 from aiorts_log.text.csv_in import TableReader
@@ -179,7 +179,7 @@ def merge(
         samples = heapq.merge(*streams, key=lambda one: one[1].log_time)
         attachments = [one for reader in readers for one in reader.attachments()]
         with progress("merging", sum(reader.count for reader in readers)) as step:
-            made = _write(target, sources, wanted, ports, attachments, _counting(samples, step))
+            made = _write(target, sources, wanted, ports, attachments, counted(samples, step))
         return Converted(made.samples, made.format, made.left_out, (), (), tuple(not_closed(readers)))
 
 
@@ -222,7 +222,7 @@ def _copy(
         ports = filled(reader) if names is None else reader.chosen(names)
         samples = _named(reader, "", wanted.format == "csv", start=start, end=end, ports=names)
         with progress("converting", reader.count) as step:
-            made = _write(target, [source], wanted, ports, reader.attachments(), _counting(samples, step))
+            made = _write(target, [source], wanted, ports, reader.attachments(), counted(samples, step))
         return Converted(made.samples, made.format, made.left_out, (), (), tuple(not_closed([reader])))
 
 
@@ -243,15 +243,6 @@ def _named(reader: Recording, front: str, unique: bool, **chosen: Any) -> Iterat
     known = {id(port): f"{front}{name if unique else port.name}" for name, port in reader.ports.items()}
     for sample in reader.samples(**chosen):
         yield known[id(sample.port)], sample
-
-
-def _counting(samples: Iterable[tuple[str, RecordedSample]], step: Step) -> Iterator[tuple[str, RecordedSample]]:
-    number = 0
-    for number, one in enumerate(samples, 1):
-        yield one
-        if not number % _STEP:
-            step(_STEP)
-    step(number % _STEP)
 
 
 def _stepping(reader: TableReader, step: Step) -> Iterator[tuple[str, RecordedSample]]:

@@ -7,10 +7,12 @@ By their stamps, and where "log_time" is ignored, values alone are compared: two
 
 from __future__ import annotations
 
+import heapq
 import math
 from collections import deque
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any, Final, Literal, TypeAlias
 
 from aiorts.errors import AiortsError, ConfigurationError
@@ -19,7 +21,7 @@ from aiorts.types import to_plain
 from aiorts.wire import MsgpackCodec
 from aiorts_log.analysis.values import values_of
 from aiorts_log.errors import DamagedError, RecordingError
-from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording, not_closed
+from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording, counted, not_closed
 
 By: TypeAlias = Literal["time", "tm", "order"]
 LOG_TIME: Final = "log_time"
@@ -28,7 +30,6 @@ _MOST_PLACES: Final = 10
 _WAITING: Final = 64 * 2**20
 _SMALL: Final = 256
 _LATEST: Final = 2**64
-_STEP: Final = 2048
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,33 +234,23 @@ class _Walk:
         self._pairs = pairs
         self._by_port = [{id(pair.sides[side]): pair for pair in pairs} for side in (0, 1)]
         names = [pair.found.name for pair in pairs]
-        self._streams = [self._timed(reader, names) for reader in (left, right)]
+        self._streams = [self._timed(side, reader, names) for side, reader in enumerate((left, right))]
         self._held = 0
 
-    def _timed(self, reader: Recording, names: list[str]) -> Iterator[tuple[int, RecordedSample]]:
+    def _timed(self, side: int, reader: Recording, names: list[str]) -> Iterator[tuple[int, int, RecordedSample]]:
         zero = reader.start if self._options.from_start else 0
         for sample in reader.samples(ports=names):
-            yield sample.log_time - zero, sample
+            yield sample.log_time - zero, side, sample
 
     def run(self, step: Step) -> tuple[PortDifference, ...]:
         """Compare everything."""
-        number = 0
-        heads = [next(stream, None) for stream in self._streams]
-        while heads[0] is not None or heads[1] is not None:
-            times = [head[0] if head is not None else _LATEST for head in heads]
-            side = 0 if times[0] <= times[1] else 1
-            self._take(side, heads[side])
-            heads[side] = next(self._streams[side], None)
-            number += 1
-            if not number % _STEP:
-                step(_STEP)
-        step(number % _STEP)
+        for time, side, sample in counted(heapq.merge(*self._streams, key=itemgetter(0)), step):
+            self._take(time, side, sample)
         for pair in self._pairs:
             self._resolve(pair, _LATEST)
         return tuple(pair.found for pair in self._pairs)
 
-    def _take(self, side: int, head: Any) -> None:
-        time, sample = head
+    def _take(self, time: int, side: int, sample: RecordedSample) -> None:
         pair = self._by_port[side][id(sample.port)]
         found = pair.found
         if side:
@@ -268,7 +259,7 @@ class _Walk:
             found.left += 1
         if found.types is not None:
             return
-        pair.waiting[side].append(head)
+        pair.waiting[side].append((time, sample))
         self._held += len(sample.data) + _SMALL
         self._resolve(pair, time)
         if self._held > _WAITING:

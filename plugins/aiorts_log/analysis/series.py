@@ -17,7 +17,7 @@ from aiorts.progress import Step
 from aiorts.types import convert, path_type, read_path
 from aiorts_log.analysis.values import values_of
 from aiorts_log.errors import DamagedError, RecordingError
-from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording
+from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording, counted
 
 _MOST: Final = 16
 """Items of a sequence that are drawn, a curve for each."""
@@ -27,7 +27,6 @@ _INDEX: Final = re.compile(r"\[(-?\d{1,9})\]")
 _STAMPS: Final = ("tm", "sec", "nsec", "header")
 _LOOKED: Final = 20
 """Samples of a port that show which of its fields are numbers: the first may lack some."""
-_BATCH: Final = 2048
 
 
 @dataclass(slots=True)
@@ -218,14 +217,10 @@ def read_series(
         by_port.setdefault(id(one.port), []).append(one)
     zero = reader.start
     wanted = [name for name, port in reader.ports.items() if id(port) in by_port]
-    number = 0
-    for number, sample in enumerate(reader.samples(start=start, end=end, ports=wanted), 1):
+    for sample in counted(reader.samples(start=start, end=end, ports=wanted), step):
         seconds = (sample.log_time - zero) / 1e9
         for one in by_port[id(sample.port)]:
             one.add(seconds, sample)
-        if not number % _BATCH:
-            step(_BATCH)
-    step(number % _BATCH)
     for one in fields:
         if why := one.why_empty:
             raise RecordingError(f"{reader.path}: {why}; nothing is drawn")

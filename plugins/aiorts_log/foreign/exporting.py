@@ -14,7 +14,7 @@ from aiorts.progress import Step, progress
 from aiorts_log.analysis.convert import filled, refuse_damaged
 from aiorts_log.errors import DamagedError, RecordingError, UnwrittenError
 from aiorts_log.foreign.ros_records import MESSAGES, library, record_of, ros_name, standard_types, unmaker
-from aiorts_log.mcap.reader import RecordedPort, Recording, not_closed
+from aiorts_log.mcap.reader import RecordedPort, Recording, counted, not_closed
 from aiorts_log.mcap.source import Limits
 from aiorts_log.text.opening import open_recording
 from aiorts_log.whole import whole_folder
@@ -23,7 +23,6 @@ Storage: TypeAlias = Literal["mcap", "sqlite3"]
 _TOPIC: Final = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+", re.ASCII)
 _MESSAGES: Final = ", ".join(name.rpartition("/")[2] for name in MESSAGES)
 _LONGEST: Final = 200
-_STEP: Final = 1024
 
 
 @dataclass(slots=True)
@@ -129,14 +128,13 @@ def _write(
 
     store = standard_types()
     counts = dict.fromkeys(ports, 0)
-    number = 0
     try:
         with Writer(bag, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
             ways: dict[int, tuple[str, Any, Callable[[bytes], bytes]]] = {}
             for name, port in ports.items():
                 connection = writer.add_connection(topics[name], ros_name(port.type), typestore=store)
                 ways[id(port)] = name, connection, _encoder(port, store)
-            for number, sample in enumerate(reader.samples(ports=ports), 1):
+            for sample in counted(reader.samples(ports=ports), step):
                 name, connection, encode = ways[id(sample.port)]
                 try:
                     data = encode(sample.data)
@@ -144,9 +142,6 @@ def _write(
                     raise DamagedError(f"{reader.path}: port {name}: {error}") from None
                 writer.write(connection, sample.log_time, data)
                 counts[name] += 1
-                if not number % _STEP:
-                    step(_STEP)
-            step(number % _STEP)
     except (WriterError, sqlite3.Error) as error:
         raise UnwrittenError(f"{bag}: cannot be written: {error}") from None
     return counts

@@ -15,9 +15,10 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Literal, NamedTuple, Self
+from typing import Any, Final, Literal, NamedTuple, Self, TypeVar
 
 from aiorts.errors import RecordError, WireError
+from aiorts.progress import Step
 from aiorts.types import units_of
 from aiorts.wire import units_in, without_units
 from aiorts_log.errors import DamagedError, RecordingError
@@ -35,6 +36,9 @@ METADATA_NAME: Final = "metadata.json"
 """The attachment with what the writer knew of the system, one for each time the recording was begun or continued."""
 END_NAME: Final = "end.json"
 """The attachment with what the writer counted, and why it ended."""
+_STEP: Final = 2048
+"""Items between two steps of a bar."""
+T = TypeVar("T")
 
 
 class RecordedPort:
@@ -128,6 +132,16 @@ class RecordedSample(NamedTuple):
     def record(self) -> Any:
         """The record. RecordingError when its type is not loaded, WireError when the bytes are none."""
         return self.port.decode(self.data)
+
+
+def counted(items: Iterable[T], step: Step) -> Iterator[T]:
+    """The same items; `step` is told how many of them were taken."""
+    number = 0
+    for number, one in enumerate(items, 1):
+        yield one
+        if not number % _STEP:
+            step(_STEP)
+    step(number % _STEP)
 
 
 def not_closed(readers: Iterable[Recording]) -> Iterator[tuple[str, int]]:
