@@ -17,6 +17,7 @@ import click
 
 from aiorts import exits
 from aiorts.sessions import kernels, likely
+from aiorts_log.commands.working import signals_to
 from aiorts_log.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from aiorts_log.mcap.locked_file import Existing
     from aiorts_log.recorder.options import RecordingStatistics
 
-_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _TEXT: Final = (".csv", ".tsv", ".txt", ".log", ".json", ".jsonl", ".ndjson")
 _MB: Final = 1_000_000
 
@@ -204,14 +204,5 @@ class _Ending:
 def _ending() -> Iterator[_Ending]:
     """Note signals in this block in place of being ended by them."""
     ending = _Ending()
-    before = {}
-    for one in _SIGNALS:
-        if signal.getsignal(one) is not signal.SIG_IGN:
-            with contextlib.suppress(ValueError):  # not the main thread
-                before[one] = signal.signal(one, ending.come)
-    try:
+    with contextlib.closing(ending), signals_to(ending.come):
         yield ending
-    finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
-        ending.close()

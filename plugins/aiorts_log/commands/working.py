@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import click
 
 from aiorts import exits
 from aiorts_log.errors import UnwrittenError
 
+Handler: TypeAlias = Callable[[int, FrameType | None], None]
 _SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
@@ -22,7 +23,7 @@ class WritingCommand(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; returns the exit status."""
         try:
-            with _ending_in_order():
+            with signals_to(_end):
                 return super().invoke(ctx)
         except UnwrittenError as error:
             click.echo(f"aiorts: {error.code}: {error}", err=True)
@@ -30,18 +31,18 @@ class WritingCommand(click.Command):
 
 
 @contextlib.contextmanager
-def _ending_in_order() -> Iterator[None]:
-    """Let signals raise in this block instead of ending the process."""
+def signals_to(handler: Handler) -> Iterator[None]:
+    """Let signals that end a process call `handler` in this block instead."""
     before = {}
     for number in (signal.Signals[name] for name in _SIGNALS if name in signal.Signals.__members__):
         if signal.getsignal(number) is not signal.SIG_IGN:  # as in the background of a shell script
             with contextlib.suppress(ValueError):  # not the main thread, which has the signals
-                before[number] = signal.signal(number, _end)
+                before[number] = signal.signal(number, handler)
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, was in before.items():
+            signal.signal(number, was)
 
 
 def _end(number: int, frame: FrameType | None) -> None:
