@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from aiorts.types import describe, has_tm
@@ -14,44 +15,35 @@ _LONGEST: Final = 200
 _OTHERS: Final = "other reasons"
 
 
+@dataclass(slots=True, eq=False)
 class PortState:
     """A recorded port with one channel, or more when there are records of subclasses."""
 
-    def __init__(
-        self,
-        name: str,
-        cls: type,
-        metadata: Mapping[str, str],
-        weigh: Callable[[Any], int] | None,
-        *,
-        stamped: bool,
-        mutable: bool,
-    ) -> None:
-        self.name = name
-        self.cls = cls
-        self.metadata = metadata
-        self.weigh = weigh
-        self.stamped = stamped
-        self.mutable = mutable
-        """Whether a sample can still change: it is of a dataclass that is no record, frozen or not."""
-        self.kind: type | None = None
-        self.encode: Callable[[Any], bytes] = bytes
-        """Makes bytes of the records of that class."""
-        self.split: Callable[[Any], tuple[bytes, bytes]] | None = None
-        """The same in two parts, for large ones; None when that is no gain."""
-        self.seen: type | None = None
-        """The class of the sample before; channel and sequence are those of its samples."""
-        self.channel = 0
-        self.sequence = 0
-        self.next: dict[int, int] = {}
-        """The next sequence number of the other channels."""
-        self.offered = 0
-        self.dropped = 0
-        self.refused: dict[str, int] = {}
-        """By reason, samples that the encoding refused."""
-        self.unfit: dict[str, int] = {}
-        """By reason, samples refused at once, by the thread that offered them."""
-        self.stored = 0
+    name: str
+    cls: type
+    metadata: Mapping[str, str]
+    weigh: Callable[[Any], int] | None
+    stamped: bool = field(kw_only=True)
+    mutable: bool = field(kw_only=True)
+    """Whether a sample can still change: it is of a dataclass that is no record, frozen or not."""
+    kind: type | None = None
+    encode: Callable[[Any], bytes] = bytes
+    """Makes bytes of the records of that class."""
+    split: Callable[[Any], tuple[bytes, bytes]] | None = None
+    """The same in two parts, for large ones; None when that is no gain."""
+    seen: type | None = None
+    """The class of the sample before; channel and sequence are those of its samples."""
+    channel: int = 0
+    sequence: int = 0
+    next: dict[int, int] = field(default_factory=dict)
+    """The next sequence number of the other channels."""
+    offered: int = 0
+    dropped: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
+    """By reason, samples that the encoding refused."""
+    unfit: dict[str, int] = field(default_factory=dict)
+    """By reason, samples refused at once, by the thread that offered them."""
+    stored: int = 0
 
     @classmethod
     def of(cls, name: str, kind: type, metadata: Mapping[str, str]) -> PortState:
