@@ -47,7 +47,7 @@ def whole_file(target: Path, sources: Iterable[Path] = (), overwrite: bool = Fal
             part.unlink()
         yield part
         if overwrite:
-            _sync(part)  # the old file is given up: the new one has to be on the disk
+            sync(part)  # the old file is given up: the new one has to be on the disk
         _rename(part, target, overwrite)
     except OSError as error:
         raise UnwrittenError(f"{target}: cannot be written: {error.strerror or error}") from None
@@ -73,7 +73,8 @@ def whole_folder(target: Path, sources: Iterable[Path] = ()) -> Iterator[Path]:
         shutil.rmtree(part, ignore_errors=True)
 
 
-def _sync(path: Path) -> None:
+def sync(path: Path) -> None:
+    """Wait until what is in a file or folder is on the disk. OSError when it may not be."""
     file = os.open(path, os.O_RDONLY)
     try:
         os.fsync(file)

@@ -13,7 +13,6 @@ data are on the disk. The tests read these files by `mcap` with all its checks.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -196,14 +195,6 @@ class OutFile:
         self.can_sync = False
         self._file.sync()
         self.can_sync = True
-
-    def sync_folder(self) -> None:
-        """Wait until the folder's entry for the file is on the disk. OSError when it may not be."""
-        folder = os.open(self.path.absolute().parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
 
     def finish(self) -> None:
         """Write the index and close the file. OSError when the index cannot be written; the samples are in the file."""

@@ -30,6 +30,7 @@ from aiorts_log.mcap.survey import GAP
 from aiorts_log.recorder.options import RecordingOptions, RecordingStatistics
 from aiorts_log.recorder.port_state import PortState, end_report, refuse, tally
 from aiorts_log.recorder.weight import SMALL
+from aiorts_log.whole import sync
 
 _TICK: Final = 0.02
 _LATEST: Final = 2**63
@@ -251,7 +252,7 @@ class RecordingWriter:
             self._file.attach(Attachment(now, now, name, "application/octet-stream", data))
         if self.options.sync != "never":
             self._file.sync()
-            self._file.sync_folder()
+            sync(self._file.path.absolute().parent)  # for the entry of the file
 
     def _drain(self) -> None:
         """Encode the waiting samples, and write each chunk when it is full."""
