@@ -138,7 +138,7 @@ def cut(
 
     The format is that of the source unless the target's name has another ending. Raises as `convert`.
     """
-    chosen_format = _ENDINGS.get(target.suffix.lower()) or _source_format(source)
+    chosen_format = _ENDINGS.get(target.suffix.lower()) or format_of(source)
     return _copy(source, target, _Wanted(chosen_format, overwrite), ports, start, end, limits)
 
 
@@ -200,12 +200,6 @@ def _take_port(ports: dict[str, RecordedPort], name: str, port: RecordedPort, jo
 
 def _fields(port: RecordedPort) -> bytes:
     return port.schema.data if port.schema is not None else b""
-
-
-def _source_format(source: Path) -> Format:
-    found: Any = format_of(source)
-    chosen_format: Format = found
-    return chosen_format
 
 
 def _copy(

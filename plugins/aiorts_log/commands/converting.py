@@ -43,15 +43,22 @@ _OVERWRITE: Final = click.option("--overwrite", is_flag=True, help="Replace the 
 @click.option("--set", "values", multiple=True, metavar="FIELD=VALUE", help="Table read: a field without a column.")
 @click.option("--time", default=LOG_TIME, show_default=True, metavar="COLUMN", help="Table: the column of log times.")
 @click.option(
-    "--time-unit", type=click.Choice(_UNITS), default="ns", show_default=True, help="Table: unit of the log times."
+    "--time-unit",
+    "unit",
+    type=click.Choice(_UNITS),
+    default="ns",
+    show_default=True,
+    help="Table: unit of the log times.",
 )
-@click.option("--time-offset", default="0", metavar="SECONDS", help="Table read: to add to its times.")
+@click.option("--time-offset", "offset", default="0", metavar="SECONDS", help="Table read: to add to its times.")
 @click.option("--delimiter", default=",", show_default=True, metavar="CHAR", help="Table: between cells; tab, too.")
 @click.option("--no-header", is_flag=True, help="Table: no row of names; columns are 0, 1, 2, ...")
 @click.option(
     "--comment", default="#", show_default=True, metavar="TEXT", help="Table read: begins a row to leave out."
 )
-@click.option("--empty-nan", is_flag=True, help="Table read: an empty cell is a NaN where a float stands.")
+@click.option(
+    "--empty-nan", "empty_is_nan", is_flag=True, help="Table read: an empty cell is a NaN where a float stands."
+)
 @click.option("--skip-bad", is_flag=True, help="Table read: leave out rows that cannot be read, and list them.")
 @click.option("--by-time", is_flag=True, help="Table written: samples of one time in one row.")
 @click.option("--split", is_flag=True, help="Write a folder with a table for each port.")
@@ -67,6 +74,8 @@ def convert(
     types: tuple[str, ...],
     columns: tuple[str, ...],
     values: tuple[str, ...],
+    delimiter: str,
+    no_header: bool,
     as_json: bool,
     split: bool,
     overwrite: bool,
@@ -93,18 +102,12 @@ def convert(
         target_format=target_format,
         ports=ports or None,
         table=TableOptions(
-            time=table["time"],
-            unit=_unit(table["time_unit"]),
-            offset=table["time_offset"],
-            delimiter=_delimiter(table["delimiter"]),
-            header=not table["no_header"],
-            comment=table["comment"],
+            **table,
+            delimiter=_DELIMITERS.get(delimiter, delimiter),
+            header=not no_header,
             ports=tuple(_typed(ports, types)),
             columns=_pairs("--map", columns),
             values=_pairs("--set", values),
-            empty_is_nan=table["empty_nan"],
-            skip_bad=table["skip_bad"],
-            by_time=table["by_time"],
         ),
         encoding="json" if as_json else None,
         split=split,
@@ -160,14 +163,6 @@ def merge(files: tuple[Path, ...], prefixes: tuple[str, ...], join: bool, overwr
     *sources, target = files
     how: dict[str, Any] = {"prefixes": prefixes or None, "join": join, "overwrite": overwrite, "limits": limits}
     return _report(target, work.merge(sources, target, **how))
-
-
-def _delimiter(text: str) -> str:
-    return _DELIMITERS.get(text, text)
-
-
-def _unit(text: str) -> TimeUnit:
-    return next(unit for unit in _UNITS if unit == text)
 
 
 def _typed(ports: tuple[str, ...], types: tuple[str, ...]) -> Iterable[tuple[str, type]]:

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from aiorts_log.mcap.locked_file import Existing
     from aiorts_log.recorder.options import RecordingStatistics
 
-_TEXT: Final = (".csv", ".tsv", ".txt", ".log", ".json", ".jsonl", ".ndjson")
 _MB: Final = 1_000_000
 
 
@@ -104,6 +103,8 @@ def _existing(*, append: bool, overwrite: bool) -> Existing:
 
 def _target(output: Path | None, kernel: str) -> Path:
     """The file to write."""
+    from aiorts_log.recorder.target import unfit_name
+
     if output is None:
         return Path(f"{kernel}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.mcap")
     if str(output) == "-":
@@ -111,10 +112,8 @@ def _target(output: Path | None, kernel: str) -> Path:
             "-o -: a recording has its index at its end and needs a file, not standard output; "
             "name one, such as run.mcap, or use `aiorts print` for JSON lines"
         )
-    if output.suffix.lower() in _TEXT:
-        raise RecordingError(
-            f"{output}: a recording is MCAP; record run.mcap, and `aiorts log convert run.mcap {output}` after it"
-        )
+    if why := unfit_name(output):
+        raise RecordingError(why)
     return output
 
 

@@ -69,7 +69,7 @@ class Choice:
             if path not in there:
                 raise AbsentError(f"{path}: {_why_not(path, outlines, there)}")
         for glob, word in self._words.items():
-            if not _fits_any(there, glob):
+            if not any(_fits(path, [glob]) for path in there):
                 raise AbsentError(f"{word}: has no out-port; there are {_few(there)}")
 
 
@@ -92,16 +92,7 @@ def _why_not(path: str, outlines: Mapping[str, Any], there: list[str]) -> str:
 
 
 def _fits(path: str, globs: Iterable[str]) -> bool:
-    component, _, port = path.partition(".")
-    for glob in globs:
-        of_component, _, of_port = glob.partition(".")
-        if fnmatchcase(component, of_component) and fnmatchcase(port, of_port):
-            return True
-    return False
-
-
-def _fits_any(paths: Iterable[str], glob: str) -> bool:
-    return any(_fits(path, (glob,)) for path in paths)
+    return any(all(map(fnmatchcase, path.partition("."), glob.partition("."))) for glob in globs)
 
 
 def _few(names: Sequence[str]) -> str:

@@ -35,7 +35,6 @@ __all__ = ("Beside", "RecordSettings")
 _LOG = logging.getLogger(__name__)
 _TIME: Final = "%Y%m%dT%H%M%SZ"
 """What `{time}` becomes, in UTC of the machine, whatever clock the system has: 20261122T181500Z."""
-_TEXT_ENDINGS: Final = (".csv", ".tsv", ".txt", ".log", ".json", ".jsonl", ".ndjson")
 _FULL: Final = 0.75
 """How full the queue may be before writers have to wait."""
 _LENGTHS: Final = 8, 100_000
@@ -80,23 +79,20 @@ class RecordSettings:
     def __post_init__(self) -> None:
         check_settings(self)
         if self.file is None:
-            if self._says_more():
+            if any(getattr(self, one.name) != one.default for one in fields(self)):
                 raise ConfigurationError("file: nothing says where to record; give file = 'run.mcap', or --record")
             return
+        from aiorts_log.recorder.target import unfit_name
+
         name = str(self.file)
         if unknown := [one for one in re.findall(r"\{[^}]*\}", name) if one != "{time}"]:
             raise ConfigurationError(f"file: {unknown[0]} in {name!r}: only {{time}} is replaced, by the start's time")
-        if Path(name).suffix.lower() in _TEXT_ENDINGS:
-            raise ConfigurationError(
-                f"file: {name}: a recording is MCAP; record run.mcap, and `aiorts log convert run.mcap {name}` after it"
-            )
+        if why := unfit_name(self.file):
+            raise ConfigurationError(f"file: {why}")
         if self.append and self.overwrite:
             raise ConfigurationError("append: goes not with overwrite; choose one of the two")
         if bad := [one for one in self.ports if not isinstance(one, str) or not one]:
             raise ConfigurationError(f"ports: expected texts such as 'camera*.image', got {bad[0]!r}")
-
-    def _says_more(self) -> bool:
-        return any(getattr(self, one.name) != one.default for one in fields(self))
 
 
 @dataclass(eq=False, slots=True)

@@ -13,6 +13,13 @@ from aiorts_log.mcap.locked_file import Existing, held_by, part_path
 from aiorts_log.recorder.options import RecordingOptions
 
 _MOST_PARTS: Final = 1_000_000
+_TEXT: Final = (".csv", ".tsv", ".txt", ".log", ".json", ".jsonl", ".ndjson")
+
+
+def unfit_name(path: Path) -> str:
+    """Why a recording cannot have the name, whose ending is of a text; "" where it can."""
+    how = f"record run.mcap, and `aiorts log convert run.mcap {path}` after it"
+    return f"{path}: a recording is MCAP; {how}" if path.suffix.lower() in _TEXT else ""
 
 
 def check_target(path: str | os.PathLike[str], existing: Existing) -> None:

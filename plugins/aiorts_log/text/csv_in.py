@@ -131,7 +131,7 @@ class TableReader:
             )
         self._time = self._column(options.time, "--time")
         names = dict(options.ports)
-        self._chooser = self.columns.index(PORT) if self._is_ours(names) else None
+        self._chooser = self.columns.index(PORT) if self._is_ours() else None
         self._constants = list(options.values.values())
         targets = self._targets(names)
         self._ports = {name: self._port(name, cls, targets[name]) for name, cls in options.ports}
@@ -156,7 +156,7 @@ class TableReader:
         known = all(any(column.startswith(f"{port}.") for port in found) for column in columns)
         return tuple(found) if known else ()
 
-    def _is_ours(self, names: dict[str, type]) -> bool:
+    def _is_ours(self) -> bool:
         """Whether it is a table of several ports as aiorts writes them."""
         return self.columns[:2] == (LOG_TIME, PORT) and PORT not in self.options.columns
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from aiorts_log.errors import RecordingError
 from aiorts_log.mcap.format import MAGIC
@@ -21,7 +21,7 @@ LINES_ENDINGS: Final = (".jsonl", ".ndjson")
 """How files of JSON lines are called; an empty one is an empty recording."""
 
 
-def format_of(path: str | os.PathLike[str]) -> str:
+def format_of(path: str | os.PathLike[str]) -> Literal["mcap", "text", "jsonl"]:
     """The format of a recording: "mcap", "text" or "jsonl".
 
     Raises:
