@@ -17,12 +17,11 @@ import math
 import re
 from typing import Any, Final
 
-from aiorts_flexi.common.place import TypedTextError
+from aiorts_flexi.common.place import Scanner, TypedTextError
 
 LONGEST: Final = 20_000
 DEEPEST: Final = 32
 _LONGEST_NUMBER: Final = 400
-_BLANKS: Final = re.compile(r"[ \t\r\n]*")
 _WHOLE: Final = re.compile(r"[+-]?(?:0[xX][0-9a-fA-F]+|0[oO][0-7]+|0[bB][01]+|[0-9]+)(?![\w.])", re.ASCII)
 _DECIMAL: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.])", re.ASCII)
 _WORD: Final = re.compile(r"[+-]?[A-Za-z_]\w*")
@@ -68,25 +67,8 @@ def parse_literal(text: str, what: str = "constant") -> Any:
     return value
 
 
-class _Reader:
+class _Reader(Scanner):
     """A place in the text, and what is read there."""
-
-    def __init__(self, text: str, what: str) -> None:
-        self.text, self.what, self.place = text, what, 0
-
-    def error(self, expected: str, place: int | None = None) -> TypedTextError:
-        return TypedTextError(self.what, self.text, self.place if place is None else place, expected)
-
-    def blanks(self) -> None:
-        match = _BLANKS.match(self.text, self.place)
-        self.place = self.place if match is None else match.end()
-
-    def take(self, pattern: re.Pattern[str]) -> str | None:
-        match = pattern.match(self.text, self.place)
-        if match is None:
-            return None
-        self.place = match.end()
-        return match[0]
 
     @property
     def next(self) -> str:

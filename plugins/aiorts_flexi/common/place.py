@@ -1,13 +1,15 @@
-"""The error for a mistake in typed text, with its place, so that a command line can mark it."""
+"""A place in typed text, and the error for a mistake there, which a command line can mark."""
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 from aiorts.errors import ConfigurationError
 
 _QUOTED: Final = 60
 """Characters of the text that a message quotes: enough for one line."""
+_BLANKS: Final = re.compile(r"[ \t\r\n]*")
 
 
 class TypedTextError(ConfigurationError):
@@ -32,3 +34,26 @@ class TypedTextError(ConfigurationError):
         start = max(0, self.place - _QUOTED)
         quoted = "".join(c if c.isprintable() else "?" for c in self.text[start : self.place + _QUOTED])
         return f"{quoted}\n{' ' * (self.place - start)}^"
+
+
+class Scanner:
+    """The text, and the place of the next character; `what` kind of text it is."""
+
+    def __init__(self, text: str, what: str) -> None:
+        self.text, self.what, self.place = text, what, 0
+
+    def error(self, expected: str, place: int | None = None) -> TypedTextError:
+        """The error for what stands at the place, or at another one."""
+        return TypedTextError(self.what, self.text, self.place if place is None else place, expected)
+
+    def blanks(self) -> None:
+        """Go behind blanks and ends of lines."""
+        self.take(_BLANKS)
+
+    def take(self, pattern: re.Pattern[str]) -> str | None:
+        """What a pattern has at the place, to go behind it; None where it has nothing."""
+        match = pattern.match(self.text, self.place)
+        if match is None:
+            return None
+        self.place = match.end()
+        return match[0]

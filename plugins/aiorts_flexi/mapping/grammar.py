@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from aiorts.errors import ConfigurationError
-from aiorts_flexi.common.place import TypedTextError
+from aiorts_flexi.common.place import Scanner, TypedTextError
 
 LONGEST_MAP = 100_000
 _LONGEST_NUMBER = 100
@@ -30,7 +30,6 @@ _FRACTION = r"[0-9]+/0*[1-9][0-9]*"
 _MULT = re.compile(rf"[+-]?(?:{_FRACTION}|{_NUMBER})")
 _OFF = re.compile(rf"[+-](?:{_FRACTION}|{_NUMBER})")
 _DECIMAL = re.compile(rf"[+-]?{_NUMBER}")
-_BLANKS = re.compile(r"[ \t\r\n]*")
 
 Pin = int | str
 Number = int | float | Fraction
@@ -61,7 +60,7 @@ def parse_map(text: str) -> tuple[Entry, ...]:
     if len(text) > LONGEST_MAP:
         reason = f"expected at most {LONGEST_MAP} characters, got {len(text)}"
         raise TypedTextError("map", text, LONGEST_MAP, reason, found=False)
-    scanner = _Scanner(text)
+    scanner = _Scanner(text, "map")
     entries = []
     while True:
         scanner.blanks()
@@ -86,48 +85,26 @@ def parse_number(text: str, where: str) -> int | float:
     return number
 
 
-class _Scanner:
-    """The text, and the place of the next character."""
-
-    def __init__(self, text: str) -> None:
-        self.text = text
-        self.place = 0
+class _Scanner(Scanner):
+    """The text of a map."""
 
     @property
     def at_end(self) -> bool:
         return self.place == len(self.text)
 
-    def blanks(self) -> None:
-        self.take(_BLANKS)
-
-    def take(self, pattern: re.Pattern[str]) -> str | None:
-        match = pattern.match(self.text, self.place)
-        if match is None:
-            return None
-        self.place = match.end()
-        return match[0]
-
     def expect(self, pattern: re.Pattern[str], expected: str) -> str:
         found = self.take(pattern)
         if found is None:
-            raise self.error(expected)
+            raise self.error(f"expected {expected}")
         return found
 
     def symbol(self, symbol: str, expected: str) -> None:
-        if not self.text.startswith(symbol, self.place):
-            raise self.error(expected)
+        if not self.has(symbol):
+            raise self.error(f"expected {expected}")
         self.place += len(symbol)
 
     def has(self, symbol: str) -> bool:
         return self.text.startswith(symbol, self.place)
-
-    def number(self, pattern: re.Pattern[str]) -> Number | None:
-        place = self.place
-        found = self.take(pattern)
-        return None if found is None else _number(found, f"map, character {place + 1}")
-
-    def error(self, expected: str) -> TypedTextError:
-        return TypedTextError("map", self.text, self.place, f"expected {expected}")
 
 
 def _entry(scanner: _Scanner) -> Entry:
@@ -160,7 +137,7 @@ def _factor(scanner: _Scanner) -> tuple[Number | None, Number | None]:
     scanner.blanks()
     if not scanner.has(">"):
         if with_offset is not None or not found.isdecimal():
-            raise scanner.error("'>' after the factor")
+            raise scanner.error("expected '>' after the factor")
         scanner.place = place
         return None, None
     where = f"map, character {place + 1}"
