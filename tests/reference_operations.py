@@ -12,6 +12,7 @@ from typing import Any
 from aiorts.control.operation import Nothing, Operation
 from aiorts.control.operations import OPERATIONS
 from aiorts.model.interface import spelled
+from aiorts.model.plain import fields_of_row
 from reference_api import REPORTS
 from reference_source import doc_of, fields_of, of_class
 
@@ -60,8 +61,8 @@ def _class(cls: type) -> str:
 
 
 def _classes(hint: Any, seen: set[Any]) -> Iterator[type]:
-    """The dataclasses that a type mentions; statistics and system files have pages of their own."""
-    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+    """The dataclasses and rows that a type mentions; statistics and system files have pages of their own."""
+    if isinstance(hint, type) and (dataclasses.is_dataclass(hint) or fields_of_row(hint)):
         if hint not in seen:
             seen.add(hint)
             if hint.__name__ not in _ELSEWHERE and hint.__module__ != "aiorts.model.wanted.entries":

@@ -13,11 +13,13 @@ if TYPE_CHECKING:
     from aiorts.control.operations import OPERATIONS
     from aiorts.control.server.service import Control
     from aiorts.control.session import Session
+    from aiorts.model.counters import ConnectorCounters
     from aiorts.model.lifecycle import state_text
     from aiorts.model.plain import Schemas
 
 __all__ = (
     "OPERATIONS",
+    "ConnectorCounters",
     "Control",
     "Operation",
     "Right",

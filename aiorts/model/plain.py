@@ -102,6 +102,9 @@ class Schemas:
             return {"type": "object", "additionalProperties": self.of(arguments[1])}
         if isinstance(hint, type) and issubclass(hint, Enum):
             return {"enum": [plain(member) for member in hint]}
+        if (row := fields_of_row(hint)) is not None:
+            items = [{**self.of(one), "title": name} for name, one in row.items()]
+            return {"type": "array", "prefixItems": items, "minItems": len(items), "maxItems": len(items)}
         if isinstance(hint, type) and is_dataclass(hint):
             return {"$ref": f"{self._place}{self._named(hint)}"}
         raise TypeError(f"{hint!r}: has no JSON Schema")
@@ -132,6 +135,12 @@ class Schemas:
         if not self._defaults or field.default is MISSING or "$ref" in schema:
             return schema
         return {**schema, "default": plain(field.default)}
+
+
+def fields_of_row(hint: Any) -> Mapping[str, Any] | None:
+    """The annotations of a NamedTuple, which is a row of values by name; None of what is none."""
+    is_row = isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields")
+    return typing.get_type_hints(hint) if is_row else None
 
 
 def has_default(field: Field[Any]) -> bool:

@@ -18,7 +18,7 @@ from typing import Any, Final, TypeVar, cast
 
 from aiorts.errors import DeclarationError, LimitError, RecordError, RecordTypeError
 from aiorts.late import dataclass
-from aiorts.model.plain import has_default
+from aiorts.model.plain import fields_of_row, has_default
 from aiorts.model.values import shown
 
 T = TypeVar("T")
@@ -134,6 +134,8 @@ def _made(hint: Any, made: dict[Any, _Reader]) -> _Reader:
         return _many(_made(arguments[0], made))
     if origin is tuple:
         return _fixed([_made(one, made) for one in arguments])
+    if (row := fields_of_row(hint)) is not None:
+        return _fixed([_made(one, made) for one in row.values()], hint._make)
     if origin in (Mapping, dict) and arguments[0] in _KEYS:
         frozen = MappingProxyType if origin is Mapping else dict
         return _mapping(_KEYS[arguments[0]], _made(arguments[1], made), frozen)
@@ -242,13 +244,13 @@ def _many(item: _Reader) -> _Reader:
     return read
 
 
-def _fixed(items: list[_Reader]) -> _Reader:
+def _fixed(items: list[_Reader], make: Callable[[Iterable[Any]], Any] = tuple) -> _Reader:
     def read(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
         if (value.__class__ is not list and value.__class__ is not tuple) or len(value) != len(items):
             raise _wrong(at, key, f"a list of {len(items)}", value)
         here = _Place(at, key, reading, len(value))
         pairs = enumerate(zip(items, value, strict=True))
-        return tuple([item(one, here, index, reading) for index, (item, one) in pairs])
+        return make([item(one, here, index, reading) for index, (item, one) in pairs])
 
     return read
 

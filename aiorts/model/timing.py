@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 from typing import Self
 
 from aiorts.late import dataclass
+from aiorts.model.counters import SpanFigures
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +27,9 @@ class Spans:
     """The smallest of these spans that at least 99 % of them do not exceed."""
 
     @property
-    def figures(self) -> tuple[int, int, int, int]:
+    def figures(self) -> SpanFigures:
         """Count, median, 99th percentile and maximum."""
-        return self.count, self.p50_ns, self.p99_ns, self.max_ns
+        return SpanFigures(self.count, self.p50_ns, self.p99_ns, self.max_ns)
 
     @classmethod
     def of(cls, spans: Collection[int]) -> Self:

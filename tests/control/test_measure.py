@@ -13,7 +13,7 @@ import pytest
 
 from aiorts import Component, Provided, Required
 from aiorts.cli.app import run_command
-from aiorts.cli.commands.live.measure.readings import Rates, rate_of
+from aiorts.cli.commands.live.measure.readings import Counters, Rates, counters_in, rate_of
 from aiorts.cli.commands.live.spans import span_text
 from aiorts.errors import BusyError, ConfigurationError, DeniedError, WiringError
 from aiorts.sessions import Client, Stream
@@ -98,13 +98,20 @@ def test_rates_are_of_windows_and_of_the_whole() -> None:
 
 
 def test_no_rate_where_a_connector_was_made_anew_or_time_stood() -> None:
-    def counters(at_ns: int, written: int) -> dict[str, object]:
-        return {"at_ns": at_ns, "connectors": {"a-b": [written, 0, 0, {}, 0]}}
+    def counters(at_ns: int, written: int) -> Counters:
+        return counters_in({"at_ns": at_ns, "connectors": {"a-b": [written, 0, 0, {}, 0]}})
 
     assert rate_of(counters(2, 10), counters(1, 5), "a-b") == 5e9
     assert rate_of(counters(2, 5), counters(1, 10), "a-b") is None
     assert rate_of(counters(1, 5), counters(1, 5), "a-b") is None
     assert rate_of(counters(2, 5), counters(1, 5), "other") is None
+
+
+def test_a_row_of_a_newer_kernel_is_read_as_far_as_it_is_known() -> None:
+    known = counters_in({"connectors": {"a-b": [5, 3, 1, {"expired": 1}, 7]}})["connectors"]["a-b"]
+    newer = counters_in({"connectors": {"a-b": [5, 3, 1, {"expired": 1}, 7, "new", 2]}})["connectors"]["a-b"]
+    assert newer == known
+    assert (newer.written, newer.lost, newer.measure) == (5, 1, 7)
 
 
 async def opened(name: str) -> Client:

@@ -111,3 +111,9 @@ async def test_answers_are_as_described() -> None:
         assert checked >= 12
         for path in ("/", "/docs", "/docs.css"):
             assert (await client.ask("GET", path, headers={"Authorization": ""})).status == 200
+
+
+def test_the_values_of_a_row_have_names() -> None:
+    counters = document(Right.VIEW, "http://127.0.0.1:1")["components"]["schemas"]["Counters"]
+    row = counters["properties"]["connectors"]["additionalProperties"]
+    assert [one["title"] for one in row["prefixItems"]] == ["written", "delivered", "buffered", "dropped", "measure"]

@@ -52,7 +52,7 @@ def test_rates_are_of_the_last_second_and_sums_are_exact(steps: list[tuple[int, 
     assert (dropped, waiting, reasons) == (lost, 3, {"full": lost} if lost else None)
     both = figures.edge(["a", "b", "nothing"])
     assert both is not None
-    assert both[1:3] == [2 * lost, 6]
+    assert (both.lost, both.buffered) == (2 * lost, 6)
     assert ("a" in figures.lossy) is bool(lost)
 
 

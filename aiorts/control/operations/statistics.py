@@ -30,6 +30,7 @@ from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.late import dataclass
 from aiorts.model.buffer import MAX_LENGTH
+from aiorts.model.counters import ConnectorCounters, Size
 from aiorts.model.lifecycle import OverdueHook
 from aiorts.model.profile import ThreadWriteStatistics
 from aiorts.model.service_profile import ServiceStatistics
@@ -106,8 +107,7 @@ class Counters:
     at_ns: int
     """The kernel's clock, monotonic: what rates are counted by."""
     simulated: bool
-    connectors: Mapping[str, tuple[int, int, int, Mapping[str, int], int]]
-    """Written, delivered, buffered, dropped by reason, and the option `measure`."""
+    connectors: Mapping[str, ConnectorCounters]
     service_connectors: Mapping[str, ServiceStatistics]
     timed: Mapping[str, Mapping[str, tuple[int, ...]]]
     """"latency" and "age": how many, p50, p99 and maximum in nanoseconds; "within": how far the age may be off that
@@ -174,15 +174,18 @@ def _chosen(known: Mapping[str, T], names: tuple[str, ...] | None) -> Iterable[t
     return known.items() if names is None else [(name, known[name]) for name in dict.fromkeys(names) if name in known]
 
 
-def _counted(connector: Connector) -> tuple[int, int, int, Mapping[str, int], int]:
-    transport, measure = transport_of(connector), connector.profile.measure
+def _counted(connector: Connector) -> ConnectorCounters:
+    transport = transport_of(connector)
+    dropped: Mapping[str, int]
     # Of a real-time thread and of a link only the statistics fit together.
     if not transport.listenable or connector.profile.on_link_lost is not None:
-        ledger = connector.statistics
-        return ledger.written, ledger.arrived, ledger.buffered, dict(ledger.dropped), measure
-    with transport.guard():
-        written, buffered, dropped = transport.glance()
-    return written, written - buffered - sum(dropped.values()), buffered, dropped, measure
+        found = connector.statistics
+        written, delivered, buffered, dropped = found.written, found.arrived, found.buffered, dict(found.dropped)
+    else:
+        with transport.guard():
+            written, buffered, dropped = transport.glance()
+        delivered = written - buffered - sum(dropped.values())
+    return ConnectorCounters(written, delivered, buffered, dropped, connector.profile.measure)
 
 
 def _timed(connector: Connector) -> dict[str, tuple[int, ...]]:
@@ -354,10 +357,6 @@ class Wires:
     connectors: tuple[str, ...]
 
 
-Size: TypeAlias = tuple[int | None, str]
-"""Bytes of the sample that was written last, encoded; without any, None and why."""
-
-
 def _sizes(session: Session, given: Wires) -> Mapping[str, Size]:
     return {name: _size(one) for name, one in _chosen(session.kernel.connectors, given.connectors)}
 
@@ -365,11 +364,11 @@ def _sizes(session: Session, given: Wires) -> Mapping[str, Size]:
 def _size(connector: Connector) -> Size:
     sample = last_written(connector.out)
     if sample is NOTHING:
-        return None, "nothing was written yet"
+        return Size(None, "nothing was written yet")
     try:
-        return len(MsgpackCodec().encode(sample)), ""
+        return Size(len(MsgpackCodec().encode(sample)), "")
     except AiortsError as error:
-        return None, str(error)
+        return Size(None, str(error))
 
 
 ROWS: Final = (

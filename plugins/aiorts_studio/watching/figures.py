@@ -7,16 +7,34 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
+from aiorts.control import ConnectorCounters
 from aiorts_studio.watching.words import said_of, state_of
 
-Row: TypeAlias = list[Any]
+Row: TypeAlias = Sequence[Any]
 _KINDS: Final = ("connectors", "service_connectors", "contexts", "components")
 LEFT_OUT: Final = frozenset(("skipped", "superseded"))
 """The reasons of drops that options ask for: every nth sample, the newest alone."""
 _LOOKS: Final = 6
 """Looks over which rates are taken: one second of five a second."""
+
+
+class EdgeFigures(NamedTuple):
+    """The figures of an edge, in the order in which pages have them."""
+
+    rate: float | None
+    """Samples a second; None: it is not known, or not now."""
+    lost: int
+    buffered: int
+    losing: float
+    """Samples that are lost a second."""
+    dropped: Mapping[str, int] | None
+    """Drops by reason; None where there are none."""
+    age: float | None
+    """In ms, when samples are read."""
+    trip: float | None
+    """The round trip in ms."""
 
 
 class Figures:
@@ -49,12 +67,13 @@ class Figures:
         elif self.at_ns:
             self._earlier.append((self.at_ns, dict(self.now["connectors"])))
         self.at_ns = item["at_ns"]
+        rows = {name: ConnectorCounters.of(row) for name, row in item["connectors"].items()}
         for kind in _KINDS:
-            self.now[kind].update(item[kind])
+            self.now[kind].update(rows if kind == "connectors" else item[kind])
             for name in item["gone"].get(kind, ()):
                 self.now[kind].pop(name, None)
-        for name, row in item["connectors"].items():
-            (self.lossy.add if row[3] and lost(row[3]) else self.lossy.discard)(name)
+        for name, row in rows.items():
+            (self.lossy.add if lost(row.dropped) else self.lossy.discard)(name)
         self.lossy.difference_update(item["gone"].get("connectors", ()))
         for name in (*item["components"], *item["gone"].get("components", ())):
             self._boxes.pop(name, None)
@@ -71,52 +90,53 @@ class Figures:
             missed = one["statistics"]["missed"]
             self.late[name] = max(missed, key=missed.__getitem__) if missed else ""
 
-    def edge(self, names: Sequence[str]) -> Row | None:
+    def edge(self, names: Sequence[str]) -> EdgeFigures | None:
         """The figures of the connectors that one edge stands for: sums, and the largest age and round trip."""
         rows = [row for name in names if (row := self._connector(name)) is not None]
         if len(rows) < 2:
             return rows[0] if rows else None
         reasons: Counter[str] = Counter()
         for row in rows:
-            reasons.update(row[4] or {})
-        sums = [
-            _digits(sum(row[at] or 0 for row in rows)) if at in (0, 3) else sum(row[at] for row in rows)
-            for at in range(4)
-        ]
-        rate = None if self.are_old else sums[0]
-        largest = [max((row[at] for row in rows if row[at] is not None), default=None) for at in (5, 6)]
-        return [rate, *sums[1:], dict(reasons) or None, *largest]
+            reasons.update(row.dropped or {})
+        return EdgeFigures(
+            None if self.are_old else _digits(sum(row.rate or 0 for row in rows)),
+            sum(row.lost for row in rows),
+            sum(row.buffered for row in rows),
+            _digits(sum(row.losing for row in rows)),
+            dict(reasons) or None,
+            max((row.age for row in rows if row.age is not None), default=None),
+            max((row.trip for row in rows if row.trip is not None), default=None),
+        )
 
-    def _connector(self, name: str) -> Row | None:
-        """The rate in Hz, drops, samples that wait, drops a second and by reason, the age and the round trip in ms."""
-        counted = self.now["connectors"].get(name)
-        if counted is None:
+    def _connector(self, name: str) -> EdgeFigures | None:
+        one: ConnectorCounters | None = self.now["connectors"].get(name)
+        if one is None:
             return None
-        written, _, buffered, dropped, _ = counted
-        rate, losing = None, 0.0
+        rate, losing, reasons = None, 0.0, one.dropped or None
         if self.are_old:
-            return [None, lost(dropped), buffered, 0.0, dropped or None, None, None]
+            return EdgeFigures(None, lost(one.dropped), one.buffered, 0.0, reasons, None, None)
         if (before := self._before(name)) is not None:
-            at_ns, (written_then, _, _, dropped_then, _) = before
+            at_ns, then = before
             seconds = (self.at_ns - at_ns) / 1e9
-            rate = _digits((written - written_then) / seconds)
-            losing = _digits((lost(dropped) - lost(dropped_then)) / seconds)
-        return [rate, lost(dropped), buffered, losing, dropped or None, self.ages.get(name), self.trips.get(name)]
+            rate = _digits((one.written - then.written) / seconds)
+            losing = _digits((lost(one.dropped) - lost(then.dropped)) / seconds)
+        age, trip = self.ages.get(name), self.trips.get(name)
+        return EdgeFigures(rate, lost(one.dropped), one.buffered, losing, reasons, age, trip)
 
     def lost(self, name: str) -> int:
         """The samples that the connector has lost."""
         counted = self.now["connectors"].get(name)
-        return 0 if counted is None or not counted[3] else lost(counted[3])
+        return 0 if counted is None else lost(counted.dropped)
 
     def rate(self, names: Iterable[str]) -> float | None:
         """The samples a second that come to some connectors; None: it is not known, or not now."""
         if self.are_old or not self._earlier or self.at_ns == self._earlier[0][0]:
             return None
         (at_ns, before), now = self._earlier[0], self.now["connectors"]
-        written = sum(now[name][0] - before[name][0] for name in names if name in before and name in now)
+        written = sum(now[name].written - before[name].written for name in names if name in before and name in now)
         return _digits(written / ((self.at_ns - at_ns) / 1e9))
 
-    def _before(self, name: str) -> tuple[int, Any] | None:
+    def _before(self, name: str) -> tuple[int, ConnectorCounters] | None:
         for at_ns, counted in self._earlier:
             if name in counted and at_ns < self.at_ns:
                 return at_ns, counted[name]

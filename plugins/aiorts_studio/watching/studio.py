@@ -457,7 +457,8 @@ class Studio:
         figures, key = watch.figures, watch.view.key
         wires = self.scene.wires.get(key, {})
         wanted = frozenset[int]().union(*(page.seen["e"] for page in pages if not page.is_far))
-        near = {number: row for number in wanted & wires.keys() if (row := figures.edge(wires[number])) is not None}
+        told = ((number, figures.edge(wires[number])) for number in wanted & wires.keys())
+        near: dict[int, Row] = {number: row for number, row in told if row is not None}
         far: dict[int, Row] = {}
         if any(page.is_far for page in pages):
             far = {number: [int(not figures.lossy.isdisjoint(names))] for number, names in wires.items()}

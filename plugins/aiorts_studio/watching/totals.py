@@ -50,7 +50,7 @@ def _trouble(report: Mapping[str, Any] | None, row: Row | None) -> str:
 def _loss(view: View, figures: Figures, name: str, edge: Place, boxes: Mapping[str, Place]) -> list[Any]:
     """The ends of a connector, the samples that it has lost, why, and the kind and number of what stands for it."""
     report = view.connectors.get(name) or {"source": name, "target": ""}
-    reasons = [reason for reason, count in figures.now["connectors"][name][3].items() if lost({reason: count})]
+    reasons = [reason for reason, count in figures.now["connectors"][name].dropped.items() if lost({reason: count})]
     where = ["box", boxes.get(report["source"].partition(".")[0])] if edge is None else ["edge", edge]
     return [report["source"], report["target"], figures.lost(name), reasons, *where]
 

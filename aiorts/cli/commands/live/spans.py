@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from aiorts.cli.commands.live.ledger import EXACT
+from aiorts.model.counters import SpanFigures
 
 
 def span_text(ns: float) -> str:
@@ -25,10 +26,7 @@ def within_text(within_ns: int | None) -> str:
 
 def span_plain(spans: Sequence[int] | None) -> dict[str, int] | None:
     """Measured spans of a kernel's answer as JSON has them, in nanoseconds."""
-    if spans is None:
-        return None
-    count, p50, p99, most = spans
-    return {"samples": count, "p50_ns": p50, "p99_ns": p99, "max_ns": most}
+    return None if spans is None else SpanFigures(*spans)._asdict()
 
 
 def spans_text(found: Mapping[str, Sequence[int]], *kinds: str) -> str:
@@ -36,7 +34,8 @@ def spans_text(found: Mapping[str, Sequence[int]], *kinds: str) -> str:
     off."""
     texts = []
     for what in (one for one in kinds if one in found):
-        p50, p99, most = map(span_text, found[what][1:])
+        spans = SpanFigures(*found[what])
+        p50, p99, most = map(span_text, (spans.p50_ns, spans.p99_ns, spans.max_ns))
         off = within_text(found["within"][0]) if what == "age" and "within" in found else ""
         texts.append("age ?" if off == "?" else f"{what} p50 {p50}{off}  p99 {p99}  max {most}")
     return "  ".join(texts)

@@ -11,13 +11,14 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.edges import Edge, complete_edge, find_edges
 from aiorts.cli.commands.live.ledger import UP_TO_LINK
-from aiorts.cli.commands.live.measure.readings import Counters, Rates, readings
+from aiorts.cli.commands.live.measure.readings import Counters, Rates, counters_in, readings
 from aiorts.cli.commands.live.showing import Over, following_options, has_ended
 from aiorts.cli.commands.live.spans import read_plain, read_text, span_plain, spans_text
 from aiorts.cli.commands.live.target import Running, kernels
 from aiorts.cli.console.output import say_line, say_now
 from aiorts.cli.console.report import say
 from aiorts.errors import AbsentError, ClosedError
+from aiorts.model.counters import Size, SpanFigures
 from aiorts.sessions import RightName
 
 Show = Callable[[Counters], bool]
@@ -123,11 +124,13 @@ def bw(name: str, interval: float, duration: float | None, count: int | None, ti
                 sizes = running.client.call("sizes", connectors=list(rates))
                 due = time.monotonic() + _SIZED_EVERY
             for edge in ended:
-                size, why = sizes.get(edge.name, (None, "not looked at yet"))
+                size = Size(*sizes.get(edge.name, (None, "not looked at yet")))
                 rate = rates[edge.name].windows[-1]
-                through = None if size is None else rate * size
-                text = f"{_bytes(rate * size)}/s  {rate:.3f} Hz x {_bytes(size)}" if size is not None else why
-                _print(edge, text, {"bytes_per_second": through, "rate": rate, "bytes": size}, as_json=as_json)
+                through, text = None, size.why
+                if size.bytes is not None:
+                    through = rate * size.bytes
+                    text = f"{_bytes(through)}/s  {rate:.3f} Hz x {_bytes(size.bytes)}"
+                _print(edge, text, {"bytes_per_second": through, "rate": rate, "bytes": size.bytes}, as_json=as_json)
             return bool(ended)
 
         return show
@@ -154,8 +157,8 @@ def delay(name: str, interval: float, duration: float | None, count: int | None,
 
     def begin(running: Running, meant: tuple[Edge, ...]) -> Show:
         names = [edge.name for edge in meant]
-        before = running.client.call("statistics", connectors=names, contexts=[], components=[])["connectors"]
-        wanted = [one for one in names if one in before and not before[one][-1]]
+        before = counters_in(running.client.call("statistics", connectors=names, contexts=[], components=[]))
+        wanted = [name for name, one in before["connectors"].items() if not one.measure]
         if wanted:
             running.client.call("measure", connectors=wanted)
             shown = ", ".join(edge.path for edge in meant if edge.name in wanted)
@@ -187,7 +190,7 @@ _TIMED: Final = ("latency", "age")
 
 def _ends_window(rates: Rates, now: Counters, edge: Edge) -> bool:
     counted = now["connectors"].get(edge.name)
-    return counted is not None and rates.add(now["at_ns"], counted[0])
+    return counted is not None and rates.add(now["at_ns"], counted.written)
 
 
 def _print(edge: Edge, text: str, found: Mapping[str, Any], *, as_json: bool) -> None:
@@ -200,7 +203,8 @@ def _print(edge: Edge, text: str, found: Mapping[str, Any], *, as_json: bool) ->
 def _spans(found: Mapping[str, Any]) -> str:
     if not found:
         return "nothing was read"
-    return f"{spans_text(found, *_TIMED)}  samples {found['latency'][0]}{UP_TO_LINK if 'link' in found else ''}"
+    samples = SpanFigures(*found["latency"]).samples
+    return f"{spans_text(found, *_TIMED)}  samples {samples}{UP_TO_LINK if 'link' in found else ''}"
 
 
 def _at_read(running: Running, edge: Edge) -> tuple[str, dict[str, Any] | None]:

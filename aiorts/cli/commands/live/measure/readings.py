@@ -8,10 +8,17 @@ from collections.abc import Iterator, Mapping
 from math import sqrt
 from typing import Any
 
+from aiorts.model.counters import ConnectorCounters
 from aiorts.sessions import Client
 
 Counters = Mapping[str, Any]
-"""What the operation `statistics` says."""
+"""What the operation `statistics` says, with its rows by name."""
+
+
+def counters_in(answer: Mapping[str, Any]) -> Counters:
+    """The counters in an answer of the operation `statistics`."""
+    rows: Mapping[str, Any] = answer["connectors"]
+    return {**answer, "connectors": {name: ConnectorCounters.of(row) for name, row in rows.items()}}
 
 
 def readings(client: Client, interval: float, **chosen: object) -> Iterator[Counters]:
@@ -22,7 +29,7 @@ def readings(client: Client, interval: float, **chosen: object) -> Iterator[Coun
     """
     due = time.monotonic()
     while True:
-        yield client.call("statistics", **chosen)
+        yield counters_in(client.call("statistics", **chosen))
         due = max(due + interval, time.monotonic())
         rest(client, due)
 
@@ -41,11 +48,13 @@ def rest(client: Client, until: float) -> None:
 def rate_of(now: Counters, before: Counters, name: str) -> float | None:
     """Samples a second that a connector was given between two readings; None where that cannot be said."""
     new, old = now["connectors"].get(name), before["connectors"].get(name)
+    return None if new is None or old is None else per_second(new.written - old.written, now, before)
+
+
+def per_second(more: int, now: Counters, before: Counters) -> float | None:
+    """A count by the kernel's clock; None where another thing has the name, which counts anew, or the clock stood."""
     span_ns = now["at_ns"] - before["at_ns"]
-    if new is None or old is None or span_ns <= 0 or new[0] < old[0]:
-        return None  # it came or went, or another has its name; or the kernel's clock stood
-    rate: float = (new[0] - old[0]) * 1e9 / span_ns
-    return rate
+    return None if span_ns <= 0 or more < 0 else more * 1e9 / span_ns
 
 
 class Rates:

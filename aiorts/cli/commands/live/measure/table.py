@@ -5,25 +5,21 @@ Two readings of the counters and a view make lines of text; nothing here reads, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from aiorts.cli.commands.live.edges import Edge
-from aiorts.cli.commands.live.measure.readings import Counters, rate_of
+from aiorts.cli.commands.live.measure.readings import Counters, per_second, rate_of
 from aiorts.cli.commands.live.spans import span_plain, span_text
 from aiorts.cli.console.quote import cells_of
 from aiorts.cli.console.report import printed
 from aiorts.late import dataclass
+from aiorts.model.counters import ConnectorCounters
 from aiorts.model.lifecycle import state_text
 
 KINDS: Final = ("connectors", "contexts", "components")
 SORTS: Final = ("name", "rate", "dropped", "buffered", "late")
-_HEADS: Final[Mapping[str, tuple[str, ...]]] = {
-    "connectors": ("CONNECTOR", "RATE/S", "BUFFERED", "DROPPED/S", "LATENCY", "P99", "DROPPED"),
-    "contexts": ("CONTEXT", "RATE/S", "OF", "LATE P50", "P99", "MAX", "OVERRUNS", "SKIPPED"),
-    "components": ("COMPONENT", "STATE", "CALLS"),
-}
 _NONE: Final[Mapping[str, int | None]] = MappingProxyType({})
 _NARROWEST: Final = 12
 """Columns that are left of a name at the least."""
@@ -35,16 +31,12 @@ _SHORTEST: Final = 3
 class Row:
     """One line of a table."""
 
-    cells: tuple[str, ...]
+    name: str
+    """What it is of."""
     plain: Mapping[str, Any]
     """As JSON has it."""
     order: Mapping[str, float]
     """By what it is sorted, the greatest first."""
-
-    @property
-    def name(self) -> str:
-        """What it is of."""
-        return self.cells[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,47 +80,33 @@ def tables(
 
 
 def _connector(edge: Edge | None, name: str, now: Counters, old: Counters, waiting: Mapping[str, int | None]) -> Row:
-    written, delivered, here, dropped, measure = now["connectors"][name]
+    one: ConnectorCounters = now["connectors"][name]
+    before: ConnectorCounters | None = old["connectors"].get(name)
     in_flight = now.get("links", {}).get(name)
-    buffered = here if in_flight is None else waiting.get(name)  # of a link this kernel counts its own end alone
-    lost, rate = sum(dropped.values()), rate_of(now, old, name)
-    before = old["connectors"].get(name)
-    losing = None if before is None else _per_second(lost - sum(before[3].values()), now, old)
+    # Of a link this kernel counts its own end alone.
+    buffered = one.buffered if in_flight is None else waiting.get(name)
+    rate = rate_of(now, old, name)
     timed = now["timed"].get(name, {})
-    latency = timed.get("latency")
-    reasons = ", ".join(f"{reason} {count}" for reason, count in sorted(dropped.items()))
-    empty = "..." if measure else ""
-    p50, p99 = (empty, empty) if latency is None else (span_text(latency[1]), span_text(latency[2]))
-    path = name if edge is None else edge.path
+    latency = span_plain(timed.get("latency"))
     return Row(
-        (
-            path,
-            _number(rate),
-            "-" if buffered is None else str(buffered),
-            _number(losing) if lost else "",
-            p50,
-            p99,
-            reasons,
-        ),
+        name if edge is None else edge.path,
         {
             "name": name,
             "from": "" if edge is None else edge.out,
             "to": "" if edge is None else edge.in_,
             "rate": rate,
-            "written": written,
-            "delivered": delivered,
+            **one._asdict(),
             "buffered": buffered,
             "in_flight": in_flight,
-            "dropped": dropped,
-            "measure": measure,
-            "latency": span_plain(latency),
+            "dropped_per_second": None if before is None else per_second(one.lost - before.lost, now, old),
+            "latency": latency,
             "age": span_plain(timed.get("age")),
         },
         {
             "rate": -1.0 if rate is None else rate,
-            "dropped": float(lost),
-            "buffered": float(here if buffered is None else buffered),
-            "late": 0.0 if latency is None else float(latency[2]),
+            "dropped": float(one.lost),
+            "buffered": float(one.buffered if buffered is None else buffered),
+            "late": 0.0 if latency is None else float(latency["p99_ns"]),
         },
     )
 
@@ -136,39 +114,30 @@ def _connector(edge: Edge | None, name: str, now: Counters, old: Counters, waiti
 def _context(name: str, now: Counters, old: Counters) -> Row:
     one: Mapping[str, Any] = now["contexts"][name]
     before = old["contexts"].get(name)
-    rate = None if before is None else _per_second(one["cycles"] - before["cycles"], now, old)
-    late = [one[f"lateness_{which}_ns"] for which in ("p50", "p99", "max")]
-    wanted = "" if one["rate"] is None else f"{one['rate']:g}"
-    state = _number(rate) if one["running"] else "stopped"
-    counts = (one["overruns"], one["skipped"])
+    rate = None if before is None else per_second(one["cycles"] - before["cycles"], now, old)
+    missed = float(one["overruns"] + one["skipped"])
     return Row(
-        (
-            name,
-            state,
-            wanted,
-            *(span_text(ns) if wanted else "" for ns in late),
-            *(str(one) if one else "" for one in counts),
-        ),
+        name,
         {"name": name, "cycles_per_second": rate, **one},
-        {"rate": rate or 0.0, "dropped": float(sum(counts)), "late": float(late[1])},
+        {"rate": rate or 0.0, "dropped": missed, "late": float(one["lateness_p99_ns"])},
     )
 
 
 def _component(name: str, one: Mapping[str, Any], old: Counters) -> Row:
-    states = state_text(one["states"], one.get("overdue", {}))
-    failed = " (failed)" if one["failed"] and "error" not in one["states"].values() else ""
-    texts = [
-        f"{path} {each['calls']}" + (f" ({each['failures']} failed)" if each["failures"] else "")
-        for path, each in one.get("calls", {}).items()
-    ]
-    texts += [f"{path} {each['accepted']} by threads" for path, each in one.get("thread_writes", {}).items()]
     worst = 2.0 * bool(one["failed"]) + ("active" not in one["states"].values())
-    return Row((name, states + failed, ", ".join(texts)), {"name": name, **one}, {"dropped": worst, "late": worst})
+    return Row(name, {"name": name, **one}, {"dropped": worst, "late": worst})
 
 
-def _per_second(more: int, now: Counters, old: Counters) -> float | None:
-    span_ns = now["at_ns"] - old["at_ns"]
-    return None if span_ns <= 0 or more < 0 else more * 1e9 / span_ns
+# -- columns -----------------------------------------------------------------------------------------------------------
+
+
+class Column(NamedTuple):
+    """A column of a table: its title, and what it shows of a row as JSON has it."""
+
+    title: str
+    cell: Callable[[Mapping[str, Any]], str]
+    is_words: bool = False
+    """Whether it stands to the left, as numbers do not."""
 
 
 def _number(rate: float | None) -> str:
@@ -176,6 +145,67 @@ def _number(rate: float | None) -> str:
     if rate is None:
         return "-"
     return f"{rate:.0f}" if rate >= 10_000 else f"{rate:.1f}"
+
+
+def _span(spans: str, figure: str) -> Callable[[Mapping[str, Any]], str]:
+    """A span that is measured, of a connector; "..." where nothing was read yet."""
+
+    def cell(one: Mapping[str, Any]) -> str:
+        if one[spans] is None:
+            return "..." if one["measure"] else ""
+        return span_text(one[spans][figure])
+
+    return cell
+
+
+def _late(figure: str) -> Callable[[Mapping[str, Any]], str]:
+    return lambda one: span_text(one[f"lateness_{figure}_ns"]) if one["rate"] is not None else ""
+
+
+def _losing(one: Mapping[str, Any]) -> str:
+    return _number(one["dropped_per_second"]) if any(one["dropped"].values()) else ""
+
+
+def _reasons(one: Mapping[str, Any]) -> str:
+    return ", ".join(f"{reason} {count}" for reason, count in sorted(one["dropped"].items()))
+
+
+def _states(one: Mapping[str, Any]) -> str:
+    failed = " (failed)" if one["failed"] and "error" not in one["states"].values() else ""
+    return state_text(one["states"], one.get("overdue", {})) + failed
+
+
+def _calls(one: Mapping[str, Any]) -> str:
+    texts = [
+        f"{path} {each['calls']}" + (f" ({each['failures']} failed)" if each["failures"] else "")
+        for path, each in one.get("calls", {}).items()
+    ]
+    texts += [f"{path} {each['accepted']} by threads" for path, each in one.get("thread_writes", {}).items()]
+    return ", ".join(texts)
+
+
+_NAMED: Final = {"connectors": "CONNECTOR", "contexts": "CONTEXT", "components": "COMPONENT"}
+"""The titles of the first columns, which have the rows' names."""
+_COLUMNS: Final[Mapping[str, tuple[Column, ...]]] = {
+    "connectors": (
+        Column("RATE/S", lambda one: _number(one["rate"])),
+        Column("BUFFERED", lambda one: "-" if one["buffered"] is None else str(one["buffered"])),
+        Column("DROPPED/S", _losing),
+        Column("LATENCY", _span("latency", "p50_ns")),
+        Column("P99", _span("latency", "p99_ns")),
+        Column("DROPPED", _reasons, is_words=True),
+    ),
+    "contexts": (
+        Column("RATE/S", lambda one: _number(one["cycles_per_second"]) if one["running"] else "stopped"),
+        Column("OF", lambda one: "" if one["rate"] is None else f"{one['rate']:g}"),
+        Column("LATE P50", _late("p50")),
+        Column("P99", _late("p99")),
+        Column("MAX", _late("max")),
+        Column("OVERRUNS", lambda one: str(one["overruns"] or "")),
+        Column("SKIPPED", lambda one: str(one["skipped"] or "")),
+    ),
+    "components": (Column("STATE", _states, is_words=True), Column("CALLS", _calls, is_words=True)),
+}
 
 
 # -- lines -------------------------------------------------------------------------------------------------------------
@@ -230,12 +260,12 @@ def _columns(kind: str, rows: Sequence[Row], width: int | None = None) -> list[s
 
     What is wider than `width` loses its empty columns, then the ends of its names; numbers stay.
     """
-    cells = [[printed(cell) for cell in one] for one in (_HEADS[kind], *(row.cells for row in rows))]
-    count = len(cells[0])
-    widths = [max(cells_of(row[column]) for row in cells) for column in range(count)]
-    words = {0, count - 1} if kind != "contexts" else {0}
-    words |= {1} if kind == "components" else set()
-    kept = list(range(count))
+    columns = _COLUMNS[kind]
+    texts = [[row.name, *(column.cell(row.plain) for column in columns)] for row in rows]
+    cells = [[_NAMED[kind], *(column.title for column in columns)], *([printed(cell) for cell in row] for row in texts)]
+    widths = [max(map(cells_of, column)) for column in zip(*cells, strict=True)]
+    words = {0, *(place for place, column in enumerate(columns, 1) if column.is_words)}
+    kept = list(range(len(widths)))
     if width is not None and _beyond(widths, kept, words, width) > 0:
         kept = [place for place in kept if any(row[place] for row in cells[1:])]
         widths[0] = min(widths[0], max(_NARROWEST, widths[0] - _beyond(widths, kept, words, width)))

@@ -12,7 +12,7 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.edges import edges
-from aiorts.cli.commands.live.measure.readings import Counters, rest
+from aiorts.cli.commands.live.measure.readings import Counters, counters_in, rest
 from aiorts.cli.commands.live.measure.screen import Ended, Screen, usable
 from aiorts.cli.commands.live.measure.table import KINDS, SORTS, Tables, View, screen_of, tables, text_of
 from aiorts.cli.commands.live.showing import following_options, has_ended
@@ -140,7 +140,7 @@ class _Watch:
         if self.asked_at is None or not self.client.answered(self._call):
             return False
         self.asked_at = None
-        self.before, self.now = self.now, self.client.result(self._call)
+        self.before, self.now = self.now, counters_in(self.client.result(self._call))
         return True
 
     def await_answer(self) -> None:
