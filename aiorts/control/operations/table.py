@@ -10,42 +10,12 @@ from types import MappingProxyType
 from typing import Final
 
 from aiorts.control.operation import Operation
-from aiorts.control.operations import (
-    catalogue,
-    components,
-    configuration,
-    contexts,
-    events,
-    lifecycle,
-    logs,
-    look,
-    machines,
-    parts,
-    planning,
-    reloading,
-    samples,
-    services,
-    statistics,
-    wiring,
-)
+from aiorts.control.operations import operations_of
 
-_ROWS: Final = (
-    *catalogue.ROWS,
-    *components.ROWS,
-    *configuration.ROWS,
-    *contexts.ROWS,
-    *events.ROWS,
-    *lifecycle.ROWS,
-    *logs.ROWS,
-    *look.ROWS,
-    *machines.ROWS,
-    *parts.ROWS,
-    *planning.ROWS,
-    *reloading.ROWS,
-    *samples.ROWS,
-    *services.ROWS,
-    *statistics.ROWS,
-    *wiring.ROWS,
+OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType(
+    operations_of(
+        *("catalogue", "components", "configuration", "contexts", "events", "lifecycle", "logs", "look", "machines"),
+        *("parts", "planning", "reloading", "samples", "services", "statistics", "wiring"),
+    )
 )
-OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType({row.name: row for row in _ROWS})
 """The operations that a kernel offers its clients, by name."""
