@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from aiorts.control.operation import Operation, Right
-from aiorts.control.operations.known import absent, component_named
+from aiorts.control.operations.known import absent, component_named, whose
 from aiorts.control.session import Session
 from aiorts.control.values import Done
 from aiorts.errors import ConfigurationError
@@ -110,10 +110,6 @@ async def _load(session: Session, given: Loading) -> Done:
     return Done()
 
 
-def _one(given: Configuring, _: Done | None) -> tuple[str]:
-    return (given.component,)
-
-
 ROWS: Final = (
     Operation(
         "configuration",
@@ -124,7 +120,7 @@ ROWS: Final = (
         _configuration,
         idempotent=True,
     ),
-    Operation("configure", "Change parameters and sets.", Configuring, Done, Right.OPERATE, _configure, changes=_one),
+    Operation("configure", "Change parameters and sets.", Configuring, Done, Right.OPERATE, _configure, changes=whose),
     Operation(
         "dump_configuration",
         "The configuration as the text of a file.",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import AbsentError
 from aiorts.spelling import nearest
@@ -30,6 +30,11 @@ def context_named(session: Session, name: str) -> Context:
     if name not in known:
         raise absent(f"{name:.80}: no such context", name, known)
     return known[name]
+
+
+def whose(given: Any, _: object) -> tuple[str]:
+    """The component that the arguments of a call name: it is changed by the call."""
+    return (given.component,)
 
 
 def absent(what: str, name: str, known: Iterable[str]) -> AbsentError:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Awaitable, Callable
 from typing import Final
 
 from aiorts.control.operation import Operation, Right
-from aiorts.control.operations.known import component_named
+from aiorts.control.operations.known import component_named, whose
 from aiorts.control.session import Session
 from aiorts.control.values import Done, Member, Stop
 from aiorts.errors import StateError
 from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.microkernel import Microkernel
 from aiorts.late import dataclass
 from aiorts.model.values import shown
 
@@ -24,19 +26,14 @@ class Holding:
     holder: str
 
 
-async def _activate(session: Session, given: Member) -> Done:
-    await session.kernel.activate(given.component, context=given.context, timeout=given.timeout)
-    return Done()
+def _requesting(request: Callable[..., Awaitable[None]]) -> Callable[[Session, Member], Awaitable[Done]]:
+    """Has a component of the kernel make a transition."""
 
+    async def run(session: Session, given: Member) -> Done:
+        await request(session.kernel, given.component, context=given.context, timeout=given.timeout)
+        return Done()
 
-async def _deactivate(session: Session, given: Member) -> Done:
-    await session.kernel.deactivate(given.component, context=given.context, timeout=given.timeout)
-    return Done()
-
-
-async def _reset(session: Session, given: Member) -> Done:
-    await session.kernel.reset(given.component, context=given.context, timeout=given.timeout)
-    return Done()
+    return run
 
 
 def _hold(session: Session, given: Holding) -> Done:
@@ -66,14 +63,16 @@ def _stop(session: Session, given: Stop) -> Done:
     return Done()
 
 
-def _one(given: Member, _: Done | None) -> tuple[str]:
-    return (given.component,)
-
-
+_REQUESTS: Final = (
+    ("activate", "Activate a component.", Microkernel.activate),
+    ("deactivate", "Deactivate a component.", Microkernel.deactivate),
+    ("reset", "Take a component out of error.", Microkernel.reset),
+)
 ROWS: Final = (
-    Operation("activate", "Activate a component.", Member, Done, Right.OPERATE, _activate, changes=_one),
-    Operation("deactivate", "Deactivate a component.", Member, Done, Right.OPERATE, _deactivate, changes=_one),
-    Operation("reset", "Take a component out of error.", Member, Done, Right.OPERATE, _reset, changes=_one),
+    *(
+        Operation(name, text, Member, Done, Right.OPERATE, _requesting(request), changes=whose)
+        for name, text, request in _REQUESTS
+    ),
     Operation(
         "hold",
         "Have a component as a member of a composite of another kernel, as long as the session lasts.",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.configuration import Whose
-from aiorts.control.operations.known import absent, component_named
+from aiorts.control.operations.known import absent, component_named, whose
 from aiorts.control.session import Session
 from aiorts.control.values import Done
 from aiorts.errors import StateError
@@ -132,12 +132,8 @@ async def _set_mode(session: Session, given: Mode) -> Done:
     return Done()
 
 
-def _one(given: Sending | Mode, _: Done | None) -> tuple[str]:
-    return (given.component,)
-
-
 ROWS: Final = (
     Operation("machine", "The state machine and modes.", Whose, Shown, Right.VIEW, _machine, idempotent=True),
-    Operation("send_event", "Send an event to a state machine.", Sending, Done, Right.OPERATE, _send, changes=_one),
-    Operation("set_mode", "Change the mode.", Mode, Done, Right.OPERATE, _set_mode, idempotent=True, changes=_one),
+    Operation("send_event", "Send an event to a state machine.", Sending, Done, Right.OPERATE, _send, changes=whose),
+    Operation("set_mode", "Change the mode.", Mode, Done, Right.OPERATE, _set_mode, idempotent=True, changes=whose),
 )
