@@ -11,8 +11,8 @@ from typing import Any
 
 from aiorts.control.operation import Nothing, Operation
 from aiorts.control.operations import OPERATIONS
+from aiorts.model.annotations import fields_of_row
 from aiorts.model.interface import spelled
-from aiorts.model.plain import fields_of_row
 from reference_api import REPORTS
 from reference_source import doc_of, fields_of, of_class
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import inspect
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from enum import Enum
-from types import UnionType
+from functools import lru_cache
 from typing import Any, Final
 
 import msgpack  # type: ignore[import-untyped]
@@ -27,6 +27,7 @@ from aiorts.errors import (
 )
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.messages import checked
+from aiorts.model.annotations import Lenient, Read, alternatives, as_it_is
 from aiorts.model.interface import Interface, Method, differences, spelled
 from aiorts.wire import LINK, MsgpackCodec, count_values
 
@@ -83,7 +84,7 @@ def plain(hint: Any, value: Any) -> Any:
         return value.value
     if value is None or isinstance(value, _PLAIN):
         return value
-    for one in _alternatives(hint):
+    for one in alternatives(hint):
         kind, inner = typing.get_origin(one) or one, typing.get_args(one)
         if one in (Any, object, _EMPTY) and type(value) in (list, dict):
             kind = type(value)
@@ -102,43 +103,53 @@ def plain(hint: Any, value: Any) -> Any:
     )
 
 
+def _parts(kind: Any, inner: tuple[Any, ...], count: int) -> tuple[Any, ...]:
+    if kind is tuple and inner and inner[1:] != (...,):
+        return inner if len(inner) == count else (Any,) * count
+    return (inner[0] if inner else Any,) * count
+
+
 def restored(hint: Any, value: Any) -> Any:
     """A value of the type that the interface says. InterfaceMismatch: a record of it is none."""
-    wrong = ""
-    for one in _alternatives(hint):
-        kind, inner = typing.get_origin(one) or one, typing.get_args(one)
-        if kind in _LISTS and type(value) is list:
-            parts = _parts(kind, inner, len(value))
-            found = [restored(part, each) for part, each in zip(parts, value, strict=False)]
-            try:
-                return kind(found)
-            except TypeError as error:  # a set of what cannot be in one
-                raise InterfaceMismatch(f"no {spelled(hint)}: {format_error(error)}") from None
-        if kind is dict and type(value) is dict:
-            of_key, part = inner or (Any, Any)
-            return {restored(of_key, key): restored(part, each) for key, each in value.items()}
-        if not isinstance(kind, type) or kind in _NO_RECORDS:
-            continue
-        try:
-            if issubclass(kind, Enum):
-                return kind(value)
-            if type(value) is bytes:
-                return _CODEC.decode(value, kind)
-        except Exception as error:  # noqa: BLE001 - the class's own check of its values may raise anything
-            wrong = format_error(error)
-    if wrong and bytes not in _alternatives(hint):
-        raise InterfaceMismatch(f"no {spelled(hint)}: {wrong}")
-    return value
+    try:
+        return _reader(hint)(value)
+    except Exception as error:  # noqa: BLE001 - the class's own check of its values may raise anything
+        raise InterfaceMismatch(f"no {spelled(hint)}: {format_error(error)}") from None
 
 
-def _parts(kind: Any, inner: tuple[Any, ...], count: int) -> Iterator[Any]:
-    if kind is tuple and inner and inner[1:] != (...,):
-        return iter(inner if len(inner) == count else (Any,) * count)
-    return iter((inner[0] if inner else Any,) * count)
+@lru_cache(maxsize=256)
+def _reader(hint: Any) -> Read:
+    return _Readers({one: as_it_is for one in _NO_RECORDS if one not in _LISTS}).of(hint)
 
 
-def _alternatives(hint: Any) -> tuple[Any, ...]:
-    return typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, UnionType) else (hint,)
+class _Readers(Lenient):
+    """Readers of what has travelled: a record was bytes, a member of an `Enum` its value."""
+
+    def union(self, hint: Any, arms: dict[Any, Read]) -> Read:
+        def read(value: Any) -> Any:
+            kind, wrong = type(value), None
+            if kind in arms and kind is not bytes:
+                return value
+            for arm in arms.values():
+                try:
+                    if (found := arm(value)) is not value:
+                        return found
+                except Exception as error:  # noqa: BLE001 - as above
+                    wrong = error
+            if wrong is not None and bytes not in arms:
+                raise wrong
+            return value
+
+        return read
+
+    def members(self, kind: type[Enum]) -> Read:
+        return kind
+
+    def other(self, hint: Any) -> Read:
+        kind = typing.get_origin(hint) or hint
+        if not isinstance(kind, type):
+            return as_it_is
+        return lambda value: _CODEC.decode(value, kind) if type(value) is bytes else value
 
 
 # -- interfaces ----------------------------------------------------------------------------------------------------

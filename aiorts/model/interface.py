@@ -15,6 +15,7 @@ from typing import Any, Final, TypeAlias
 
 from aiorts.errors import DeclarationError
 from aiorts.late import dataclass
+from aiorts.model.annotations import ByAnnotation, alternatives
 from aiorts.model.profile import MethodProfile, ParameterProfile
 
 Check: TypeAlias = Callable[[Any], bool]
@@ -232,7 +233,7 @@ def fits(one: Any, other: Any) -> bool:
     """Whether a value of the first type may stand where the second is required, as far as that can be known."""
     if other in (_EMPTY, Any, object) or one in (_EMPTY, Any) or one == other:
         return True
-    parts, others = _alternatives(one), _alternatives(other)
+    parts, others = alternatives(one), alternatives(other)
     if len(parts) > 1 or len(others) > 1:
         return all(any(fits(part, another) for another in others) for part in parts)
     one, other = parts[0], others[0]
@@ -245,12 +246,6 @@ def fits(one: Any, other: Any) -> bool:
     return spelled(one) == spelled(other)
 
 
-def _alternatives(hint: Any) -> list[Any]:
-    if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        return list(typing.get_args(hint))
-    return [type(None) if hint is None else hint]
-
-
 # -- checking results --------------------------------------------------------------------------------------------------
 
 
@@ -259,54 +254,64 @@ def check_of(hint: Any) -> Check | None:
 
     None where that is not checked: Protocols, type variables, names not known.
     """
-    alternatives = _alternatives(hint)
-    if len(alternatives) > 1:
-        checks = [check_of(alternative) for alternative in alternatives]
-        known = [check for check in checks if check is not None]
-        return (lambda value: any(check(value) for check in known)) if len(known) == len(checks) else None
-    one = alternatives[0]
-    if one is _EMPTY or one is Any or one is object:
-        return None
-    if one is type(None):
-        return lambda value: value is None
-    if one is float:
-        return lambda value: isinstance(value, float | int) and not isinstance(value, bool)
-    if one is int:
-        return lambda value: isinstance(value, int) and not isinstance(value, bool)
-    origin = typing.get_origin(one)
-    if origin in _CONTAINERS:
-        return _check_of_container(origin, typing.get_args(one))
-    if isinstance(one, type) and origin is None and not getattr(one, "_is_protocol", False):
-        exact: Any = one
-        return lambda value: isinstance(value, exact)
-    return None
+    return _CHECKS.of(hint)
 
 
-def _check_of_container(kind: Any, hints: tuple[Any, ...]) -> Check:
-    if kind is dict:
-        keys, values = check_of(hints[0]), check_of(hints[1])
+class _Checks(ByAnnotation["Check | None"]):
+    """The checks of annotations."""
+
+    def union(self, hint: Any, arms: dict[Any, Check | None]) -> Check | None:
+        known = [check for check in arms.values() if check is not None]
+        return (lambda value: any(check(value) for check in known)) if len(known) == len(arms) else None
+
+    def mapping(self, hint: Any, kind: Any, key: Any, item: Check | None) -> Check | None:
+        if kind is not dict:
+            return self.other(hint)
+        keys = self.of(key)
         return lambda value: (
             isinstance(value, dict)
             and (keys is None or all(map(keys, value)))
-            and (values is None or all(map(values, value.values())))
+            and (item is None or all(map(item, value.values())))
         )
-    if kind is tuple and hints[1:] != (...,):
-        checks = [check_of(hint) for hint in hints]
+
+    def fixed(self, hint: Any, items: list[Check | None]) -> Check:
         return lambda value: (
             isinstance(value, tuple)
-            and len(value) == len(checks)
-            and all(check is None or check(element) for check, element in zip(checks, value, strict=True))
+            and len(value) == len(items)
+            and all(check is None or check(element) for check, element in zip(items, value, strict=True))
         )
-    each, exact = check_of(hints[0]), {hints[0]}
-    if each is None:
-        return lambda value: isinstance(value, kind)
-    # Of ten thousand numbers of the very type none is looked at by itself.
-    return lambda value: isinstance(value, kind) and (set(map(type, value)) <= exact or all(map(each, value)))
+
+    def many(self, hint: Any, kind: Any, item: Check | None) -> Check | None:
+        if kind not in _CONTAINERS:
+            return self.other(hint)
+        if item is None:
+            return lambda value: isinstance(value, kind)
+        # Of ten thousand numbers of the very type none is looked at by itself.
+        exact = {typing.get_args(hint)[0]}
+        return lambda value: isinstance(value, kind) and (set(map(type, value)) <= exact or all(map(item, value)))
+
+    def other(self, hint: Any) -> Check | None:
+        plain = isinstance(hint, type) and typing.get_origin(hint) is None and not getattr(hint, "_is_protocol", False)
+        return (lambda value: isinstance(value, hint)) if plain else None
+
+
+def _is_none(value: Any) -> bool:
+    return value is None
+
+
+_CHECKS: Final = _Checks(
+    {
+        **dict.fromkeys((_EMPTY, Any, object)),
+        **dict.fromkeys((None, types.NoneType), _is_none),
+        float: lambda value: isinstance(value, float | int) and not isinstance(value, bool),
+        int: lambda value: isinstance(value, int) and not isinstance(value, bool),
+    }
+)
 
 
 def misfit(hint: Any, value: Any) -> tuple[str, Any]:
     """What of a value is not of the type, the innermost: the way to it ("[3]", "['a'][0]"), and what stands there."""
-    for one in _alternatives(hint):
+    for one in alternatives(hint):
         kind = typing.get_origin(one)
         if kind in _CONTAINERS and isinstance(value, kind):
             for place, part, element in _elements(kind, typing.get_args(one), value):

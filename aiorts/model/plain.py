@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 import typing
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
-from types import MappingProxyType, NoneType, UnionType
+from types import MappingProxyType, NoneType
 from typing import Any, Final, cast
 from weakref import WeakKeyDictionary
+
+from aiorts.model.annotations import ByAnnotation, fields_of_row
 
 Schema = dict[str, Any]
 
@@ -29,7 +31,6 @@ _SIMPLE: Final[Mapping[Any, Schema]] = MappingProxyType(
         object: {},
     }
 )
-_LISTS: Final = (tuple, list, set, frozenset, Sequence, Set)
 _FIELDS: Final[WeakKeyDictionary[Any, tuple[str, ...]]] = WeakKeyDictionary()
 """Names of the fields of each dataclass met so far."""
 
@@ -59,7 +60,7 @@ def plain(value: object) -> Any:
     return str(value)
 
 
-class Schemas:
+class Schemas(ByAnnotation[Schema]):
     """The schemas of annotations; those of the dataclasses that they mention are gathered.
 
     Args:
@@ -74,39 +75,37 @@ class Schemas:
     def __init__(
         self, place: str = "#/$defs/", *, defaults: bool = False, simple: Mapping[Any, Schema] = MappingProxyType({})
     ) -> None:
+        super().__init__({**_SIMPLE, **simple})
         self.definitions: dict[str, Schema] = {}
         self._place = place
         self._defaults = defaults
-        self._simple = {**_SIMPLE, **simple}
         self._names: dict[Any, str] = {}
 
-    def of(self, hint: Any) -> Schema:
-        """The schema of an annotation.
+    def union(self, hint: Any, arms: dict[Any, Schema]) -> Schema:
+        return {"anyOf": list(arms.values())}
 
-        Raises:
-            TypeError: values of it have no form in JSON that is known.
-        """
-        if hint in self._simple:
-            return self._simple[hint]
-        origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-        if origin in (typing.Union, UnionType):
-            return {"anyOf": [self.of(argument) for argument in arguments]}
-        if origin is typing.Literal:
-            return {"enum": list(arguments)}
-        if origin is tuple and arguments[1:] != (...,):
-            items = [self.of(argument) for argument in arguments]
-            return {"type": "array", "prefixItems": items, "minItems": len(items), "maxItems": len(items)}
-        if origin in _LISTS:
-            return {"type": "array", "items": self.of(arguments[0])}
-        if origin in (dict, Mapping):
-            return {"type": "object", "additionalProperties": self.of(arguments[1])}
-        if isinstance(hint, type) and issubclass(hint, Enum):
-            return {"enum": [plain(member) for member in hint]}
-        if (row := fields_of_row(hint)) is not None:
-            items = [{**self.of(one), "title": name} for name, one in row.items()]
-            return {"type": "array", "prefixItems": items, "minItems": len(items), "maxItems": len(items)}
-        if isinstance(hint, type) and is_dataclass(hint):
-            return {"$ref": f"{self._place}{self._named(hint)}"}
+    def words(self, hint: Any, words: tuple[Any, ...]) -> Schema:
+        return {"enum": list(words)}
+
+    def fixed(self, hint: Any, items: list[Schema]) -> Schema:
+        if row := fields_of_row(hint):
+            items = [{**item, "title": name} for item, name in zip(items, row, strict=True)]
+        return {"type": "array", "prefixItems": items, "minItems": len(items), "maxItems": len(items)}
+
+    def many(self, hint: Any, kind: Any, item: Schema) -> Schema:
+        return {"type": "array", "items": item}
+
+    def mapping(self, hint: Any, kind: Any, key: Any, item: Schema) -> Schema:
+        return {"type": "object", "additionalProperties": item}
+
+    def members(self, kind: type[Enum]) -> Schema:
+        return {"enum": [plain(member) for member in kind]}
+
+    def record(self, kind: type) -> Schema:
+        return {"$ref": f"{self._place}{self._named(kind)}"}
+
+    def other(self, hint: Any) -> Schema:
+        """TypeError: values of it have no form in JSON that is known."""
         raise TypeError(f"{hint!r}: has no JSON Schema")
 
     def _named(self, kind: type[Any]) -> str:
@@ -135,12 +134,6 @@ class Schemas:
         if not self._defaults or field.default is MISSING or "$ref" in schema:
             return schema
         return {**schema, "default": plain(field.default)}
-
-
-def fields_of_row(hint: Any) -> Mapping[str, Any] | None:
-    """The annotations of a NamedTuple, which is a row of values by name; None of what is none."""
-    is_row = isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields")
-    return typing.get_type_hints(hint) if is_row else None
 
 
 def has_default(field: Field[Any]) -> bool:

@@ -7,7 +7,6 @@ annotations of a class are read once.
 from __future__ import annotations
 
 import math
-import types
 import typing
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -18,7 +17,8 @@ from typing import Any, Final, TypeVar, cast
 
 from aiorts.errors import DeclarationError, LimitError, RecordError, RecordTypeError
 from aiorts.late import dataclass
-from aiorts.model.plain import fields_of_row, has_default
+from aiorts.model.annotations import ByAnnotation
+from aiorts.model.plain import has_default
 from aiorts.model.values import shown
 
 T = TypeVar("T")
@@ -118,32 +118,7 @@ def from_plain(
 
 @lru_cache(maxsize=256)
 def _reader(kind: Hashable) -> _Reader:
-    return _made(kind, {})
-
-
-def _made(hint: Any, made: dict[Any, _Reader]) -> _Reader:
-    simple = _SIMPLE.get(hint)
-    if simple is not None:
-        return simple
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (typing.Union, types.UnionType):
-        return _union(hint, {one: _made(one, made) for one in arguments})
-    if origin is typing.Literal:
-        return _one_of(arguments, arguments)
-    if origin is Sequence or (origin is tuple and arguments[1:] == (...,)):
-        return _many(_made(arguments[0], made))
-    if origin is tuple:
-        return _fixed([_made(one, made) for one in arguments])
-    if (row := fields_of_row(hint)) is not None:
-        return _fixed([_made(one, made) for one in row.values()], hint._make)
-    if origin in (Mapping, dict) and arguments[0] in _KEYS:
-        frozen = MappingProxyType if origin is Mapping else dict
-        return _mapping(_KEYS[arguments[0]], _made(arguments[1], made), frozen)
-    if isinstance(hint, type) and issubclass(hint, Enum):
-        return _one_of([one.value for one in hint], list(hint))
-    if isinstance(hint, type) and is_dataclass(hint):
-        return made.get(hint) or _record(hint, made)
-    raise DeclarationError(f"{hint!r}: is not read; of annotations there are those of JSON, Enum, tuple and Mapping")
+    return _Readers(_SIMPLE).of(kind)
 
 
 # -- single values -----------------------------------------------------------------------------------------------------
@@ -213,6 +188,132 @@ _SIMPLE: Final[Mapping[Any, _Reader]] = {
 }
 
 
+# -- of several --------------------------------------------------------------------------------------------------------
+
+
+class _Readers(ByAnnotation[_Reader]):
+    """The readers of annotations; a class that mentions itself has one."""
+
+    def __init__(self, simple: Mapping[Any, _Reader]) -> None:
+        super().__init__(simple)
+        self._made: dict[type, _Reader] = {}
+
+    def union(self, hint: Any, arms: dict[Any, _Reader]) -> _Reader:
+        """Which arm it is follows from the kind of the value, among classes from the keys; nothing is tried twice."""
+        expected = " or ".join(dict.fromkeys(_name(one) for one in arms))
+        by_kind = {kind: tuple(arms[one] for one in arms if kind in _taken(one)) for kind in _WORDS}
+        records = [one for one in arms if is_dataclass(one)]
+        if len(by_kind[list]) > 1 or len(by_kind[dict]) > max(len(records), 1):
+            raise DeclarationError(f"{hint!r}: is not read; nothing says which of these an object or list is")
+
+        def read(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
+            found = by_kind.get(value.__class__, ())
+            if len(found) == 1:
+                return found[0](value, at, key, reading)
+            if value.__class__ is dict and found:
+                return arms[max(records, key=lambda one: _fit(one, value))](value, at, key, reading)
+            for arm in found:
+                try:
+                    return arm(value, at, key, reading)
+                except RecordError:
+                    continue
+            raise _wrong(at, key, expected, value)
+
+        return read
+
+    def words(self, hint: Any, words: tuple[Any, ...]) -> _Reader:
+        return _one_of(words, words)
+
+    def members(self, kind: type[Enum]) -> _Reader:
+        return _one_of([one.value for one in kind], list(kind))
+
+    def many(self, hint: Any, kind: Any, item: _Reader) -> _Reader:
+        if kind not in (tuple, Sequence):
+            return self.other(hint)
+
+        def read(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
+            if value.__class__ is not list and value.__class__ is not tuple:
+                raise _wrong(at, key, "a list", value)
+            if not value:
+                return ()
+            here = _Place(at, key, reading, len(value))
+            return tuple([item(one, here, index, reading) for index, one in enumerate(value)])
+
+        return read
+
+    def fixed(self, hint: Any, items: list[_Reader]) -> _Reader:
+        make = getattr(hint, "_make", tuple)
+
+        def read(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
+            if (value.__class__ is not list and value.__class__ is not tuple) or len(value) != len(items):
+                raise _wrong(at, key, f"a list of {len(items)}", value)
+            here = _Place(at, key, reading, len(value))
+            pairs = enumerate(zip(items, value, strict=True))
+            return make([item(one, here, index, reading) for index, (item, one) in pairs])
+
+        return read
+
+    def mapping(self, hint: Any, kind: Any, key: Any, item: _Reader) -> _Reader:
+        if (name := _KEYS.get(key)) is None:
+            return self.other(hint)
+        frozen = MappingProxyType if kind is Mapping else dict
+
+        def read(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
+            if value.__class__ is not dict:
+                raise _wrong(at, key, "an object", value)
+            here = _Place(at, key, reading, len(value))
+            read = {name(one, here, reading): item(inner, here, one, reading) for one, inner in value.items()}
+            if len(read) != len(value):
+                raise RecordError(f"{_path(at, key)}: two keys mean the same")
+            return frozen(read)
+
+        return read
+
+    def record(self, kind: Any) -> _Reader:
+        if kind in self._made:
+            return self._made[kind]
+        readers: dict[Any, _Reader] = {}
+        required: list[str] = []
+        expected = f"an object ({kind.__name__})"
+
+        def read(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
+            if value.__class__ is not dict:
+                raise _wrong(at, key, expected, value)
+            here = _Place(at, key, reading, len(value))
+            given = {}
+            for name, one in value.items():
+                reader = readers.get(name)
+                if reader is not None:
+                    given[name] = reader(one, here, name, reading)
+                else:
+                    reading.keep(here, _text_key(name, here, reading), one)
+            if len(given) < len(readers):
+                for name in required:
+                    if name not in given:
+                        raise RecordError(f"{_path(here, name)}: is missing")
+            try:
+                return kind(**given)
+            except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # of its own check
+                raise RecordError(f"{_path(at, key)}: {error}") from error
+
+        self._made[kind] = read  # it may mention itself
+        try:
+            hints = typing.get_type_hints(kind)
+        except NameError as error:
+            raise DeclarationError(f"{kind.__qualname__}: its annotations cannot be read: {error}") from error
+        for field in fields(kind):
+            if not field.init:
+                where = f"{kind.__qualname__}.{field.name}"
+                raise DeclarationError(f"{where}: is not read, since __init__ does not take it")
+            readers[field.name] = self.of(hints[field.name])
+            if not has_default(field):
+                required.append(field.name)
+        return read
+
+    def other(self, hint: Any) -> _Reader:
+        raise DeclarationError(f"{hint!r}: is not read; there are those of JSON, Enum, tuple and Mapping")
+
+
 def _one_of(words: Iterable[Any], members: Iterable[Any]) -> _Reader:
     """Of an Enum or a Literal."""
     table = {(type(word), word): member for word, member in zip(words, members, strict=True)}
@@ -225,47 +326,6 @@ def _one_of(words: Iterable[Any], members: Iterable[Any]) -> _Reader:
             if found is not table:
                 return found
         raise _wrong(at, key, expected, value)
-
-    return read
-
-
-# -- of several --------------------------------------------------------------------------------------------------------
-
-
-def _many(item: _Reader) -> _Reader:
-    def read(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
-        if value.__class__ is not list and value.__class__ is not tuple:
-            raise _wrong(at, key, "a list", value)
-        if not value:
-            return ()
-        here = _Place(at, key, reading, len(value))
-        return tuple([item(one, here, index, reading) for index, one in enumerate(value)])
-
-    return read
-
-
-def _fixed(items: list[_Reader], make: Callable[[Iterable[Any]], Any] = tuple) -> _Reader:
-    def read(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
-        if (value.__class__ is not list and value.__class__ is not tuple) or len(value) != len(items):
-            raise _wrong(at, key, f"a list of {len(items)}", value)
-        here = _Place(at, key, reading, len(value))
-        pairs = enumerate(zip(items, value, strict=True))
-        return make([item(one, here, index, reading) for index, (item, one) in pairs])
-
-    return read
-
-
-def _mapping(
-    name: Callable[[Any, _Place, _Reading], Any], item: _Reader, frozen: Callable[[dict[Any, Any]], Mapping[Any, Any]]
-) -> _Reader:
-    def read(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
-        if value.__class__ is not dict:
-            raise _wrong(at, key, "an object", value)
-        here = _Place(at, key, reading, len(value))
-        read = {name(one, here, reading): item(inner, here, one, reading) for one, inner in value.items()}
-        if len(read) != len(value):
-            raise RecordError(f"{_path(at, key)}: two keys mean the same")
-        return frozen(read)
 
     return read
 
@@ -285,30 +345,6 @@ def _int_key(key: Any, at: _Place, reading: _Reading) -> Any:
 
 
 _KEYS: Final[Mapping[Any, Callable[[Any, _Place, _Reading], Any]]] = {str: _text_key, int: _int_key}
-
-
-def _union(hint: Any, arms: dict[Any, _Reader]) -> _Reader:
-    """Which arm it is follows from the kind of the value, among classes from the keys; nothing is tried twice."""
-    expected = " or ".join(dict.fromkeys(_name(one) for one in arms))
-    by_kind = {kind: tuple(arms[one] for one in arms if kind in _taken(one)) for kind in _WORDS}
-    records = [one for one in arms if is_dataclass(one)]
-    if len(by_kind[list]) > 1 or len(by_kind[dict]) > max(len(records), 1):
-        raise DeclarationError(f"{hint!r}: is not read; nothing says which of these an object or list is")
-
-    def read(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
-        found = by_kind.get(value.__class__, ())
-        if len(found) == 1:
-            return found[0](value, at, key, reading)
-        if value.__class__ is dict and found:
-            return arms[max(records, key=lambda one: _fit(one, value))](value, at, key, reading)
-        for arm in found:
-            try:
-                return arm(value, at, key, reading)
-            except RecordError:
-                continue
-        raise _wrong(at, key, expected, value)
-
-    return read
 
 
 def _taken(hint: Any) -> Iterable[type]:
@@ -331,45 +367,6 @@ def _fit(kind: Any, value: Mapping[Any, Any]) -> tuple[int, int]:
     known = fields(kind)
     missing = sum(not has_default(one) and one.name not in value for one in known)
     return -missing, sum(one.name in value for one in known)
-
-
-def _record(kind: Any, made: dict[Any, _Reader]) -> _Reader:
-    readers: dict[Any, _Reader] = {}
-    required: list[str] = []
-    expected = f"an object ({kind.__name__})"
-
-    def read(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
-        if value.__class__ is not dict:
-            raise _wrong(at, key, expected, value)
-        here = _Place(at, key, reading, len(value))
-        given = {}
-        for name, one in value.items():
-            reader = readers.get(name)
-            if reader is not None:
-                given[name] = reader(one, here, name, reading)
-            else:
-                reading.keep(here, _text_key(name, here, reading), one)
-        if len(given) < len(readers):
-            for name in required:
-                if name not in given:
-                    raise RecordError(f"{_path(here, name)}: is missing")
-        try:
-            return kind(**given)
-        except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # of its own check
-            raise RecordError(f"{_path(at, key)}: {error}") from error
-
-    made[kind] = read  # it may mention itself
-    try:
-        hints = typing.get_type_hints(kind)
-    except NameError as error:
-        raise DeclarationError(f"{kind.__qualname__}: its annotations cannot be read: {error}") from error
-    for field in fields(kind):
-        if not field.init:
-            raise DeclarationError(f"{kind.__qualname__}.{field.name}: is not read, since __init__ does not take it")
-        readers[field.name] = _made(hints[field.name], made)
-        if not has_default(field):
-            required.append(field.name)
-    return read
 
 
 # -- messages ----------------------------------------------------------------------------------------------------------

@@ -329,7 +329,7 @@ def _to_enum(value: object, kind: type[enum.Enum]) -> enum.Enum:
 
 
 def _to_tuple(value: object, kind: Any) -> tuple[Any, ...]:
-    items = _items(value)
+    items = items_of(value)
     parts = typing.get_args(kind)
     if len(parts) == 2 and parts[1] is Ellipsis:
         parts = (parts[0],) * len(items)
@@ -345,7 +345,7 @@ def _to_tuple(value: object, kind: Any) -> tuple[Any, ...]:
 
 
 def _to_mapping(value: object, kind: Any) -> Mapping[str, Any]:
-    pairs = value if isinstance(value, Mapping) else _pairs(value)
+    pairs = value if isinstance(value, Mapping) else pairs_of(value)
     converted = {}
     for key, item in pairs.items():
         if not isinstance(key, str):
@@ -357,7 +357,7 @@ def _to_mapping(value: object, kind: Any) -> Mapping[str, Any]:
     return types.MappingProxyType(converted)
 
 
-def _pairs(value: object) -> Mapping[str, object]:
+def pairs_of(value: object) -> Mapping[str, object]:
     if not isinstance(value, str):
         raise TypeError(f"must be a mapping, got {_kind(value)}")
     from json import loads
@@ -383,7 +383,7 @@ def _pairs(value: object) -> Mapping[str, object]:
     return pairs
 
 
-def _items(value: object) -> list[object]:
+def items_of(value: object) -> list[object]:
     to_list: Callable[[], object] | None = getattr(value, "tolist", None)
     if to_list is not None and getattr(value, "shape", ()) != ():
         value = to_list()

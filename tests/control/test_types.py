@@ -16,7 +16,7 @@ from anyio import create_task_group
 from aiorts import Component, Goal, MultiModeComponent, PeriodicContext, Provided, StateMachineComponent
 from aiorts.control.operation import Operation
 from aiorts.control.operations import OPERATIONS
-from aiorts.model.plain import fields_of_row
+from aiorts.model.annotations import fields_of_row
 from aiorts.model.reading import from_plain
 from aiorts.model.wanted.carried import carried
 from aiorts.planning import wanted_of
@@ -52,7 +52,7 @@ def anywhere(hint: Any, path: str, seen: set[Any]) -> Iterator[str]:
             for one in dataclasses.fields(hint):
                 yield from anywhere(names[one.name], f"{hint.__name__}.{one.name}", seen)
     else:
-        for one in (fields_of_row(hint) or {}).values() or typing.get_args(hint):
+        for one in fields_of_row(hint).values() or typing.get_args(hint):
             yield from anywhere(one, path, seen)
 
 

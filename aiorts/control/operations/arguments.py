@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import enum
 import types
-import typing
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
+from enum import Enum
+from functools import partial
 from inspect import Parameter, Signature
 from itertools import chain
 from json import loads
@@ -15,12 +15,11 @@ from typing import Any, Final
 
 from aiorts.errors import AiortsError, InterfaceMismatch
 from aiorts.kernel.execution.file_access import check_file
+from aiorts.model.annotations import Lenient, Read
 from aiorts.model.interface import spelled
-from aiorts.model.values import convert_value, is_path, shown
+from aiorts.model.plain import Schema, Schemas
+from aiorts.model.values import convert_value, is_path, items_of, pairs_of, shown
 from aiorts.types import describe, from_plain
-
-_LISTS: Final[Mapping[Any, Any]] = {list: list, set: set, frozenset: frozenset}
-_SCALARS: Final = (bool, int, float, str)
 
 
 def read_arguments(
@@ -67,44 +66,68 @@ def _paths(value: Any) -> Iterator[PurePath]:
 
 def _read(value: Any, hint: Any) -> Any:
     """A value by its type; one whose type is not known is JSON, or else the text that it is."""
-    if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        return _one_of(value, typing.get_args(hint))
-    if hint is None or hint is type(None):
-        if value is None or (isinstance(value, str) and value.strip().lower() in ("none", "null")):
-            return None
+    return _READERS.of(hint)(value)
+
+
+def _converted(kind: Any, value: Any) -> Any:
+    return convert_value(value, kind)
+
+
+def _none(value: Any) -> None:
+    if value is not None and (not isinstance(value, str) or value.strip().lower() not in ("none", "null")):
         raise ValueError("must be none")
-    if hint in _SCALARS or is_path(hint) or (isinstance(hint, type) and issubclass(hint, enum.Enum)):
-        return convert_value(value, hint)
-    origin, parts = typing.get_origin(hint) or hint, typing.get_args(hint)
-    if origin is typing.Literal:
-        return next((one for one in parts if value == one or value == str(one)), value)
-    plain = _plain(value)
-    if isinstance(hint, type) and is_dataclass(hint):
-        return from_plain(hint, plain, defaults=True)
-    if origin in _LISTS and isinstance(plain, list):
-        return _LISTS[origin](_read(one, parts[0]) if parts else one for one in plain)
-    if origin is tuple and isinstance(plain, list):
-        kinds = parts[:1] * len(plain) if parts[1:] == (...,) else parts
-        return tuple(map(_read, plain, kinds)) if len(kinds) == len(plain) else tuple(plain)
-    if origin in (dict, Mapping) and isinstance(plain, dict) and len(parts) == 2:
-        return {_read(key, parts[0]): _read(one, parts[1]) for key, one in plain.items()}
-    if isinstance(value, str) and origin in (dict, Mapping) and parts[:1] == (str,):  # a: 1, b: 2
-        return dict(convert_value(value, types.GenericAlias(Mapping, parts)))
-    if isinstance(value, str) and origin in (tuple, *_LISTS) and parts:  # 1,2,3
-        return _LISTS.get(origin, tuple)(
-            convert_value(value, hint if origin is tuple else types.GenericAlias(tuple, (parts[0], ...)))
-        )
-    return plain
 
 
-def _one_of(value: Any, hints: Sequence[Any]) -> Any:
-    errors = []
-    for hint in sorted(hints, key=lambda hint: hint is str):  # any text is a text
-        try:
-            return _read(value, hint)
-        except (TypeError, ValueError) as error:
-            errors.append(str(error))
-    raise ValueError(" or ".join(dict.fromkeys(errors)))
+class _Readers(Lenient):
+    """Readers of what a client gives: a list or mapping may be a text, too, as JSON or as `1,2` and `a: 1, b: 2`."""
+
+    def union(self, hint: Any, arms: dict[Any, Read]) -> Read:
+        def read(value: Any) -> Any:
+            errors = []
+            for one in sorted(arms, key=lambda one: one is str):  # any text is a text
+                try:
+                    return arms[one](value)
+                except (TypeError, ValueError) as error:
+                    errors.append(str(error))
+            raise ValueError(" or ".join(dict.fromkeys(errors)))
+
+        return read
+
+    def words(self, hint: Any, words: tuple[Any, ...]) -> Read:
+        return lambda value: next((one for one in words if value == one or value == str(one)), value)
+
+    def fixed(self, hint: Any, items: list[Read]) -> Read:
+        return _of_text(super().fixed(hint, items), list, items_of)
+
+    def many(self, hint: Any, kind: Any, item: Read) -> Read:
+        return _of_text(super().many(hint, kind, item), list, items_of)
+
+    def mapping(self, hint: Any, kind: Any, key: Any, item: Read) -> Read:
+        return _of_text(super().mapping(hint, kind, key, item), dict, pairs_of)
+
+    def members(self, kind: type[Enum]) -> Read:
+        return partial(_converted, kind)
+
+    def record(self, kind: type) -> Read:
+        return lambda value: from_plain(kind, _plain(value), defaults=True)
+
+    def other(self, hint: Any) -> Read:
+        return partial(_converted, hint) if is_path(hint) else _plain
+
+
+_READERS: Final = _Readers(
+    {**{kind: partial(_converted, kind) for kind in (bool, int, float, str)}, None: _none, types.NoneType: _none}
+)
+
+
+def _of_text(read: Read, kind: type, split: Read) -> Read:
+    """The reader of plain values of a kind, of a text also where that is no JSON of one."""
+
+    def of_text(value: Any) -> Any:
+        plain = _plain(value)
+        return read(split(value) if isinstance(value, str) and not isinstance(plain, kind) else plain)
+
+    return of_text
 
 
 # -- what a form needs -------------------------------------------------------------------------------------------------
@@ -112,48 +135,28 @@ def _one_of(value: Any, hints: Sequence[Any]) -> Any:
 
 def value_schema(hint: Any) -> dict[str, Any]:
     """The JSON Schema of what is read as a value of this type; empty where that is not known, as any may be one."""
-    if hint in _SCHEMAS:
-        return dict(_SCHEMAS[hint])
-    origin, parts = typing.get_origin(hint) or hint, typing.get_args(hint)
-    if origin in (typing.Union, types.UnionType):
-        return {"anyOf": list(map(value_schema, parts))}
-    if origin is typing.Literal:
-        return {"enum": list(parts)}
-    if is_path(hint):
-        return {"type": "string", "format": "path"}
-    if isinstance(hint, type) and issubclass(hint, enum.Enum):
-        return {"enum": list(hint.__members__)}
-    if isinstance(hint, type) and is_dataclass(hint):
-        return _record_schema(hint)
-    if origin is tuple and parts and parts[1:] != (...,):
-        return {"type": "array", "prefixItems": list(map(value_schema, parts)), "items": False, "minItems": len(parts)}
-    if origin in (tuple, *_LISTS):
-        return {"type": "array", "items": value_schema(parts[0]) if parts else {}}
-    if origin in (dict, Mapping):
-        return {"type": "object", "additionalProperties": value_schema(parts[1]) if len(parts) == 2 else {}}
-    return {}
+    return _Schemas(simple={float: {"type": "number"}, bytes: {}, None: {"type": "null"}}).of(hint)
 
 
-def _record_schema(cls: type) -> dict[str, Any]:
-    from aiorts.wire import schema_text
+class _Schemas(Schemas):
+    """Schemas for a form to be filled in."""
 
-    try:
-        schema: dict[str, Any] = loads(schema_text(cls, as_json=True))
-        given = [one.name for one in describe(cls).fields if one.default is MISSING and one.factory is MISSING]
-    except AiortsError:  # it has fields that samples cannot have
-        return {}
-    del schema["$schema"]
-    return {**schema, "required": given}
+    def members(self, kind: type[Enum]) -> Schema:
+        return {"enum": list(kind.__members__)}
 
+    def record(self, kind: type) -> Schema:
+        from aiorts.wire import schema_text
 
-_SCHEMAS: Final[Mapping[Any, Mapping[str, Any]]] = {
-    bool: {"type": "boolean"},
-    int: {"type": "integer"},
-    float: {"type": "number"},
-    str: {"type": "string"},
-    None: {"type": "null"},
-    types.NoneType: {"type": "null"},
-}
+        try:
+            schema: Schema = loads(schema_text(kind, as_json=True))
+            given = [one.name for one in describe(kind).fields if one.default is MISSING and one.factory is MISSING]
+        except AiortsError:  # it has fields that samples cannot have
+            return {}
+        del schema["$schema"]
+        return {**schema, "required": given}
+
+    def other(self, hint: Any) -> Schema:
+        return {"type": "string", "format": "path"} if is_path(hint) else {}
 
 
 def _plain(value: Any) -> Any:

@@ -26,6 +26,7 @@ from aiorts.kernel.extensions.catalogue import Catalogue, Extension
 from aiorts.kernel.service import load_service
 from aiorts.model.configuration.parameters import Constraint, ParameterSpec
 from aiorts.model.declared import options_of, words_among
+from aiorts.model.plain import Schema, Schemas
 from aiorts.system.file.parse import SCHEMA
 from aiorts.system.schemas.connection_schema import connection_schema
 from aiorts.system.schemas.option_schema import limits_schema
@@ -193,7 +194,7 @@ def _entry(kind: dict[str, Any], params: dict[str, Any], cls: type[Component] | 
 
 def _parameter(spec: ParameterSpec) -> dict[str, Any]:
     unit = f" [{spec.unit}]" if spec.unit else ""
-    made = {"title": f"{spec.type_text}{unit}", **_value(spec.type, spec.constraint)}
+    made = {"title": f"{spec.type_text}{unit}", **_Values(spec.constraint).of(spec.type)}
     if spec.doc:
         made["description"] = spec.doc
     if (default := _plain(spec.default)) is not None:
@@ -201,42 +202,43 @@ def _parameter(spec: ParameterSpec) -> dict[str, Any]:
     return made
 
 
-def _value(kind: Any, limits: Constraint) -> dict[str, Any]:
-    """Values of a parameter's type, as TOML or as the text that means them."""
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin in (typing.Union, types.UnionType):
-        inner = next(part for part in arguments if part is not types.NoneType)
-        return {"anyOf": [_value(inner, limits), {"type": "string", "pattern": r"^\s*[nN][oO][nN][eE]\s*$"}]}
-    if origin is tuple:
-        return {"anyOf": [_array(arguments, limits), {"type": "string"}]}
-    if kind is bool:
-        return {"anyOf": [{"type": "boolean"}, {"type": "string", "pattern": _TRUTH}]}
-    if kind in (int, float):
-        bounds = {
-            word: limit
-            for name, word in _BOUNDS.items()
-            if (limit := getattr(limits, name)) is not None and math.isfinite(limit)
-        }
-        number: dict[str, Any] = {"type": "integer" if kind is int else "number", **bounds}
-        if limits.choices is not None:
-            number["enum"] = list(limits.choices)
-        return {"anyOf": [number, {"type": "string", "pattern": _INTEGER if kind is int else _NUMBER}]}
-    if isinstance(kind, type) and issubclass(kind, enum.Enum):
+class _Values(Schemas):
+    """The schemas of a parameter's values, as TOML or as the text that means them."""
+
+    def __init__(self, limits: Constraint) -> None:
+        self._limits = limits
+        super().__init__(
+            simple={
+                bool: {"anyOf": [{"type": "boolean"}, {"type": "string", "pattern": _TRUTH}]},
+                int: self._number("integer", _INTEGER),
+                float: self._number("number", _NUMBER),
+                str: self._text(),
+                Path: self._text(minLength=1),
+                types.NoneType: {"type": "string", "pattern": r"^\s*[nN][oO][nN][eE]\s*$"},
+            }
+        )
+
+    def _number(self, kind: str, pattern: str) -> Schema:
+        limits = ((word, getattr(self._limits, name)) for name, word in _BOUNDS.items())
+        bounds = {word: limit for word, limit in limits if limit is not None and math.isfinite(limit)}
+        choices = {} if self._limits.choices is None else {"enum": list(self._limits.choices)}
+        return {"anyOf": [{"type": kind, **bounds, **choices}, {"type": "string", "pattern": pattern}]}
+
+    def _text(self, **limits: int) -> Schema:
+        choices = {} if self._limits.choices is None else {"enum": list(map(str, self._limits.choices))}
+        return {"type": "string", **limits, **choices}
+
+    def fixed(self, hint: Any, items: list[Schema]) -> Schema:
+        return {"anyOf": [super().fixed(hint, items), {"type": "string"}]}
+
+    def many(self, hint: Any, kind: Any, item: Schema) -> Schema:
+        return {"anyOf": [super().many(hint, kind, item), {"type": "string"}]}
+
+    def mapping(self, hint: Any, kind: Any, key: Any, item: Schema) -> Schema:
+        return {"anyOf": [super().mapping(hint, kind, key, item), {"type": "string"}]}
+
+    def members(self, kind: type[enum.Enum]) -> Schema:
         return {"enum": _members(kind)}
-    text: dict[str, Any] = {"type": "string"}
-    if kind is Path:
-        text["minLength"] = 1
-    if limits.choices is not None:
-        text["enum"] = [str(choice) for choice in limits.choices]
-    return text
-
-
-def _array(arguments: tuple[Any, ...], limits: Constraint) -> dict[str, Any]:
-    if len(arguments) == 2 and arguments[1] is Ellipsis:
-        return {"type": "array", "items": _value(arguments[0], limits)}
-    count = len(arguments)
-    parts = [_value(one, limits) for one in arguments]
-    return {"type": "array", "prefixItems": parts, "minItems": count, "maxItems": count}
 
 
 def _members(kind: type[enum.Enum]) -> list[Any]:
