@@ -20,7 +20,7 @@ from aiorts.cli.console.plugins_option import catalogue_of, plugins_option, use_
 from aiorts.cli.console.report import printed, report, report_error
 from aiorts.cli.group import HelpfulGroup, strict, write_sections
 from aiorts.errors import AiortsError, PluginError
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 from aiorts.tiers import tier_of_command
 
 if TYPE_CHECKING:
@@ -143,9 +143,7 @@ class _LazyGroup(HelpfulGroup):
         if not known and name not in (names := self.list_commands(ctx)):
             from aiorts.kernel.extensions.uninstalled import named_in_project
 
-            near = nearest(name, names)
-            hint = named_in_project(name, "commands", "components")
-            hint = hint or (f"did you mean {near!r}?" if near else f"there are {', '.join(names[:_SHOWN])}")
+            hint = named_in_project(name, "commands", "components") or suggestion(name, names)
             raise click.UsageError(f"no command {name[:60]!r}; {hint}", ctx)
         return super().resolve_command(ctx, args)
 

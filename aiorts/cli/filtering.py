@@ -34,7 +34,6 @@ def filter_(ctx: click.Context, name: str, words: tuple[str, ...]) -> Any:
     command = filter_named(name, catalogue)
     if command is None:
         names = list(offered(catalogue, "components"))
-        hint = suggestion(name, names)
-        raise click.UsageError(f"no component {name[:60]!r}; {hint}", ctx)
+        raise click.UsageError(f"no component {name[:60]!r}; {suggestion(name, names)}", ctx)
     with strict(command).make_context(f"filter {name}", list(words), parent=ctx.parent) as inner:
         return command.invoke(inner)

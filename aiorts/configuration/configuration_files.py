@@ -20,7 +20,7 @@ from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.service import KernelService
 from aiorts.model.configuration.sets import ConfigurationState, Difference, differences
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -116,8 +116,7 @@ class ConfigurationFiles(KernelService):
         for name in document.components:
             component = components.get(name)
             if component is None:
-                near = nearest(name, components)
-                hint = f"did you mean {near}?" if near else f"there are {', '.join(components) or 'none'}"
+                hint = suggestion(name, components, shown=str)
                 faults.append(str(document.fail(("components", name), f"no such component; {hint}")))
                 continue
             edit = edits[component] = partial(document.state, name)

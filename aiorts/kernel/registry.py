@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Awaitable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
-from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError, format_error
@@ -36,7 +35,7 @@ from aiorts.kernel.service import notify
 from aiorts.model.lifecycle import HOOKS
 from aiorts.model.names import Path
 from aiorts.model.ordering import arrange
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from aiorts.kernel.execution.cell import Cell
@@ -45,16 +44,7 @@ if TYPE_CHECKING:
 C = TypeVar("C", bound=Component)
 _NAMED: Final = 10
 """Instances that a message lists."""
-_COMPARED: Final = 1000
-"""Names that one is compared with that is not there."""
 _LOG = KernelLog()
-
-
-def known(name: str, names: Iterable[str], there_are: str = "there are") -> str:
-    """What an error says of the names there are: the one that is meant, or else all."""
-
-    near = nearest(name, islice(names, _COMPARED))
-    return f"did you mean {near!r}?" if near else f"{there_are} {', '.join(names) or 'none'}"
 
 
 class Registry:
@@ -97,12 +87,13 @@ class Registry:
             self._check_here(path, where)
         component = self.components.get(where.component)
         if component is None:
-            raise WiringError(f"{path}: no component {where.component!r}; {known(where.component, self.components)}")
+            there = suggestion(where.component, self.components)
+            raise WiringError(f"{path}: no component {where.component!r}; {there}")
         if not where.port:
             return component
         port = component.ports.get(where.port)
         if port is None:
-            has = known(where.port, component.ports, "it has")
+            has = suggestion(where.port, component.ports, f"it has {', '.join(component.ports) or 'none'}")
             raise WiringError(f"{path}: {where.component} has no port {where.port!r}; {has}")
         return port
 

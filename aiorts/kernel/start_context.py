@@ -18,9 +18,9 @@ from aiorts.kernel.loop.deadlines import StopBudget
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of, see_through
 from aiorts.kernel.ports.port import give_turn
-from aiorts.kernel.registry import known
 from aiorts.model.ordering import arrange
 from aiorts.model.values import shown
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -164,5 +164,5 @@ def _named(kernel: Microkernel, context: Context | str) -> Context:
         raise ConfigurationError(f"context = {shown(context)}: expected a context or its name")
     there = kernel.contexts
     if context not in there:
-        raise StateError(f"no context {context[:100]!r} runs in {kernel.name}; {known(context, there)}")
+        raise StateError(f"no context {context[:100]!r} runs in {kernel.name}; {suggestion(context, there)}")
     return there[context]

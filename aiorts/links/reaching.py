@@ -14,8 +14,8 @@ from aiorts.clock import SimulatedClock
 from aiorts.errors import LinkError, PluginError, format_error
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
-from aiorts.kernel.registry import known
 from aiorts.links.transport import EVERYTHING
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     import socket
@@ -259,7 +259,7 @@ class Reach:
         if far not in self.carried and opening is not None and opening.done() and (error := opening.exception()):
             return str(error)
         there = [peer.kernel for peer in self.peers]
-        return f"there is no kernel {far!r} yet{f'; {known(far, there)}' if there else ''}"
+        return f"there is no kernel {far!r} yet{f'; {suggestion(far, there)}' if there else ''}"
 
     def carrier(self, peer: Peer | None) -> Transport:
         """What carries links to a kernel. LinkError: it is gone."""

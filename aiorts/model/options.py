@@ -32,7 +32,7 @@ from aiorts.model.declared import (
 from aiorts.model.names import check_name
 from aiorts.model.policy import Dataflow, OnLinkLost, Push, Stamp, Subscription, default_push
 from aiorts.model.profile import ConnectorProfile
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 MEASURED_SENDS: Final = 1000
 """Sends over which OpenRTM's keys time a publisher where they do not say how many."""
@@ -340,9 +340,9 @@ def changed_profile(where: str, profile: ConnectorProfile, options: Mapping[str,
         raise WiringError(f"{where}: change: there is nothing to change; {can}")
     for key in options:
         if key not in CHANGEABLE:
-            near = nearest(key, CHANGEABLE)
-            hint = f"did you mean {near!r}? " if near else ""
-            raise WiringError(f"{where}: change: {key}: {hint}{can}; for other options disconnect and connect anew")
+            hint = suggestion(key, CHANGEABLE, "")
+            can = f"{hint} {can}" if hint else can
+            raise WiringError(f"{where}: change: {key}: {can}; for other options disconnect and connect anew")
     periodic = profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH
     if "push_rate" in options and not periodic:
         pulls = profile.dataflow is Dataflow.PULL
@@ -466,9 +466,8 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
         if key in used or key in SERVICE_KEYS:
             continue
         if "." not in given and key not in _KNOWN_KEPT:
-            near = nearest(key, (*OWN_KEYS, *SERVICE_KEYS))
-            hint = f"; did you mean {near!r}?" if near else f"; there are {', '.join(OWN_KEYS)}"
-            raise WiringError(f"{where}: unknown option {given!r}{hint}")
+            hint = suggestion(key, (*OWN_KEYS, *SERVICE_KEYS), f"there are {', '.join(OWN_KEYS)}")
+            raise WiringError(f"{where}: unknown option {given!r}; {hint}")
         extra[given] = str(value)
     return own, extra
 
@@ -526,13 +525,10 @@ def doubts(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         kept = bare in _KNOWN_KEPT or bare.startswith(_KEPT_BEGINNINGS) or key in _OF_TRANSPORT
         if "." not in given or key in known or key in OWN_KEYS or kept or key.partition(".")[0] in SERVICE_KEYS:
             continue
-        near = nearest(key, sorted(known | {*OWN_KEYS}))
+        otherwise = "it is kept and does nothing: take it away"
         before = given.removesuffix(key)
-        yield (
-            given,
-            f"{given} is no option that is known; "
-            + (f"did you mean {before + near!r}?" if near else "it is kept and does nothing: take it away"),
-        )
+        hint = suggestion(key, sorted(known | {*OWN_KEYS}), otherwise, shown=lambda near: repr(before + near))  # noqa: B023
+        yield given, f"{given} is no option that is known; {hint}"
     name = options.get("name")
     if isinstance(name, str):
         try:

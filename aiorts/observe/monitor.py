@@ -33,7 +33,7 @@ from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.late import dataclass
 from aiorts.model.profile import ConnectorStatistics
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -200,8 +200,7 @@ def _look(kernel: Microkernel, path: str) -> Any:
     if context is not None or connector is not None:
         raise WiringError(f"{path}: {name} has no {what!r}; it has {', '.join(_CONTEXT if context else _LEDGER)}")
     known = [*kernel.components, *kernel.contexts, *kernel.connectors]
-    near = nearest(owner, known)
-    advice = f"did you mean {near}?" if near else f"there are {', '.join(known[:20]) or 'none'}"
+    advice = suggestion(owner, known, shown=str)
     raise WiringError(f"{path}: there is no component, context or connector {owner!r}; {advice}")
 
 

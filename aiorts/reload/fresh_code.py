@@ -29,7 +29,7 @@ from aiorts.kernel.extensions.files import file_of_module
 from aiorts.kernel.extensions.loading import cause_of
 from aiorts.kernel.extensions.type_names import split_type
 from aiorts.late import dataclass
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -117,8 +117,7 @@ def find_type(kernel: Microkernel, kind: type[Component] | str) -> Origin:
         raise PluginError(f"reload({kind!r:.80}): expected a component class, its name, or a text as 'pid.py:Pid'")
     if not found:
         names = sorted(cls.__qualname__ for cls in used.values())
-        near = nearest(str(kind).rpartition(":")[2], names) if isinstance(kind, str) else []
-        hint = f"did you mean {near!r}?" if near else f"there are {', '.join(names) or 'no components'}"
+        hint = suggestion(what.strip("'").rpartition(":")[2], names, None if names else "there are no components")
         raise AbsentError(f"reload({what}): no component of that type; {hint}")
     if len(found) > 1:
         several = ", ".join(f"{file_of(cls) or cls.__module__}:{cls.__qualname__}" for cls in found)

@@ -17,7 +17,6 @@ from anyio import to_thread
 from aiorts.errors import AbsentError, ClosedError, DeniedError, LinkError, NoAnswerError, StateError
 from aiorts.kernel.execution.file_access import acting
 from aiorts.kernel.parameters import Param
-from aiorts.kernel.registry import known
 from aiorts.links import Links
 from aiorts.model.configuration.sets import DEFAULT
 from aiorts.model.names import Path
@@ -25,6 +24,7 @@ from aiorts.model.values import convert_value, parse_type
 from aiorts.remote.component import FarComponent
 from aiorts.remote.session import KernelSession
 from aiorts.sessions import Entry, entries
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -107,7 +107,7 @@ async def _connected(kernel: Microkernel, where: Path, path: str, until: float) 
             own = where.kernel, kernel.address.rpartition("/")[2]
             names = [entry.name for entry in there if entry.name not in own]
             names += [peer.kernel for peer in reach.peers if peer.kernel not in names]
-            others = f"; {known(where.kernel, names)}" if names else ", nor does any other one; start it first"
+            others = f"; {suggestion(where.kernel, names)}" if names else ", nor does any other one; start it first"
             raise LinkError(f"{path}: no kernel {where.kernel!r} runs{others}")
         await asyncio.sleep(_LOOK)
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 from aiorts.errors import ConfigurationError, WiringError
 from aiorts.late import dataclass
 from aiorts.model.options import connector_profile
-from aiorts.spelling import nearest
+from aiorts.spelling import meant, nearest
 
 USUAL_MAX: Final = 100
 """Connectors of a rule that says no `max`."""
@@ -81,8 +81,8 @@ def _rule(where: str, entry: Any) -> Rule:
     for word, value in options.items():
         if word in _REFUSED:
             raise ConfigurationError(f"{where}.{word}: {_REFUSED[word]}")
-        if near := nearest(str(word), _OWN, cutoff=0.7):
-            raise ConfigurationError(f"{where}.{word}: unknown key {str(word)[:60]!r}; did you mean {near!r}?")
+        if nearest(word, _OWN, cutoff=0.7):
+            raise ConfigurationError(f"{where}.{word}: unknown key {str(word)[:60]!r}{meant(word, _OWN)}")
         needs = {"push_rate": 1.0} if str(value).strip().lower() == "periodic" else {}
         _check_options(f"{where}.{word}", {word: value, **needs})
     _check_options(where, options)

@@ -26,7 +26,7 @@ from aiorts.services.service_ends import Provided, Required
 from aiorts.services.service_port import ServiceConnector, ServiceEnd, ServicePort, is_service
 from aiorts.services.service_proxy import make_proxy
 from aiorts.services.tallies import GoalTally, Tally
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -274,9 +274,9 @@ def _options(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], bo
         elif ".required." in key:  # OpenRTM's way to say it
             mapping[key] = plain.pop(key)
     for key in plain:
-        near = nearest(key, (*SERVICE_KEYS, "name"))
-        hint = f"; did you mean {near!r}?" if near else f"; service ports have {', '.join((*SERVICE_KEYS, 'name'))}"
-        raise WiringError(f"{where}: unknown option {key!r}{hint}")
+        known = (*SERVICE_KEYS, "name")
+        hint = suggestion(key, known, f"service ports have {', '.join(known)}")
+        raise WiringError(f"{where}: unknown option {key!r}; {hint}")
     if strict is not None:
         return mapping, is_yes(where, "strict", strict)
     if strictness not in (None, "strict", "best_effort"):

@@ -21,7 +21,7 @@ from aiorts.sessions.client import Client, Silent, open_all
 from aiorts.sessions.folder import Entry, entries, entry_at, is_listed
 from aiorts.sessions.many import said_by_many
 from aiorts.sessions.protocol import RightName
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 T = TypeVar("T")
 FILES: Final = (".toml", ".xml", ".yaml", ".yml", ".mcap")
@@ -421,10 +421,7 @@ def entry_named(word: str = "") -> Entry:
 
 def _absent(word: str, name: str, known: Iterable[str]) -> AbsentError:
     """Nothing has the name that a word has in it; says which is near, or which there are."""
-
-    known = list(dict.fromkeys(known))
-    near = nearest(name, known)
-    hint = f"did you mean {near}?" if near else f"there are {', '.join(known[:_SHOWN]) or 'none'}"
+    hint = suggestion(name, dict.fromkeys(known), shown=str)
     return AbsentError(f"{word}: nothing that runs has this name; {hint}")
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import DeclarationError
 from aiorts.late import dataclass
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 from aiorts.statemachines.statechart import (
     Act,
     Acts,
@@ -429,5 +429,4 @@ def bits(states: int) -> Iterator[int]:
 
 def hint(name: str, known: Any) -> str:
     """A near name, or all names there are."""
-    near = nearest(name, list(known))
-    return f"; did you mean {near!r}?" if near else f"; there are {', '.join(known) or 'none'}"
+    return f"; {suggestion(name, known)}"

@@ -27,7 +27,7 @@ from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import names_kernel
 from aiorts.model.wanted.entries import CompositeEntry, ConnectionEntry, said_keys
 from aiorts.planning import Planning, Setting, put_in_force
-from aiorts.spelling import nearest
+from aiorts.spelling import meant
 from aiorts.supervision import Patience, Supervising, in_order
 from aiorts.system.checks.adapting import adapted
 from aiorts.system.checks.check import of_draft
@@ -236,8 +236,7 @@ def _port(system: SystemFile, kernel: Kernel, connection: ConnectionEntry, numbe
         found = kernel.find(path)
     except AiortsError as error:
         component, _, name = path.partition(".")
-        near = nearest(name, kernel.components[component].ports)
-        hint = f"; did you mean {component}.{near}?" if near else ""
+        hint = meant(name, kernel.components[component].ports, lambda near: f"{component}.{near}")
         where = system.at(*end_key(connection, number))
         raise SystemFileError(f"{where}: {connection.place}: {error}{hint}") from None
     assert isinstance(found, Port)  # noqa: S101 - the parser has seen that the path names one
@@ -267,6 +266,6 @@ def _check_declared(found: Survey) -> None:
             if cls is None or cls.ports_for is not Component.ports_for or hasattr(cls, "make_ports"):
                 continue
             declared = [port.name or attribute for attribute, port in declarations(cls).ports.items()]
-            if name not in declared and (near := nearest(name, declared)):
-                what = f"{component} has no port {name!r}; did you mean {near!r}?"
+            if name not in declared and (hint := meant(name, declared)):
+                what = f"{component} has no port {name!r}{hint}"
                 found.say(end_key(connection, number), SystemFileError(what), connection.place)

@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 from aiorts.errors import InvalidNameError, RecordError
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 from aiorts.types.kinds import Kind, OptionalKind
 from aiorts.types.nested import RecordKind
 from aiorts.types.rows import FixedTupleKind, MapKind, RowsKind, TupleKind
@@ -139,8 +139,7 @@ def _structure(cls: type) -> Structure | None:
 
 def _no_field(structure: Structure, name: str, reached: str) -> RecordError:
     names = [field.name for field in structure.fields]
-    near = nearest(name, names)
-    hint = f"did you mean {near}?" if near else f"its fields are {', '.join(names)}"
+    hint = suggestion(name, names, f"its fields are {', '.join(names)}", shown=str)
     return RecordError(f"{reached} has no field {name!r}; {hint}")
 
 

@@ -8,12 +8,12 @@ that a plugin declares under exactly that name, and our own records of ROS. Thes
 
 from __future__ import annotations
 
-import difflib
 from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeVar
 
 from aiorts.errors import UnknownTypeError
 from aiorts.late import finder
+from aiorts.spelling import similar
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -102,7 +102,7 @@ def _hint(name: str, offered: Iterable[str]) -> str:
         return "; a type name is text"
     of_ros = [known for known in finder("ros")(name) if known.lower().endswith(f"/{name.lower()}")]
     lowered = {known.lower(): known for known in (*offered, *_by_short_name, *_by_full_name, *_plain)}
-    near = [lowered[match] for match in difflib.get_close_matches(name[:200].lower(), lowered, n=3, cutoff=0.7)]
+    near = [lowered[match] for match in similar(name.lower(), lowered, cutoff=0.7)]
     if of_ros or near:
         return f"; did you mean {' or '.join([*of_ros, *near][:3])}?"
     return "; import the module that defines it, or see aiorts.types.all_types()"

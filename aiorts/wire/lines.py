@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from typing import Any, Final, NoReturn
 
 from aiorts.errors import AiortsError, RecordError
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 from aiorts.types import describe, fields_of, from_plain, full_name, has_tm, to_plain, type_name, wire_type, with_tm
 from aiorts.types.samples import original
 from aiorts.types.structure import has_single_values
@@ -140,8 +140,7 @@ class LineReader:
             return self._port(""), self._form("").sample(plain, now_ns)
         for key in plain:
             if key not in _KEYS:
-                near = nearest(key, _KEYS)
-                hint = f"did you mean {near!r}?" if near else f"a line has {', '.join(_KEYS)}"
+                hint = suggestion(key, _KEYS, f"a line has {', '.join(_KEYS)}")
                 raise RecordError(f"unknown key {_shown(key)}; {hint}")
         port = plain.get("port", "")
         form = self._form(port)

@@ -56,8 +56,7 @@ def load(name: str) -> Bench:
             raise PluginError(f"bench {name!r} cannot be loaded: {error}") from error
         return _checked(name, found)
     if name not in Catalogue.default().extensions("benches"):
-        hint = suggestion(name, names())
-        raise PluginError(f"no bench {name[:60]!r}; {hint}")
+        raise PluginError(f"no bench {name[:60]!r}; {suggestion(name, names())}")
     return _checked(name, Catalogue.default().find("benches", name).load())
 
 

@@ -14,7 +14,7 @@ from aiorts import exits
 from aiorts.cli.console.codes import CODES
 from aiorts.cli.console.output import say, table
 from aiorts.cli.console.report import has_colours
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 _SHOWN: Final = 5
 """Places that a search shows."""
@@ -144,8 +144,7 @@ def _show(ctx: click.Context, name: str, heading: str) -> int:
     if not shown:
         wanted = heading if found else name
         known = {one.lower(): one for full in reversed(names) for one in (full, full.rpartition(".")[2])}
-        near = nearest(wanted.lower(), known)
-        hint = f"did you mean {known[near]}?" if near else otherwise
+        hint = suggestion(wanted.lower(), known, otherwise, shown=known.__getitem__)
         what = f"{found.name} has no heading" if found else "no command, error code, topic or public name"
         raise click.UsageError(f"{what} {wanted[:60]!r}; {hint}", ctx)
     coloured = has_colours(sys.stdout)
@@ -212,7 +211,6 @@ def _all_codes() -> str:
 def _explained(code: str) -> str:
     one = CODES.get(code.upper())
     if one is None:
-        near = nearest(code.upper(), CODES)
-        hint = f"did you mean {near}?" if near else "aiorts help errors lists them"
+        hint = suggestion(code.upper(), CODES, "aiorts help errors lists them", shown=str)
         raise click.UsageError(f"no error code {code[:60]!r}; {hint}")
     return f"{code.upper()}: {one.meaning}\n  cause   {one.cause}\n  remedy  {one.remedy}"

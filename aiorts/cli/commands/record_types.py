@@ -16,6 +16,7 @@ from aiorts.cli.console.report import report
 from aiorts.cli.console.subjects import load_declared
 from aiorts.errors import UnknownTypeError
 from aiorts.kernel.extensions.type_modules import import_types
+from aiorts.spelling import meant
 from aiorts.types import all_types, fields_of, full_name, has_tm, type_name, with_tm
 from aiorts.wire import LineReader, line_of
 
@@ -145,10 +146,7 @@ def _fits(name: str, pattern: str) -> bool:
 
 
 def _near(pattern: str, names: dict[str, str]) -> str:
-    from difflib import get_close_matches
-
-    near = get_close_matches(pattern[:100].lower(), names, n=3)
-    return f"; did you mean {' or '.join(names[one] for one in near)}?" if near else ""
+    return meant(pattern.lower(), names, names.__getitem__, most=3)
 
 
 def short_of(cls: type) -> str:

@@ -6,7 +6,6 @@ It imports the module with that name, creates nothing and runs no hook.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from difflib import get_close_matches
 from pathlib import Path
 
 from aiorts import Catalogue, Component
@@ -17,6 +16,7 @@ from aiorts.kernel.extensions.finders import declared_types
 from aiorts.kernel.extensions.type_names import extension_of, split_type
 from aiorts.kernel.extensions.uninstalled import named_in_project
 from aiorts.late import dataclass
+from aiorts.spelling import suggestion
 from aiorts.types import all_types, find_type
 from aiorts.types.registry import is_known
 
@@ -98,10 +98,10 @@ def _unknown(name: str, catalogue: Catalogue) -> UnknownTypeError:
     # By the last word of ROS's names, which others take when they have the same.
     named = sorted((*types, *components), key=lambda one: "/" not in one)
     lowered = {one.lower().rpartition("/")[2]: one for one in named}
-    near = get_close_matches(name[:100].lower().rpartition("/")[2], lowered, n=3, cutoff=0.6)
     if hint := named_in_project(name, "components", "types"):
         return UnknownTypeError(f"no component or type named {name[:60]!r}; {hint}")
-    hint = f"did you mean {' or '.join(lowered[one] for one in near)}? " if near else ""
+    hint = suggestion(name.lower().rpartition("/")[2], lowered, "", shown=lowered.__getitem__, most=3)
+    hint += " " * bool(hint)
     listed = ", ".join(components[:_MOST_LISTED]) or "none"
     return UnknownTypeError(
         f"no component or type named {name[:60]!r}; {hint}components: {listed}; types: see aiorts types"

@@ -67,8 +67,7 @@ class Levels:
         """Click's error for a component that the system does not have."""
         for name in self.components:
             if name not in known:
-                hint = suggestion(name, known)
-                raise _bad(f"no component {name[:60]!r} in this system; {hint}")
+                raise _bad(f"no component {name[:60]!r} in this system; {suggestion(name, known)}")
 
 
 def checked(options: Options) -> Options:
@@ -92,8 +91,7 @@ def levels_of(options: Options) -> Levels:
         name, equals, word = (text.strip() for text in part.rpartition("="))
         level = _LEVELS.get(word.lower())
         if level is None:
-            hint = suggestion(word.lower(), _LEVELS)
-            raise _bad(f"no level {word[:60]!r}; {hint}")
+            raise _bad(f"no level {word[:60]!r}; {suggestion(word.lower(), _LEVELS)}")
         if not equals:
             if stated:
                 raise _bad(f"{part!r} is a second level for all; write COMPONENT={word} for one component")

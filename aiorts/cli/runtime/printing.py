@@ -58,8 +58,7 @@ class Printing(KernelService):
         for glob in self.wanted:
             found = {path: port for path, port in outs.items() if fnmatchcase(path, glob)}
             if not found:
-                hint = suggestion(glob, outs)
-                raise ConfigurationError(f"--print: no out-port is called {glob!r}; {hint}")
+                raise ConfigurationError(f"--print: no out-port is called {glob!r}; {suggestion(glob, outs)}")
             chosen |= found
         for path, out in chosen.items():
             take = partial(self._take, LineWriter(path, out.type))

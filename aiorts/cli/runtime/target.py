@@ -36,7 +36,7 @@ from aiorts.kernel.service import attach_services, plan_service
 from aiorts.late import dataclass
 from aiorts.model.options import doubts
 from aiorts.planning import Setting, setting_alone
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 from aiorts.system import (
     AS_WRITTEN,
     Blueprint,
@@ -159,10 +159,9 @@ def _no_such(text: str, catalogue: Catalogue) -> str:
         files = []
     # `pid` is also for `pid.toml`, and `flexiconst` for `FlexiConst`.
     alike = (one for one in (*files, *components) if one.lower().removesuffix(".toml") == text.lower())
-    near = nearest(text, [*files, *components]) or next(alike, "")
-    hint = named_in_project(text, "components")
-    if not hint:
-        hint = f"did you mean {near!r}?" if near else "give SYSTEM.toml, FILE.py:Class or package.module:Class"
+    hint = named_in_project(text, "components") or suggestion(
+        next(alike, text), [*files, *components], "give SYSTEM.toml, FILE.py:Class or package.module:Class"
+    )
     return f"no system file and no installed component; {hint}"
 
 

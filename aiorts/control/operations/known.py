@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import AbsentError
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from aiorts.control.session import Session
     from aiorts.kernel.component import Component
     from aiorts.kernel.execution.context import Context
-
-_SHOWN: Final = 10
 
 
 def component_named(session: Session, name: str) -> Component:
@@ -39,8 +37,4 @@ def whose(given: Any, _: object) -> tuple[str]:
 
 def absent(what: str, name: str, known: Iterable[str]) -> AbsentError:
     """The error for a name that is not among the known ones."""
-    there = list(known)
-    near = nearest(name, there)
-    rest = ", ..." if len(there) > _SHOWN else ""
-    hint = f"did you mean {near}?" if near else f"there are {', '.join(there[:_SHOWN]) or 'none'}{rest}"
-    return AbsentError(f"{what}; {hint}")
+    return AbsentError(f"{what}; {suggestion(name, known, shown=str)}")

@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar
 
 from aiorts.errors import AiortsError
 from aiorts.model.declared import Option, fault_of, options_of, words_of
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 T = TypeVar("T")
 OPTION_TYPES: Final = "bool, int, float, str, Path or a Literal of texts, each also with None, or tuple[str, ...]"
@@ -65,8 +65,7 @@ def settings_faults(cls: type, given: Mapping[str, Any], also: Collection[str] =
     rest = dict(given)
     for key, value in given.items():
         if key not in known:
-            near = nearest(key, [*known, *also])
-            hint = f"did you mean {near!r}?" if near else f"there are {', '.join(known) or 'none'}"
+            hint = suggestion(key, [*known, *also], f"there are {', '.join(known) or 'none'}")
             yield key, f"unknown key {key[:80]!r}; {hint}", True
         elif what := unfit(value, known[key]) or (fault_of(cls, key, value) if is_declared else ""):
             yield key, what, False

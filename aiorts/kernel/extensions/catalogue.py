@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
 from aiorts.errors import PluginError
 from aiorts.kernel.extensions.installed import packages
 from aiorts.late import dataclass
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,8 +38,6 @@ KINDS: Final = (
 _LARGEST: Final = 1 << 20
 """Bytes of a file that is looked into."""
 _MOST_FILES: Final = 1000
-_SHOWN: Final = 20
-"""Names in a message."""
 
 
 def singular(kind: str) -> str:
@@ -154,13 +152,10 @@ class Catalogue:
         found = offers.get(name, [])
         word = singular(kind)
         if not found:
-            from difflib import get_close_matches
-
             from aiorts.kernel.extensions.uninstalled import named_in_project
 
-            near = get_close_matches(name[:100], offers, n=3)
             hint = named_in_project(name, kind)
-            hint = hint or (f"did you mean {' or '.join(near)}?" if near else f"there are {_some(offers)}")
+            hint = hint or suggestion(name, sorted(offers), shown=str, most=3)
             broken = f" ({len(self.problems)} could not be read: see `aiorts plugins`)" if self.problems else ""
             raise AbsentExtension(f"no {word} named {name[:100]!r}; {hint}{broken}")
         if len(found) > 1:
@@ -187,9 +182,7 @@ class Catalogue:
         kind = group.removeprefix("aiorts.")
         if kind in KINDS:
             return kind
-
-        near = nearest(kind, KINDS)
-        hint = f"did you mean aiorts.{near}?" if near else f"there are {', '.join(KINDS)}"
+        hint = suggestion(kind, KINDS, shown="aiorts.{}".format)
         self._problem(source, f"entry points {group[:80]!r}: no such kind of plugin; {hint}")
         return ""
 
@@ -273,12 +266,6 @@ class Catalogue:
             self._problem(f"file {path}", error.strerror or str(error))
             return b""
         return data
-
-
-def _some(names: Iterable[str]) -> str:
-    ordered = sorted(names)
-    more = f" and {len(ordered) - _SHOWN} more" if len(ordered) > _SHOWN else ""
-    return f"{', '.join(ordered[:_SHOWN]) or 'none'}{more}"
 
 
 def _project(name: str) -> str:

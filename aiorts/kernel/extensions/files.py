@@ -20,6 +20,8 @@ from aiorts.errors import PluginError
 if TYPE_CHECKING:
     from pathlib import Path
 
+INSTALL: Final = "install it, or go to the folder that it lies in"
+"""What to do where a module is not found."""
 _FILES: Final[dict[str, str]] = {}
 """The name of the module that each file was loaded as."""
 _MADE: Final[set[str]] = set()

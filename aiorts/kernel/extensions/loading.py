@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from aiorts.errors import DeclarationError, PluginError
 from aiorts.kernel.extensions.catalogue import AbsentExtension
-from aiorts.kernel.extensions.files import is_loaded, load_file, load_module, make_importable
+from aiorts.kernel.extensions.files import INSTALL, is_loaded, load_file, load_module, make_importable
 from aiorts.kernel.loop.exceptions import trace_of
 from aiorts.kernel.loop.origins import place
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -109,9 +109,8 @@ def _near_module(name: str) -> str:
         return f"{parent!r} is no package"
     from pkgutil import iter_modules
 
-    near = nearest(last, {module.name for module in iter_modules(paths)})
-    prefix = f"{parent}." if parent else ""
-    return f"did you mean {prefix}{near}?" if near else "install it, or go to the folder that it lies in"
+    known = {module.name for module in iter_modules(paths)}
+    return suggestion(last, known, INSTALL, shown=lambda near: f"{parent}.{near}" if parent else near)
 
 
 _SYNTAX: Final = (SyntaxError, IndentationError, TabError)
@@ -290,8 +289,7 @@ def _near_name(kind: str, wanted: str, found: Any) -> str:
     meant, word = (FunctionType, "function") if kind in ("converters", "describers") else (type, "class")
     names = [name for name, value in held.items() if isinstance(value, meant) and not name.startswith("_")]
     own = [name for name in names if getattr(held[name], "__module__", "") == getattr(found, "__name__", "")]
-    near = nearest(wanted, own or names)
-    return f"did you mean {near!r}?" if near else f"it has {', '.join(own[:12]) or f'no {word}'}"
+    return suggestion(wanted, own or names, f"it has {', '.join(own[:12]) or f'no {word}'}")
 
 
 def _check_home(module: ModuleType, folder: Path) -> None:

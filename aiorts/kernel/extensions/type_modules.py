@@ -15,7 +15,7 @@ from aiorts.errors import PluginError
 from aiorts.kernel.extensions.catalogue import Catalogue, Extension
 from aiorts.kernel.extensions.files import package_of
 from aiorts.kernel.extensions.finders import load_type
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 _LIMIT: Final = 60.0
 """Seconds for an import; a module that the user names may be large."""
@@ -64,5 +64,5 @@ def _extension(name: str) -> Extension:
 
 
 def _hint(name: str) -> str:
-    near = nearest(name, sorted({path.stem for path in Path().glob("*.py")} - {name}))
-    return f"; did you mean {near!r}?" if near else "; set PYTHONPATH to its folder, or change to that"
+    files = sorted({path.stem for path in Path().glob("*.py")} - {name})
+    return f"; {suggestion(name, files, 'set PYTHONPATH to its folder, or change to that')}"

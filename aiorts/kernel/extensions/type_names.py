@@ -14,8 +14,8 @@ from typing import Final
 
 from aiorts.errors import PluginError
 from aiorts.kernel.extensions.catalogue import AbsentExtension, Catalogue, Extension
-from aiorts.kernel.extensions.files import is_importable, package_of
-from aiorts.spelling import nearest
+from aiorts.kernel.extensions.files import INSTALL, is_importable, package_of
+from aiorts.spelling import suggestion
 
 _LONGEST: Final = 4096
 """Characters of a text in a message: a path that works is no longer."""
@@ -98,10 +98,13 @@ def _of_file(
             return Extension(kind, text, f"{path.relative_to(root).as_posix()}:{name}", "", root)
     folders = [(place / home).parent for place in places]
     names = {other.name for folder in folders for other in _files(folder)} - {Path(home).name}
-    near = nearest(Path(home).name, sorted(names))
     listed = " and ".join(dict.fromkeys(map(_absolute, folders)))
-    meant = f"{Path(home).with_name(near).as_posix()}:{name}" if near else ""
-    hint = f"did you mean {meant!r}?" if meant else "a relative one is counted from there"
+    hint = suggestion(
+        Path(home).name,
+        sorted(names),
+        "a relative one is counted from there",
+        shown=lambda near: repr(f"{Path(home).with_name(near).as_posix()}:{name}"),
+    )
     raise AbsentExtension(f"{shown(text)}: no file {Path(home).name!r} in {listed}; {hint}")
 
 
@@ -138,6 +141,5 @@ def _place_of(home: str, places: tuple[Path, ...]) -> Path | None:
         if any((root / top).is_dir() or _is_file(root / f"{top}.py") for root in (place / "src", place)):
             return place
     known = {module.name for module in pkgutil.iter_modules([*map(_absolute, places), *sys.path])}
-    near = nearest(top, known)
-    hint = f"did you mean {near}{home[len(top) :]}?" if near else "install it, or go to the folder that it lies in"
+    hint = suggestion(top, known, INSTALL, shown=lambda near: near + home[len(top) :])
     raise AbsentExtension(f"no module named {top!r}; {hint}")

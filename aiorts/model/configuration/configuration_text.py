@@ -200,8 +200,7 @@ def _tables(
 def _only(document: Document, place: tuple[str, ...], table: Mapping[str, Any], known: Iterable[str]) -> None:
     for key in table:
         if key not in known:
-            hint = suggestion(key, list(known))
-            raise document.fail((*place, key), f"unknown key; {hint}")
+            raise document.fail((*place, key), f"unknown key; {suggestion(key, known)}")
 
 
 def _declared(name: str, table: Mapping[str, Any]) -> ParameterSpec:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import InitVar, field, replace
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import ConfigurationError, DeclarationError
@@ -27,7 +26,7 @@ from aiorts.model.values import (
     type_text,
     value_type,
 )
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -174,10 +173,7 @@ def check_mapping(given: object, owner: str, expected: str = "values by paramete
 def _unknown(name: object, specs: Mapping[str, ParameterSpec]) -> str:
     if name == "active":
         return ": no such parameter; a configuration set is chosen by configuration.activate(NAME), --set or a file"
-    near = get_close_matches(str(name), specs, n=3)
-    if near:
-        return f": no such parameter; did you mean {' or '.join(near)}?"
-    return f": no such parameter; there are {', '.join(specs)}" if specs else ": no such parameter; there are none"
+    return f": no such parameter; {suggestion(name, specs, shown=str, most=3)}"
 
 
 def _checked_constraint(where: str, kind: Any, constraint: Constraint) -> Constraint:
@@ -226,8 +222,7 @@ def _file_fault(file: str, kind: Any) -> str | None:
 def _widget_fault(widget: str, constraint: Constraint) -> str | None:
     kind, _, step = widget.partition(".")
     if kind not in WIDGETS:
-        near = nearest(kind, WIDGETS)
-        return f"unknown; {'did you mean ' + near + '?' if near else 'there are ' + ', '.join(WIDGETS)}"
+        return f"unknown; {suggestion(kind, WIDGETS, shown=str)}"
     if step and (kind != "slider" or not re.fullmatch(r"\d+(\.\d+)?", step)):
         return "only a slider has a step, a number (slider.0.1)"
     if WIDGETS[kind] == "range" and (constraint.lower is None or constraint.upper is None):

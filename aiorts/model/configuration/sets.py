@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field
-from difflib import get_close_matches
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -17,6 +16,7 @@ from aiorts.errors import ConfigurationError, InvalidNameError
 from aiorts.late import dataclass
 from aiorts.model.configuration.parameters import ParameterSpec, check_mapping, validate
 from aiorts.model.names import check_name
+from aiorts.spelling import suggestion
 
 DEFAULT: Final = "default"
 """The set that is always there."""
@@ -195,10 +195,7 @@ def _defaults(specs: Mapping[str, ParameterSpec]) -> Values:
 
 
 def _hint(name: object, known: Mapping[str, Any]) -> str:
-    near = get_close_matches(str(name)[:100], known, n=3)
-    if near:
-        return f"; did you mean {' or '.join(near)}?"
-    return f"; there are {', '.join(known)}" if known else "; there are none"
+    return f"; {suggestion(name, known, shown=str, most=3)}"
 
 
 @dataclass(frozen=True, slots=True)

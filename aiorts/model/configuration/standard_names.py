@@ -6,11 +6,11 @@ properties": a name that is not in this list is allowed, and reported with the n
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from aiorts.late import dataclass
+from aiorts.spelling import meant
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -84,8 +84,7 @@ def remark_on(spec: ParameterSpec) -> str:
     """What is to be said of a property's name, type and unit; empty when they are a standard name's."""
     standard = STANDARD_NAMES.get(spec.name)
     if standard is None:
-        near = get_close_matches(spec.name.lower(), STANDARD_NAMES, n=3)
-        return f"no standard name; did you mean {' or '.join(near)}?" if near else "no standard name"
+        return f"no standard name{meant(spec.name.lower(), STANDARD_NAMES, str, most=3)}"
     remarks = []
     if spec.type_text.removesuffix(" | None") != standard.type:
         remarks.append(f"its type is {standard.type}, not {spec.type_text}")

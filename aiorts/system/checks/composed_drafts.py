@@ -12,7 +12,7 @@ from aiorts.kernel.ports import Port
 from aiorts.late import dataclass
 from aiorts.model.names import names_kernel
 from aiorts.model.wanted.entries import CompositeEntry
-from aiorts.spelling import nearest
+from aiorts.spelling import nearest, suggestion
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
 from aiorts.system.file.families import inner_first
@@ -88,12 +88,9 @@ def _strangers(entry: CompositeEntry, members: Mapping[str, Draft], *, complete:
         if any(rule.fits(*path.split(".")) for path in ports):
             continue
         unsure = not complete and (rule.component not in members or not members[rule.component].complete)
-        near = nearest(pattern, ports)
         whose = members.get(rule.component)
-        if unsure and (not near or (whose is not None and not whose.ports)):
+        if unsure and (not nearest(pattern, ports) or (whose is not None and not whose.ports)):
             continue
         key: Key = ("composites", entry.name, "exported", entry.exported_key(number))
-        listed = ", ".join(ports[:20]) or "none"
-        hint = f"did you mean {near!r}?" if near else f"there are {listed}"
-        text = f"no member has a port {pattern!r}; {hint}"
+        text = f"no member has a port {pattern!r}; {suggestion(pattern, ports)}"
         yield Said("error" if rule.literal else "warning", WiringError.code if rule.literal else "W-EXPORT", key, text)

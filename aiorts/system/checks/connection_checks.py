@@ -14,7 +14,7 @@ from aiorts.model.options import doubts, idle, link_options, transport_notice, w
 from aiorts.model.pairs import ConnectedPairs
 from aiorts.model.wanted.entries import ConnectionEntry
 from aiorts.services import ServicePort, fault_of
-from aiorts.spelling import nearest
+from aiorts.spelling import nearest, suggestion
 from aiorts.system.checks.adapt import adaptation
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
@@ -137,11 +137,9 @@ def _port(
     if port is not None:
         return port, None
     key = end_key(connection, number)
-    near = nearest(name, draft.ports)
-    if draft.complete or near:
-        listed = ", ".join(draft.ports) or "none"
-        hint = f"did you mean {near!r}?" if near else f"there are {listed}"
-        return None, Said("error", SystemFileError.code, key, f"{component} has no port {name!r}; {hint}")
+    if draft.complete or nearest(name, draft.ports):
+        what = f"{component} has no port {name!r}; {suggestion(name, draft.ports)}"
+        return None, Said("error", SystemFileError.code, key, what)
     if component in unsure:
         return None, None
     unsure.add(component)

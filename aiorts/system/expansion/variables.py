@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from itertools import islice
 from typing import Any, Final, TypeAlias
 
 from aiorts.model.configuration.toml_lines import excess, huge_number
@@ -27,8 +26,6 @@ _WHOLE: Final = re.compile(r"\$\{([^{}]*)\}")
 _CONDITION: Final = re.compile(r"\s*(not\s+)?(\$\{[^{}]*\})\s*")
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,99}")
 _LONGEST_NUMBER: Final = 300
-_MOST_NAMES: Final = 1000
-"""Among which a near one is looked for."""
 _KINDS: Final[tuple[tuple[Any, str], ...]] = (
     (bool, "true or false"),
     ((int, float), "a number"),
@@ -121,7 +118,7 @@ class Scope:
             return self.values[name]
         known = "there are none; write [variables] with its default; $${ is a ${ that means nothing"
         if self.values:
-            known = suggestion(name, islice(self.values, _MOST_NAMES))
+            known = suggestion(name, self.values)
         raise _Unknown(name, origin, known, of_key=of_key)
 
     def _written(self, name: str, closed: str, origin: Origin, *, of_key: bool) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 
 from aiorts.errors import ConfigurationError
 from aiorts.kernel.declarations import declarations
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 
 def parse_options(cls: type[Any], arguments: Sequence[str]) -> dict[str, Any]:
@@ -97,6 +97,4 @@ def _taken_apart(argument: str, flags: Mapping[str, Any]) -> tuple[str, str | No
 def _unknown(argument: str, flags: Mapping[str, Any]) -> str:
     if not argument.startswith("-"):
         return f"{argument[:60]!r}: expected an option such as {next(iter(flags), '--name')}"
-    near = nearest(argument.partition("=")[0], flags)
-    hint = f"did you mean {near}?" if near else f"there are {', '.join(flags) or 'none'}"
-    return f"no option {argument[:60]!r}; {hint}"
+    return f"no option {argument[:60]!r}; {suggestion(argument.partition('=')[0], flags, shown=str)}"

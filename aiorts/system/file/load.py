@@ -83,8 +83,7 @@ def context_type(system: SystemFile, kind: str, catalogue: Catalogue) -> type[Co
     """The class of a kind of context. SystemFileError or PluginError when it cannot be had."""
     offers = catalogue.extensions("contexts")
     if kind not in offers:
-        hint = suggestion(kind, offers)
-        raise SystemFileError(f"unknown kind {kind[:80]!r}; {hint}")
+        raise SystemFileError(f"unknown kind {kind[:80]!r}; {suggestion(kind, offers)}")
     extension = catalogue.find("contexts", kind)
     check_inside(system, extension)
     found = extension.load()

@@ -11,7 +11,6 @@ import re
 import shlex
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, replace
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
@@ -28,7 +27,7 @@ from aiorts.model.options import OWN_KEYS, SERVICE_KEYS, connector_profile
 from aiorts.model.pairs import ConnectedPairs
 from aiorts.model.wanted.entries import ClockEntry, ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry
 from aiorts.processes import Limits
-from aiorts.spelling import suggestion
+from aiorts.spelling import meant, nearest, suggestion
 from aiorts.supervision import StartRule, Supervision, in_order
 from aiorts.system.expansion.choices import AS_WRITTEN, Choices
 from aiorts.system.expansion.expand import TOP_KEYS, Expanded, expand
@@ -126,7 +125,7 @@ def parse_override(text: str) -> Override:
 
 def may_be_a_service(key: str) -> bool:
     """Whether a table is one that a service brings; one nearly like a table of ours is a misspelt one."""
-    return not get_close_matches(key[:100], TOP, cutoff=0.85)
+    return not nearest(key, TOP, cutoff=0.85)
 
 
 def may_be_of_a_service(key: str, value: Any) -> bool:
@@ -242,8 +241,8 @@ class _Reader(Reading):
             return self._word(key, table, word, words)
         value = self._get(key, table, word, str, "")
         if value not in ("", *words):
-            meant = f"; did you mean {words[0]!r}?" if get_close_matches(str(value), words) else ""
-            self._say((*key, word), f"expected {words[0]!r}, or no such line, got {value!r:.80}{meant}")
+            hint = meant(value, words)
+            self._say((*key, word), f"expected {words[0]!r}, or no such line, got {value!r:.80}{hint}")
         return str(value)
 
     def _limits(self, key: Key, table: dict[str, Any]) -> Mapping[str, Any]:

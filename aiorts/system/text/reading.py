@@ -69,7 +69,7 @@ class Reading:
 
     def _missing(self, key: Key, table: Mapping[str, Any], word: str) -> None:
         """Say so where the key stands in another spelling, once; else where it would stand."""
-        near = nearest(word, [str(other) for other in table])
+        near = nearest(word, table)
         misspelt = (*key, near)
         if not near:
             self._say(key, f"{word} is missing", of_key=True)
@@ -124,8 +124,3 @@ def spelled(key: Key) -> str:
     for part in key:
         text += f"[{part + 1}]" if isinstance(part, int) else f".{part[:80]}" if text else part[:80]
     return text
-
-
-def near_hint(key: str, table: Mapping[str, Any]) -> str:
-    near = nearest(key, [str(other) for other in table])
-    return f"; did you mean {key!r} by {near!r}?" if near else ""

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from aiorts.errors import SystemFileError
 from aiorts.model.configuration.toml_lines import TOO_LARGE, excess, huge_number
-from aiorts.spelling import nearest
+from aiorts.spelling import meant
 from aiorts.system.text.places import places_of
 from aiorts.system.text.reading import spelled
 
@@ -127,5 +127,4 @@ def _near_file(path: Path) -> str:
         names = {found.stem: found.name for found in files if found.name != path.name}  # which may be a dead link
     except (OSError, ValueError):
         return ""
-    near = nearest(path.stem, names)
-    return f"; did you mean {str(path.parent / names[near])!r}?" if near else ""
+    return meant(path.stem, names, lambda near: repr(str(path.parent / names[near])))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from aiorts.system.text.reading import near_hint
+from aiorts.spelling import meant
 
 SCHEMA: Final = 1
 
@@ -15,7 +15,7 @@ def version_fault(top: Mapping[str, Any]) -> tuple[str, bool]:
     version = top.get("schema")
     if type(version) is not int:
         got = f"got {version!r:.80}" if "schema" in top else "it is missing"
-        near = near_hint("schema", top) if "schema" not in top else ""
+        near = meant("schema", top, "'schema' by {!r}".format) if "schema" not in top else ""
         return f"expected schema = {SCHEMA} in the first line, {got}{near}", False
     if version == SCHEMA:
         return "", False

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import click
 
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 from aiorts_bench.harness.bench import Options
 from aiorts_bench.harness.report import Report
 from aiorts_bench.push import answer, load
@@ -23,8 +23,7 @@ def _word(*words: str) -> Callable[[str], str]:
     def read(text: str) -> str:
         if text in words:
             return text
-        near = nearest(text, words)
-        raise ValueError(f"did you mean {near}?" if near else f"expected {', '.join(words)}")
+        raise ValueError(suggestion(text, words, f"expected {', '.join(words)}", shown=str))
 
     return read
 
@@ -48,8 +47,7 @@ def _rate(word: str, high: float) -> Callable[[str], float | None]:
         try:
             number = float(text)
         except ValueError:
-            near = nearest(text, [word] if word else [])
-            raise ValueError(f"did you mean {near}?" if near else expected) from None
+            raise ValueError(suggestion(text, [word] if word else [], expected, shown=str)) from None
         if not 1 <= number <= high:  # also refuses NaN
             raise ValueError(expected)
         return number
@@ -63,8 +61,8 @@ def _payload(text: str) -> float | int:
     digits = text.rstrip("kKmMgGbB")
     size = _SIZES.get(text[len(digits) :].lower())
     if not digits.isascii() or not digits.isdigit() or size is None or not 8 <= int(digits[:12]) * size <= _LARGEST:
-        near = nearest(text, ["float", "1kB", "1MB"])
-        raise ValueError(f"did you mean {near}?" if near else "expected float, or a size from 8B to 1GB such as 1kB")
+        otherwise = "expected float, or a size from 8B to 1GB such as 1kB"
+        raise ValueError(suggestion(text, ["float", "1kB", "1MB"], otherwise, shown=str))
     return int(digits) * size
 
 

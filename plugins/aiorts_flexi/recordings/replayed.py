@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from aiorts.errors import ConfigurationError
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 from aiorts_log import RecordingError, open_recording
 
 _UNFIT: Final = re.compile(r"[^A-Za-z0-9_-]+")
@@ -148,8 +148,7 @@ def _check_names(path: Path, there: Mapping[str, RecordedAs], requested: Mapping
     for what, names in requested.items():
         for name in names:
             if name not in there:
-                near = nearest(name, there)
-                hint = f"did you mean {near!r}?" if near else f"there are {_list(there)}"
+                hint = suggestion(name, there, f"there are {_list(there)}")
                 raise ConfigurationError(f"{what}: {path} has no port {name[:60]!r}; {hint}")
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from aiorts.errors import AbsentError, AmbiguousError
 from aiorts.sessions import Kernels, Running, is_glob
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 _SHOWN: Final = 10
 
@@ -86,9 +86,8 @@ def _why_not(path: str, outlines: Mapping[str, Any], there: list[str]) -> str:
     if port is not None:
         kind = "an in-port" if port["direction"] == "in" else "no port of samples"
         return f"is {kind}; out-ports are recorded, such as {_few(there)}"
-    near = nearest(path, there)
     own = [one for one in there if one.startswith(f"{component}.")]
-    return f"no such port; did you mean {near}?" if near else f"no such port; there are {_few(own or there)}"
+    return f"no such port; {suggestion(path, there, f'there are {_few(own or there)}', shown=str)}"
 
 
 def _fits(path: str, globs: Iterable[str]) -> bool:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts import Component, InPort, KernelService, OutPort, Provided, StateMachineComponent, check_settings, setting
 from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.exits import FAILED
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 from aiorts.statechart import Chart, ChartWarning, State
 from aiorts.types import type_name
 from aiorts_log.commands.moment import moment_ns
@@ -114,8 +114,7 @@ class InPlace(KernelService):
             raise ConfigurationError(str(error)) from error
         for glob in settings.ports:
             if not any(fnmatchcase(path, glob) for path in self._recorded):
-                near = nearest(glob, self._recorded)
-                hint = f"did you mean {near!r}?" if near else f"there are {_list(self._recorded)}"
+                hint = suggestion(glob, self._recorded, f"there are {_list(self._recorded)}")
                 raise ConfigurationError(f"replay: {settings.file} has no port {glob!r}; {hint}")
         self._begin, self._end = (
             moment_ns(f"replay: {key}", getattr(settings, key), self._first) if getattr(settings, key) else None

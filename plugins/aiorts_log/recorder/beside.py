@@ -192,8 +192,7 @@ class Beside(KernelService):
         known = sorted({path for component in self.kernel.components.values() for path, _ in _out_ports(component)})
         for glob in self._settings.ports:
             if not any(fnmatchcase(path, glob) for path in known):
-                hint = suggestion(glob, known)
-                raise ConfigurationError(f"record: no out-port is called {glob!r}; {hint}")
+                raise ConfigurationError(f"record: no out-port is called {glob!r}; {suggestion(glob, known)}")
         try:
             self._begin().wait_open(_OPEN_WITHIN)
         except RecordingError as error:

@@ -14,7 +14,7 @@ from aiorts.cli.commands.live.showing import json_option, say_done, timeout_opti
 from aiorts.cli.commands.live.target import Found, Kernels, complete, complete_changes, kernels
 from aiorts.cli.console.output import say, say_json, table
 from aiorts.errors import AbsentError, ConfigurationError
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 _LONGEST: Final = 4 * 1024 * 1024
 _PART: Final = 16_000
@@ -87,8 +87,7 @@ def _chosen(one: Found, parameters: Sequence[Any], wanted: Sequence[str]) -> lis
     known = {param["name"]: param for param in parameters}
     for name in wanted:
         if name not in known:
-            near = nearest(name, known)
-            hint = f"did you mean {near}?" if near else f"there are {', '.join(known) or 'none'}"
+            hint = suggestion(name, known, shown=str)
             raise AbsentError(f"{name:.80}: {one.component} has no such parameter; {hint}")
     return [known[name] for name in wanted]
 

@@ -12,7 +12,7 @@ from typing import Any
 from aiorts.cli.commands.live.target import Found, Kernels, Running, is_glob, the_one
 from aiorts.errors import AbsentError, AmbiguousError, NoAnswerError
 from aiorts.late import dataclass
-from aiorts.spelling import nearest
+from aiorts.spelling import suggestion
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +93,8 @@ def _others(found: Kernels, word: str) -> Iterator[Named]:
 
 def _no_port(one: Found, word: str) -> AbsentError:
     ports = list(outlines(one.running, one.component)[one.component]["ports"])
-    near = nearest(one.port, ports)
-    hint = f"did you mean {one.component}.{near}?" if near else f"its ports: {', '.join(ports[:10]) or 'none'}"
+    listed = f"its ports: {', '.join(ports[:10]) or 'none'}"
+    hint = suggestion(one.port, ports, listed, shown=lambda near: f"{one.component}.{near}")
     return AbsentError(f"{word}: {one.component} has no such port; {hint}")
 
 
