@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 from aiorts.errors import DeclarationError
 from aiorts.kernel.component import Component
@@ -22,17 +22,15 @@ if TYPE_CHECKING:
     from aiorts.configuration import ConfigurationFiles
     from aiorts.diagnostics import ContextTimer, DeadlineMonitor, LoopStalls
     from aiorts.isolation import Limits
-    from aiorts.kernel.connection import Connection
-    from aiorts.kernel.ports import OutPort, Port, PortDeclaration
+    from aiorts.kernel.ports import OutPort, Port
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.kernel.ports.port import End
     from aiorts.model.blame import GcPauses
     from aiorts.model.configuration.sets import Difference
-    from aiorts.model.connect_options import ConnectOptions
     from aiorts.model.wanted.applied import Applied
     from aiorts.model.wanted.entries import Wanted
     from aiorts.observe import Changes, ConnectorEvent, Introspection, Listening, Monitor, Samples, SystemProfile
     from aiorts.reload import Reloaded
-    from aiorts.services import Made, Service, ServiceConnector
     from aiorts.supervision import StartRule, Supervised, Supervising, Supervision
 
 T = TypeVar("T")
@@ -74,88 +72,20 @@ class Kernel(Microkernel):
 
     start.__doc__ = Microkernel.start.__doc__
 
-    # First what is more special, though the overridden method has it last: a service port is a port.
-    @overload  # type: ignore[override]
-    async def connect(  # type: ignore[overload-overlap]
-        self, one: Service, two: Service | str, /, **options: Unpack[ConnectOptions]
-    ) -> ServiceConnector: ...
-
-    @overload
-    async def connect(  # type: ignore[overload-overlap]
-        self, one: str, two: Service, /, **options: Unpack[ConnectOptions]
-    ) -> ServiceConnector: ...
-
-    @overload
-    async def connect(  # type: ignore[overload-overlap]
-        self,
-        one: Service,
-        two: Service | str,
-        three: Service | str,
-        /,
-        *more: Service | str,
-        **options: Unpack[ConnectOptions],
-    ) -> Made: ...
-
-    @overload
-    async def connect(  # type: ignore[overload-overlap]
-        self,
-        one: str,
-        two: Service,
-        three: Service | str,
-        /,
-        *more: Service | str,
-        **options: Unpack[ConnectOptions],
-    ) -> Made: ...
-
-    @overload
-    async def connect(
-        self, one: Port[Any] | str, two: Port[Any] | str, /, **options: Unpack[ConnectOptions]
-    ) -> Connector: ...
-
-    @overload
-    async def connect(
-        self,
-        one: Port[Any] | str,
-        two: Port[Any] | str,
-        three: Port[Any] | str,
-        /,
-        *more: Port[Any] | str,
-        **options: Unpack[ConnectOptions],
-    ) -> Connection[Connector]: ...
-
-    @overload
-    async def connect(
-        self,
-        one: PortDeclaration | str,
-        two: PortDeclaration | str,
-        /,
-        *more: PortDeclaration | str,
-        **options: Unpack[ConnectOptions],
-    ) -> Any: ...
-
-    async def connect(  # pyright: ignore[reportIncompatibleMethodOverride]
-        self,
-        one: PortDeclaration | str,
-        two: PortDeclaration | str,
-        /,
-        *more: PortDeclaration | str,
-        **options: Unpack[ConnectOptions],
-    ) -> Any:
+    async def _connect(self, ports: Sequence[End[Any] | str], options: Mapping[str, Any]) -> Any:
         if options.get("adapt"):
             self.check_open("connect")
             from aiorts.adapting import connect_adapted  # late: few connectors have a filter between
 
-            return await connect_adapted(self, (one, two, *more), options)
+            return await connect_adapted(self, ports, options)
         if self.connections.far is not None or any(
-            isinstance(port, str) and self.registry.is_elsewhere(port) for port in (one, two, *more)
+            isinstance(port, str) and self.registry.is_elsewhere(port) for port in ports
         ):
             self.check_open("connect")
             from aiorts.links import Links  # late: few systems have links
 
-            return await self.service(Links).connect(super().connect, (one, two, *more), options)
-        return await super().connect(one, two, *more, **options)
-
-    connect.__doc__ = Microkernel.connect.__doc__
+            return await self.service(Links).connect(super()._connect, ports, options)
+        return await super()._connect(ports, options)
 
     async def create_isolated(
         self, kind: type[Component] | str, name: str = "", *, limits: Limits | None = None, **params: object

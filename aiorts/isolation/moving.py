@@ -8,7 +8,7 @@ connectors, with what was unread; then state goes over, and it is started.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -532,8 +532,8 @@ class _Move:
             raise TransitionTimeout(f"{self._old.name}: move: waited {_PATIENCE:g} s for {what}") from None
 
 
-async def _there_already(connector: Connector) -> Connector:
-    return connector
+async def _there_already(connectors: Sequence[Connector], options: Mapping[str, Any]) -> Connector:
+    return connectors[0]
 
 
 class _Moved:

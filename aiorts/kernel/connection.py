@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-class _Ends(Protocol):
+class Ends(Protocol):
     """A connector of any kind."""
 
     @property
@@ -18,7 +18,7 @@ class _Ends(Protocol):
     def closed(self) -> bool: ...
 
 
-C = TypeVar("C", bound=_Ends)
+C = TypeVar("C", bound=Ends)
 
 
 class _Owner(Protocol):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 import threading
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeVar, TypeVarTuple, Unpack, cast, overload
 
@@ -32,7 +32,7 @@ from aiorts.kernel.loop.log import SharedBudget
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of, see_through, throw
 from aiorts.kernel.loop.timers import sleep, timers_for
 from aiorts.kernel.pool import PoolMonitor
-from aiorts.kernel.ports import Port, PortDeclaration
+from aiorts.kernel.ports import Port
 from aiorts.kernel.registry import Registry
 from aiorts.kernel.service import KernelService, TimedHook, attach_services, notify, plan_service, report_fault
 from aiorts.model.names import check_name
@@ -40,9 +40,13 @@ from aiorts.model.naming import NamePolicy, Numbering
 from aiorts.model.values import shown
 
 if TYPE_CHECKING:
+    import typing_extensions
+
+    from aiorts.kernel.connection import Ends
     from aiorts.kernel.execution.deadline_timer import DeadlineTimer
     from aiorts.kernel.loop.timers import Cancellable
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.kernel.ports.port import End
     from aiorts.model.connect_options import ConnectOptions
 
 C = TypeVar("C", bound=Component)
@@ -50,6 +54,8 @@ S = TypeVar("S", bound=KernelService)
 T = TypeVar("T")
 Ts = TypeVarTuple("Ts")
 X = TypeVar("X", bound=Context)
+if TYPE_CHECKING:
+    Made = typing_extensions.TypeVar("Made", bound=Ends, default=Connector)
 
 
 class Microkernel:
@@ -408,38 +414,23 @@ class Microkernel:
 
     @overload
     async def connect(
-        self, one: Port[Any] | str, two: Port[Any] | str, /, **options: Unpack[ConnectOptions]
-    ) -> Connector: ...
+        self, one: End[Made] | str, two: End[Made] | str, /, **options: Unpack[ConnectOptions]
+    ) -> Made: ...
 
     @overload
     async def connect(
         self,
-        one: Port[Any] | str,
-        two: Port[Any] | str,
-        three: Port[Any] | str,
+        one: End[Made] | str,
+        two: End[Made] | str,
+        three: End[Made] | str,
         /,
-        *more: Port[Any] | str,
+        *more: End[Made] | str,
         **options: Unpack[ConnectOptions],
-    ) -> Connection[Connector]: ...
-
-    @overload
-    async def connect(
-        self,
-        one: PortDeclaration | str,
-        two: PortDeclaration | str,
-        /,
-        *more: PortDeclaration | str,
-        **options: Unpack[ConnectOptions],
-    ) -> Any: ...
+    ) -> Connection[Made]: ...
 
     async def connect(
-        self,
-        one: PortDeclaration | str,
-        two: PortDeclaration | str,
-        /,
-        *more: PortDeclaration | str,
-        **options: Unpack[ConnectOptions],
-    ) -> Any:
+        self, one: End[Made] | str, two: End[Made] | str, /, *more: End[Made] | str, **options: Unpack[ConnectOptions]
+    ) -> Made | Connection[Made]:
         """Connect ports: every out-port with every in-port, or required interfaces with provided ones, all or none.
 
         A port is given itself or by its path ("pid0.command", or "station/monitor.inp" in another process). A type
@@ -458,14 +449,18 @@ class Microkernel:
                 also: there are several ways (it names them), or the reader is in no context.
             PluginError: `convert` is a text that finds no converter, or no plugin offers one for `adapt`.
         """
+        made: Made | Connection[Made] = await self._connect((one, two, *more), options)
+        return made
+
+    async def _connect(self, ports: Sequence[End[Any] | str], options: Mapping[str, Any]) -> Any:
         self.check_open("connect")
         if isinstance(text := options.get("convert"), str):
             from aiorts.kernel.extensions.converters import load_converter  # late: few connectors have one
 
             options = {**options, "convert": await load_converter(text, self.plugins, self.clock)}
             self.check_open("connect")  # it may have closed meanwhile
-        made = self.connections.make((one, two, *more), options)
-        return joined(made, self.connections) if more else made[0]
+        made = self.connections.make(ports, options)
+        return joined(made, self.connections) if len(ports) > 2 else made[0]
 
     async def disconnect(self, connector: Any) -> None:
         """End a connector, or all of a `Connection`. Idempotent.

@@ -217,7 +217,10 @@ class Links(KernelService):
             end.on(LinkEvent.DISCONNECTED)
 
     async def connect(
-        self, connect: Callable[..., Awaitable[Any]], ports: Sequence[Any], options: Mapping[str, Any]
+        self,
+        connect: Callable[[Sequence[Any], Mapping[str, Any]], Awaitable[Any]],
+        ports: Sequence[Any],
+        options: Mapping[str, Any],
     ) -> Any:
         """Connect with `connect`; return when the other kernel, if it is there, has answered.
 
@@ -228,7 +231,7 @@ class Links(KernelService):
         for port in ports:
             if isinstance(port, str) and self.is_far(port):
                 await self.reach.opened_for(Path.parse(port))
-        made = await connect(*ports, **options)
+        made = await connect(ports, options)
         connectors = made.connectors if isinstance(made, Connection) else (made,)
         waits = [end.first for one in connectors for end in self.ends.of(one)]
         waits += self.calls.first_answers(connectors)

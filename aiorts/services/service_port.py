@@ -62,7 +62,7 @@ class ServicePort(Port[Any]):
         return tuple(self._ends.values())
 
     @property
-    def connectors(self) -> tuple[Any, ...]:
+    def connectors(self) -> tuple[ServiceConnector, ...]:  # type: ignore[override]
         """The live service connectors, in order of connection."""
         return self._services
 
@@ -221,7 +221,7 @@ class ServiceEnd(PortDeclaration, Generic[I]):
         return path if self.instance == self._port.name else f"{path}.{self.instance}"
 
     @property
-    def connectors(self) -> tuple[Any, ...]:
+    def connectors(self) -> tuple[ServiceConnector, ...]:
         """The live connectors over which this interface is bound."""
         return tuple(dict.fromkeys(link.connector for link in self._links))
 

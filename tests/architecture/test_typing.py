@@ -13,7 +13,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 API = ROOT / "tests" / "typing" / "api.py"
-EXPECTED = [number for number, line in enumerate(API.read_text().splitlines(), 1) if "# error:" in line]
+LINES = API.read_text().splitlines()
+EXPECTED = [number for number, line in enumerate(LINES, 1) if "# error:" in line]
 
 
 def run(*command: str) -> subprocess.CompletedProcess[str]:
@@ -28,6 +29,9 @@ def test_mypy_strict_accepts_the_interface_and_flags_exactly_its_misuses() -> No
     flagged = [int(number) for number in re.findall(r"tests/typing/api\.py:(\d+): error:", done.stdout)]
     assert sorted(set(flagged)) == EXPECTED, done.stdout + done.stderr
     assert done.stdout.count("error:") == len(flagged), done.stdout  # none elsewhere
+    variants = [int(number) for number in re.findall(r"tests/typing/api\.py:(\d+): note:     def ", done.stdout)]
+    told = {number: variants.count(number) for number in EXPECTED if "kernel.connect(" in LINES[number - 1]}
+    assert set(told.values()) == {2}, told  # for two ports, and for more: no variant for each kind of port
 
 
 @pytest.mark.slow(kept_by="test_package_says_that_it_is_typed")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator, Mapping
 from typing import Annotated, Any, ClassVar, Protocol, Unpack, assert_type
 
@@ -21,6 +22,7 @@ from aiorts import (
     Provided,
     Required,
     ServiceConnector,
+    ServicePort,
     component,
 )
 from aiorts.events import ParameterChanged
@@ -123,14 +125,19 @@ def blocking(arm: Arm) -> None:
     assert_type(arm.brake.call_blocking(lambda brake: brake.stop(1.0)), float)
 
 
-async def services(kernel: Kernel, arm: Arm, brake: BrakeRtc) -> None:
+async def services(kernel: Kernel, arm: Arm, brake: BrakeRtc, port: ServicePort) -> None:
     assert_type(await kernel.connect(arm.brake, brake.service), ServiceConnector)
     assert_type(await kernel.connect(arm.brake, brake.service, mapping={"brake": "service"}), ServiceConnector)
     assert_type(await kernel.connect(arm.brake, arm.brake, brake.service), Connection[ServiceConnector])
     assert_type(await kernel.connect("arm0.brake", arm.brake, "brake0.service"), Connection[ServiceConnector])
     assert_type(await kernel.connect("arm0.brake", brake.service), ServiceConnector)
     assert_type(await kernel.connect(arm.brake, "brake0.service", strict=False), ServiceConnector)
+    assert_type(await kernel.connect("arm0.brake", "arm1.brake", brake.service), Connection[ServiceConnector])
+    assert_type(await kernel.connect(port, "brake0.service"), ServiceConnector)
+    assert_type(await kernel.connect("arm0.brake", port, port), Connection[ServiceConnector])
     await kernel.connect(arm.brake, arm)  # error: a component is no port
+    await kernel.connect(arm.brake, brake.service, arm)  # error: a component is no port
+    await kernel.connect(arm.brake, brake.service, stric=False)  # error: no such option
 
 
 def even(value: int) -> None:
@@ -207,6 +214,8 @@ async def options(kernel: Kernel, pid: Pid, rig: Rig) -> None:
     assert_type(await kernel.connect(pid.command, "pid1.measured"), Connector)
     assert_type(await kernel.connect(pid.command, pid.measured, convert=add), Connector)
     assert_type(await kernel.connect(pid.command, "pid1.measured", "pid2.measured"), Connection[Connector])
+    assert_type(await kernel.connect("pid0.command", "pid1.measured", "pid2.measured"), Connection[Connector])
+    assert_type(asyncio.create_task(kernel.connect(pid.command, pid.measured)), asyncio.Task[Connector])
     await kernel.connect("pid0.command", pid, full="block")  # error: a component is no port
     await kernel.activate("pid0", context="main")
     await kernel.reset(pid, context=PeriodicContext(rate=1.0), timeout=None)
@@ -214,6 +223,7 @@ async def options(kernel: Kernel, pid: Pid, rig: Rig) -> None:
     await kernel.connect(pid.command, pid.measured, full="drop")  # error: no such word
     await kernel.connect(pid.command, pid.measured, convert=4)  # error: not a function
     await kernel.connect(pid.command, pid.measured, lenght=4)  # error: no such option
+    await kernel.connect(pid.command, pid.measured, pid.measured, lenght=4)  # error: no such option
     await kernel.connect(pid.command, pid.measured, length="4")  # error: not a number
     await link(kernel, pid, strict="no")  # error: not a bool
     wire = await kernel.connect(pid.command, pid.measured)

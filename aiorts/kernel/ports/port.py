@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from aiorts.model.names import Path
 
 T = TypeVar("T")
+C = TypeVar("C", covariant=True)
 P = TypeVar("P", bound="Port[Any]")
 D = TypeVar("D", bound="PortDeclaration")
 
@@ -74,6 +75,18 @@ class PortDeclaration:
     def connecting(self) -> Connecting | None:
         """Who connects ports of this kind; None: connectors of data ports."""
         return None
+
+
+if TYPE_CHECKING:
+
+    class End(Protocol[C]):
+        """What can be connected: a port, or an interface of one, with the kind of its connectors."""
+
+        @property
+        def connecting(self) -> Connecting | None: ...
+
+        @property
+        def connectors(self) -> tuple[C, ...]: ...
 
 
 class Connecting(Protocol):
