@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -58,7 +59,30 @@ kind = "periodic"
 rate = 10.0
 members = ["a", "b"]
 """
+WRONG = (
+    ("knob = 4", "knob = 11", "knob = 11: expected a whole number from 0 to 10"),
+    ("knob = 4", "knop = 4", "unknown option 'knop'; did you mean 'knob'?"),
+    ("lever = 3", "lever = 6", "lever: expected a whole number from 0 to 5, got 6"),
+    ("lever = 3", "levr = 3", "unknown key 'levr'; did you mean 'lever'?"),
+)
+"""What is wrong in files, and what is said of it."""
+COMMANDS = ("run", "check", "plan --live declared", "apply")
+SEVERAL = """
+import json, sys
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from aiorts.cli.app import run_command
+
+said = []
+for words in json.loads(sys.argv[1]):
+    with redirect_stdout(StringIO()) as text, redirect_stderr(text):
+        status = run_command(words.split())
+    said.append([status, text.getvalue()])
+print(json.dumps(said))
+"""
+"""Commands one after the other in one process, whose start takes longer than they do."""
 Run = Callable[..., subprocess.CompletedProcess[str]]
+Said = Callable[..., list[tuple[int, str]]]
 
 pytestmark = pytest.mark.slow
 
@@ -80,34 +104,46 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (there / "run").mkdir(mode=0o700)
     (there / "parts.py").write_text(PARTS)
     (there / "system.toml").write_text(SYSTEM)
+    for number, (right, wrong, _) in enumerate(WRONG):
+        written(there, f"wrong{number}.toml", right, wrong)
     return there
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """The variables of a process that imports the copy; its bytecode is kept, or each process compiled it anew."""
+    own = {"PYTHONPATH": str(folder), "XDG_RUNTIME_DIR": str(folder / "run"), "NO_COLOR": "1", "COLUMNS": "200"}
+    return {**{name: one for name, one in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}, **own}
 
 
 @pytest.fixture(scope="module")
 def run(folder: Path) -> Run:
-    env = {
-        **os.environ,
-        "PYTHONPATH": str(folder),
-        "XDG_RUNTIME_DIR": str(folder / "run"),
-        "NO_COLOR": "1",
-        "COLUMNS": "200",
-    }
-
-    def of(*words: str, code: str = "") -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", code] if code else [sys.executable, "-m", "aiorts", *words]
+    def of(*words: str) -> subprocess.CompletedProcess[str]:
+        command, env = [sys.executable, *words], environment(folder)
         return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, timeout=60, check=False)
 
     return of
 
 
 @pytest.fixture(scope="module")
-def running(folder: Path, run: Run) -> Iterator[None]:
-    env = {**os.environ, "PYTHONPATH": str(folder), "XDG_RUNTIME_DIR": str(folder / "run")}
+def said(run: Run) -> Said:
+    """What commands of aiorts end with, and what they print."""
+
+    def of(*commands: str) -> list[tuple[int, str]]:
+        found = run("-c", SEVERAL, json.dumps(commands))
+        assert found.returncode == 0, found.stderr
+        return [(status, text) for status, text in json.loads(found.stdout)]
+
+    return of
+
+
+@pytest.fixture(scope="module")
+def running(folder: Path, said: Said) -> Iterator[None]:
     command = [sys.executable, "-m", "aiorts", "run", "system.toml", "--name", "declared"]
-    process = subprocess.Popen(command, cwd=folder, env=env, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(command, cwd=folder, env=environment(folder), **quiet)
     try:
-        over = time.monotonic() + 30.0
-        while run("ls", "declared").returncode != 0:
+        over = time.monotonic() + 60.0
+        while said("ls declared")[0][0] != 0:
             assert time.monotonic() < over
         yield
     finally:
@@ -121,31 +157,53 @@ def written(folder: Path, name: str, old: str, new: str) -> str:
     return name
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("knob = 4", "knob = 11", "knob = 11: expected a whole number from 0 to 10"),
-        ("knob = 4", "knop = 4", "did you mean 'knob'?"),
-        ("lever = 3", "lever = 6", "expected a whole number from 0 to 5"),
-        ("lever = 3", "levr = 3", "did you mean 'lever'?"),
-    ],
-)
-def test_check_refuses_what_is_out_of_range_or_misspelt(run: Run, folder: Path, old: str, new: str, said: str) -> None:
-    assert run("check", "system.toml").returncode == 0
-    found = run("check", written(folder, "wrong.toml", old, new))
-    assert found.returncode != 0
-    assert said in found.stdout + found.stderr
+# -- files -------------------------------------------------------------------------------------------------------------
 
 
-def test_the_schema_accepts_and_refuses_the_same(run: Run) -> None:
-    schema = json.loads(run("schema").stdout)
-    jsonschema.validate(tomllib.loads(SYSTEM), schema)
-    for old, new in (("knob = 4", "knob = 11"), ("knob = 4", 'knob = "much"'), ("lever = 3", "lever = 6")):
-        with pytest.raises(jsonschema.ValidationError):
-            jsonschema.validate(tomllib.loads(SYSTEM.replace(old, new)), schema)
+@pytest.fixture(scope="module")
+def refusals(said: Said, running: None) -> dict[tuple[str, int], tuple[int, str]]:
+    """What each command says of each wrong file."""
+    asked = [(command, number) for command in COMMANDS for number in range(len(WRONG))]
+    names = {"apply": "apply declared="}
+    answers = said(*(f"{names.get(command, command + ' ')}wrong{number}.toml" for command, number in asked))
+    return dict(zip(asked, answers, strict=True))
 
 
-def test_a_program_connects_with_it(run: Run) -> None:
+@pytest.mark.parametrize("number", range(len(WRONG)), ids=[wrong for _, wrong, _ in WRONG])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_file_with_it_is_refused_with_range_and_suggestion(
+    refusals: dict[tuple[str, int], tuple[int, str]], command: str, number: int
+) -> None:
+    status, text = refusals[command, number]
+    assert status == 2
+    assert WRONG[number][2] in text
+
+
+def test_a_file_with_it_is_accepted_also_with_a_variable_that_the_command_line_sets(folder: Path, said: Said) -> None:
+    turned = SYSTEM.replace("knob = 4", 'knob = "${turned}"').replace("lever = 3", 'lever = "${turned}"')
+    (folder / "turned.toml").write_text(f"{turned}[variables]\nturned = 1\n")
+    right, *fine, wrong = said(
+        "check system.toml", *(f"check turned.toml --var turned={n}" for n in ("4", "0x4", "11"))
+    )
+    assert [status for status, _ in (right, *fine)] == [0, 0, 0], fine
+    assert wrong[0] == 2
+    assert WRONG[0][2] in wrong[1]
+    assert "lever: expected a whole number from 0 to 5, got 11" in wrong[1]
+
+
+def test_the_schema_accepts_and_refuses_the_same(said: Said) -> None:
+    validator = jsonschema.Draft202012Validator(json.loads(said("schema")[0][1]))
+    assert validator.is_valid(tomllib.loads(SYSTEM))
+    for right, wrong, _ in (*WRONG, ("knob = 4", 'knob = "much"', "")):
+        assert not validator.is_valid(tomllib.loads(SYSTEM.replace(right, wrong))), wrong
+    connection = validator.schema["$defs"]["connection"]["properties"]
+    assert connection["knob"]["description"] == "How far the knob is turned."
+
+
+# -- programs and links ------------------------------------------------------------------------------------------------
+
+
+def test_a_program_connects_with_it_and_a_link_offers_it(run: Run) -> None:
     code = """
 import asyncio
 from aiorts import Kernel
@@ -168,39 +226,51 @@ async def main():
         offer = LinkOffer((1, 1), "l", Path.parse("k/a.out"), Path.parse("m/b.inp"), 1, 1, 1, b"", "x", None, None,
                           made.profile, 256, 1 << 20)
         print("offered", LinkOffer.from_bytes(offer.to_bytes()).profile.knob)
+        for wrong in (b"knob\\x0b", b"knop\\x07"):
+            try:
+                LinkOffer.from_bytes(offer.to_bytes().replace(b"knob\\x07", wrong))
+            except WiringError as error:
+                print(error)
 asyncio.run(main())
 """
-    found = run(code=code)
+    found = run("-c", code)
     assert found.returncode == 0, found.stderr
-    lines = found.stdout.splitlines()
-    assert lines[0].endswith("knob = 11: expected a whole number from 0 to 10")
-    assert "did you mean 'knob'?" in lines[1]
-    assert lines[2:] == ["knob 7 7", "offered 7"]
+    connected, misspelt, taken, offered, *not_offered = found.stdout.splitlines()
+    assert connected.endswith(WRONG[0][2])
+    assert WRONG[1][2] in misspelt
+    assert (taken, offered) == ("knob 7 7", "offered 7")
+    assert not_offered[0].endswith(WRONG[0][2])
+    assert WRONG[1][2] in not_offered[1]
 
 
-@pytest.mark.usefixtures("running")
-def test_commands_show_and_change_it_while_it_runs(run: Run, folder: Path) -> None:
-    assert "knob 4" in run("cat", "declared/a.out-b.inp").stdout
-    assert "knob 4" in run("connect", "declared").stdout
-    assert "--knob X" in run("connect", "--help").stdout
+# -- what runs ---------------------------------------------------------------------------------------------------------
+
+
+def test_commands_show_change_and_save_it_while_it_runs(running: None, said: Said, folder: Path) -> None:
     wanted = written(folder, "wanted.toml", "knob = 4", "knob = 5")
-    planned = run("plan", "--live", "declared", wanted)
-    assert "renew a.out -> b.inp: knob 4 -> 5" in planned.stdout, planned
-    assert run("apply", f"declared={wanted}").returncode == 0
-    assert "knob 5" in run("connect", "declared").stdout
     (folder / wanted).write_text((folder / wanted).read_text().replace("lever = 3", "lever = 2"))
-    applied = run("apply", f"declared={wanted}")
-    assert "supervise b: lever 3 -> 2" in applied.stdout, applied
-    assert run("save", "declared", "-o", "saved.toml").returncode == 0
-    saved = (folder / "saved.toml").read_text()
-    assert "knob = 5" in saved
-    assert "lever = 2" in saved
-    assert run("plan", "--live", "declared", wanted).returncode == 0  # no difference
-    assert run("disconnect", "declared/a.out-b.inp").returncode == 0
-    made = run("connect", "declared/a.out", "declared/b.inp", "--knob", "9")
-    assert "knob 9" in made.stdout, made
-    refused = run("connect", "declared/a.out", "declared/b.inp", "knob=12", "allow_duplicate=yes")
-    assert "knob = '12': expected a whole number from 0 to 10" in refused.stderr
+    ends = "declared/a.out declared/b.inp"
+    answers = said(
+        *("cat declared/a.out-b.inp", "connect declared", f"plan --live declared {wanted}", f"apply declared={wanted}"),
+        *(f"plan --live declared {wanted}", "connect declared", "save declared -o saved.toml", "check saved.toml"),
+        *("disconnect declared/a.out-b.inp", f"connect {ends} --knob 9", f"connect {ends} knob=11", "connect --help"),
+        f"connect {ends} knop=1",
+    )
+    shown, listed, planned, applied, again, changed, saved, checked, _, made, out, help_text, misspelt = answers
+    assert "knob 4" in shown[1]
+    assert "knob 4" in listed[1]
+    for text in (planned[1], applied[1]):
+        assert "renew a.out -> b.inp: knob 4 -> 5" in text
+        assert "supervise b: lever 3 -> 2" in text
+    assert (planned[0], applied[0], again[0]) == (1, 0, 0)  # 1: there is a difference
+    assert "knob 5" in changed[1]
+    assert (saved[0], checked[0]) == (0, 0)
+    assert {"knob = 5", "lever = 2"} <= {*(folder / "saved.toml").read_text().splitlines()}
+    assert "knob 9" in made[1]
+    assert (out[0], misspelt[0]) == (2, 2)
+    assert "knob = '11': expected a whole number from 0 to 10" in out[1]
+    assert WRONG[1][2] in misspelt[1]
+    assert "--knob X" in help_text[1]
 
 
 def test_the_typed_keywords_and_the_reference_have_it(run: Run) -> None:
@@ -208,11 +278,13 @@ def test_the_typed_keywords_and_the_reference_have_it(run: Run) -> None:
 import sys
 sys.path.insert(0, {str(ROOT / "tests")!r})
 import connect_options
-text = connect_options.text()
-assert "    knob: int\\n" in text and "How far the knob is turned." in text
 from reference import PAGES
-page = PAGES["system-file"]()
-assert "knob" in page and "lever" in page and "How far the lever is pulled." in page
+print(connect_options.text())
+print(PAGES["system-file"]())
 """
-    found = run(code=code)
+    found = run("-c", code)
     assert found.returncode == 0, found.stderr
+    assert "    knob: int\n" in found.stdout
+    assert found.stdout.count("How far the knob is turned.") == 2
+    for key, high, text in (("knob", 10, "How far the knob is turned."), ("lever", 5, "How far the lever is pulled.")):
+        assert re.search(rf"`{key}`.*0.*{high}.*{text}", found.stdout)
