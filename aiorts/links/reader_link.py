@@ -14,7 +14,7 @@ from anyio import WouldBlock
 from aiorts.errors import StateError, WiringError, format_error
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.far import FarOutPort
-from aiorts.kernel.ports.out_port import write_all
+from aiorts.kernel.ports.out_port import write_all, write_alone
 from aiorts.kernel.quality.dated import Dated
 from aiorts.kernel.quality.succession import pass_on
 from aiorts.links.sides import LinkSide, Wakening, report
@@ -142,14 +142,26 @@ class ReaderLink(LinkSide[ReaderEnd]):
         if len(frames) == 1 and self._takes_alone and not self._waits and not self._ended:
             head, parts = frames[0]
             if not parts and (ticket := end.receive_alone(now, head)):
-                self._deliver_alone(now, ticket, head)
-                return
+                # `_deliver` and `_poll` of the only sample that has come, written out.
+                try:
+                    record = self._decode(head[SOLE:], ())
+                except Exception as error:  # noqa: BLE001 - as in `_deliver`
+                    self._cannot_decode(now, ticket, error)
+                    return self._poll(now)
+                if not write_alone(self.connector.out, record):
+                    return self._deliver_alone(now, ticket, record)
+                if (due := end.done_alone(now)) <= now:
+                    self._poll(now)
+                elif due < self._wakening.due_ns:
+                    self._wakening.at(due)
+                return None
         for head, parts in frames:
             end.receive(now, head, parts)
         self._deliver(now)
         self._poll(now)
         if end.peer_ended and not self._ended:
             self._owner.left()
+        return None
 
     def _poll(self, now: int) -> None:
         end, channel = self.end, self._channel
@@ -193,34 +205,21 @@ class ReaderLink(LinkSide[ReaderEnd]):
                 self.end.end(self._now(), channel.send)
             channel.close()
 
-    def _deliver_alone(self, now: int, ticket: int, head: Buffer) -> None:
-        """`_deliver` and `_poll` of the only sample that has come, written out."""
-        end = self.end
+    def _deliver_alone(self, now: int, ticket: int, record: Any) -> None:
+        """`_deliver` and `_poll` of the only sample that has come, where it cannot go straight into the queue."""
+        transport = transport_of(self.connector)
         try:
-            record = self._decode(head[SOLE:], ())
-        except Exception as error:  # noqa: BLE001 - as in `_deliver`
-            self._cannot_decode(now, ticket, error)
-            return self._poll(now)
-        try:
-            if self._displaces and self._is_full():
+            if self._displaces and len(transport.queue) >= transport.length:
                 raise WouldBlock
             has_room = self.connector.out.write_nowait(record)
         except WouldBlock:
             self._wait(ticket, record)
-            return self._poll(now)
-        if not has_room:
-            end.failed(now, ticket, "rejected")
-            return self._poll(now)
-        end.done(now, ticket)
-        if (due := end.due_ns(now)) <= now or self._channel is None:
-            self._poll(now)
         else:
-            self._wakening.at(due)
-        return None
-
-    def _is_full(self) -> bool:
-        transport = transport_of(self.connector)
-        return len(transport.queue) >= transport.length
+            if has_room:
+                self.end.done(now, ticket)
+            else:
+                self.end.failed(now, ticket, "rejected")
+        self._poll(now)
 
     def _cannot_decode(self, now: int, ticket: int, error: Exception) -> None:
         self.end.failed(now, ticket, "undecodable")

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 report: Final = partial(KernelLog().warning, "W-LINK: %s")
 """Warns of what cannot be sent or read."""
+_NEVER: Final = 2**63
 E = TypeVar("E", bound="WriterEnd | ReaderEnd")
 
 
@@ -39,30 +40,31 @@ class Owner(Protocol):
 class Wakening:
     """Calls back at the time asked for last, or a little before it: `callback` asks again for what is due later."""
 
-    __slots__ = ("_due_ns", "_kernel", "_timer", "_wakened")
+    __slots__ = ("_kernel", "_timer", "_wakened", "due_ns")
 
     def __init__(self, kernel: Microkernel, callback: Callable[[], None]) -> None:
         self._kernel, self._wakened = kernel, callback
         self._timer: Cancellable | None = None
-        self._due_ns = 0
+        self.due_ns = _NEVER
+        """When it calls back; a time in the far future: it does not."""
 
     def at(self, when_ns: int | None) -> None:
         """Call back at this time of the kernel's clock, None for not at all."""
         # A timer that is due earlier stays: another timer for each sample costs more than a call for nothing.
-        if when_ns is None or (self._timer is not None and self._due_ns <= when_ns):
+        if when_ns is None or self.due_ns <= when_ns:
             return
         self.cancel()
-        self._due_ns = when_ns
+        self.due_ns = when_ns
         self._timer = self._kernel.call_at(when_ns, self._wake)
 
     def cancel(self) -> None:
         """Call back no more."""
         if self._timer is not None:
             self._timer.cancel()
-            self._timer = None
+            self._timer, self.due_ns = None, _NEVER
 
     def _wake(self) -> None:
-        self._timer = None
+        self._timer, self.due_ns = None, _NEVER
         self._wakened()
 
 

@@ -29,6 +29,8 @@ _HEAD: Final = struct.Struct("<IBBHI")
 _LARGE: Final = 65_536
 _AT_ONCE: Final = 65_536
 """Bytes that are received at once. Above 128 KiB memory of its own is asked of the system each time: 14 us."""
+_SHORT: Final = 512
+"""Bytes of a message that is copied."""
 _ONE_TURN: Final = 1 << 20
 """Bytes after which a turn of the loop receives no more. With 64 KiB a loop whose turns take 0.1 s needed four of them
 to come to a question behind the 208 KiB that a socket holds."""
@@ -102,7 +104,7 @@ class Stream:
         arrived: Callable[[list[Message]], None],
         drained: Callable[[], None],
         ended: Callable[[str], None],
-        arrived_alone: Callable[[int, int, memoryview], bool] = lambda *_: False,
+        arrived_alone: Callable[[int, int, Buffer], bool] = lambda *_: False,
     ) -> None:
         self._loop, self._socket = loop, sock
         self._arrived_alone = arrived_alone
@@ -134,6 +136,20 @@ class Stream:
         loop.add_reader(sock.fileno(), self._readable)
 
     # -- sending ---------------------------------------------------------------------------------------------------
+
+    def send_alone(self, kind: int, number: int, body: bytes) -> bool:
+        """`send` of a message without parts while none waits, written out; False: `send` takes it, or says why not."""
+        if self._waits or self.closed or self._broken:
+            return False
+        data = _HEAD.pack(len(body), kind, 0, 0, number) + body
+        try:
+            sent = self._socket.send(data)
+        except OSError:
+            return False
+        if sent < len(data):
+            self._wait()
+            self._begun = [memoryview(data)[sent:]]
+        return True
 
     def send(
         self, kind: int, number: int, body: Buffer, parts: Sequence[memoryview] = (), turn: Turn = Turn.SAMPLE
@@ -304,11 +320,17 @@ class Stream:
             return self._end(f"it does not speak this protocol: {error}")
         if not count:
             return self._end("it has ended")
-        if self._large is None and not self._rest and count >= _HEAD.size:
+        if not self._rest and count >= _HEAD.size and self._large is None:
             length, kind, parts, _, number = _HEAD.unpack_from(data)
-            is_alone = length == count - _HEAD.size and not parts
-            if is_alone and self._arrived_alone(kind, number, memoryview(data)[_HEAD.size :]):
-                return self._more(count, asked)
+            if (
+                not parts
+                and length == count - _HEAD.size
+                # A view of a short message takes longer than to copy it.
+                and self._arrived_alone(
+                    kind, number, data[_HEAD.size :] if count <= _SHORT else memoryview(data)[_HEAD.size :]
+                )
+            ):
+                return 0 if count < asked and self._hung_up is None and not self._reset else self._more(count, asked)
         messages: list[Message] = []
         try:
             if self._large is None:

@@ -296,9 +296,13 @@ class _UnixChannel(BaseChannel):
         self._kind, self._number = kind, number
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
-        if parts and self.connection.rings is not None:
-            return self.connection.send_parts(self._kind, self._number, head, parts)
-        return self.connection.stream.send(self._kind, self._number, head, parts, turn_of(head))
+        connection = self.connection
+        if parts and connection.rings is not None:
+            return connection.send_parts(self._kind, self._number, head, parts)
+        kind, number, stream = self._kind, self._number, connection.stream
+        if not parts and stream.send_alone(kind, number, head):
+            return True
+        return stream.send(kind, number, head, parts, turn_of(head))
 
 
 class _Connection:
@@ -362,7 +366,7 @@ class _Connection:
             self._answering -= 1
         self._transport.drained(self)
 
-    def _arrived_alone(self, kind: int, number: int, body: memoryview) -> bool:
+    def _arrived_alone(self, kind: int, number: int, body: Buffer) -> bool:
         channel = self._met.get((kind, number))
         if channel is None or not channel.is_open:
             channel = None if self.peer is None else self._transport.channels.get((self.peer, kind, number))

@@ -13,12 +13,12 @@ from anyio import WouldBlock
 from aiorts.clock import to_ns
 from aiorts.errors import AiortsError
 from aiorts.kernel.ports.connector import transport_of
-from aiorts.kernel.ports.in_port import InPort, read_all, receiver_of
+from aiorts.kernel.ports.in_port import InPort, read_all, read_alone, receiver_of
 from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.out_port import time_out
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.links.layout import layout_of
-from aiorts.links.linked import LINK, Aged, Confirmation, Confirmed, Linked, added
+from aiorts.links.linked import LINK, Aged, Confirmation, Confirmed, Linked, Pulled, added
 from aiorts.links.sides import LinkSide, Wakening, report
 from aiorts.links.transport import LinkOffer
 from aiorts.model.buffer import FullPolicy
@@ -83,6 +83,7 @@ class WriterLink(LinkSide[WriterEnd]):
         """When a write has sent its sample last."""
         self._ages = profile.lifespan is not None
         self._drains_full = profile.push is not Push.NEW
+        self._goes_alone = not self._ages and not isinstance(self._transport(), Confirmed | Pulled)
         self._acknowledged = 0
         self._dropped: dict[str, int] = {}
         self.refused: Mapping[str, int] = {}
@@ -148,8 +149,7 @@ class WriterLink(LinkSide[WriterEnd]):
         if not self._turn_due:
             now = self._now()
             if now - self._sent_ns > _SOON_NS:
-                if not self._send_alone(now) and self._drain(now):
-                    self._poll(now)
+                self._send(now)
                 self._sent_ns = self._now()
                 return True
             self._turn_due = True
@@ -169,33 +169,34 @@ class WriterLink(LinkSide[WriterEnd]):
         else:
             self.pump()
 
-    def _send_alone(self, now: int) -> bool:
-        """`_drain` and `_poll` of the only sample that waits, written out; False: there is more to do."""
+    def _send(self, now: int) -> None:
+        """`_drain` and `_poll`; of the only sample that waits, as most are, written out."""
         channel, end = self._channel, self.end
-        if channel is None or self._ages or self._taking or self._ended or end.room < 1:
-            return False
-        transport = transport_of(self.connector)
-        transport.settle()
-        if len(transport.queue) != 1 or isinstance(transport, Confirmed):
-            return False
-        self._taking = True
-        try:
-            head, parts = self._encode(self.connector.in_.read_nowait())
-        except AiortsError as error:
-            self._not_sent(error)
-            return False
-        except WouldBlock:
-            return False  # it has expired in this moment
-        finally:
-            self._taking = False
-        self._wakening.at(end.offer_and_send(now, head, parts, not self._drains_full, channel.send))
-        return not transport.queue  # a writer that waited had room, and its sample comes in its turn
+        if channel is not None and self._goes_alone and not self._taking and end.takes_alone:
+            port = self.connector.in_
+            sample = read_alone(port)
+            if sample is not NOTHING:
+                try:
+                    head, parts = self._encode(sample)
+                except AiortsError as error:
+                    return self._not_sent(error)
+                if parts:
+                    end.offer(now, head, parts, confirm=not self._drains_full)
+                    return self._poll(now)
+                due = end.send_alone(now, head, not self._drains_full, channel.send)
+                if due < self._wakening.due_ns:
+                    self._wakening.at(due)
+                if not port.is_new:  # else a thread has written meanwhile, which notifies nobody
+                    return None
+        if self._drain(now):
+            self._poll(now)
+        return None
 
     def confirm(self, transport: Confirmed, entry: Confirmation) -> bool:
         """`_drain` and `_poll` of the only sample that waits, whose writer waits for its answer; False: there is more
         to do."""
         channel, end = self._channel, self.end
-        if channel is None or self._ages or self._taking or self._ended or end.room < 1:
+        if channel is None or self._ages or self._taking or not end.takes_alone:
             return False
         try:
             head, parts = self._encode(entry.sample)
@@ -208,7 +209,11 @@ class WriterLink(LinkSide[WriterEnd]):
         self._confirmations.append(entry)
         if (limit := self.connector.profile.timeout) is not None:
             self._watch(now + to_ns(limit), entry)
-        self._wakening.at(end.offer_and_send(now, head, parts, True, channel.send))
+        if parts:
+            end.offer(now, head, parts, confirm=True)
+            self._poll(now)
+        else:
+            self._wakening.at(end.send_alone(now, head, True, channel.send))
         return True
 
     def _watch(self, until_ns: int, entry: Confirmation) -> None:

@@ -83,10 +83,10 @@ class Pair:
         if self.writer.room <= 0:
             return False
         sample = value.to_bytes(4, "little")
-        if self.random.random() >= self.alone:
-            self.writer.offer(self.now, sample, confirm=confirm)
+        if self.random.random() < self.alone and self.writer.takes_alone:
+            self.writer.send_alone(self.now, sample, confirm, self.send(self.writer))
         else:
-            self.writer.offer_and_send(self.now, sample, (), confirm, self.send(self.writer))
+            self.writer.offer(self.now, sample, confirm=confirm)
         self.offered.append(value)
         return True
 
@@ -133,7 +133,7 @@ class Pair:
         else:
             self.buffer -= 1
             self.seen.append(int.from_bytes(head[SOLE:], "little"))
-            self.reader.done(self.now, ticket)
+            self.reader.done_alone(self.now)
 
     def deliver(self) -> None:
         if self.random.random() < self.alone:

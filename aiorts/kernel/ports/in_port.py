@@ -112,11 +112,12 @@ class InPort(Port[T]):
             turns.left = UNSUSPENDED
             await give_turn()
         while True:
-            if queue := self._fast:
+            queue = self._fast
+            if queue:
                 sample = self._last = queue.popleft()
                 return sample
             receiver = self._receiver
-            if receiver.unread():
+            if queue is OFF and receiver.unread():
                 try:
                     sample = self._last = receiver.read()
                     return sample
@@ -287,6 +288,15 @@ def read_all(port: InPort[Any], count: int) -> None:
     port._last = queue.popleft()
     if receiver.sole is not None and receiver.sole.waiting:
         receiver.sole.admit_waiting()
+
+
+def read_alone(port: InPort[Any]) -> Any:
+    """The only sample of the queue that the port reads straight from, while no writer waits; NOTHING: not so."""
+    queue = port._fast
+    if len(queue) != 1:
+        return NOTHING
+    sample = port._last = queue.popleft()
+    return sample
 
 
 def receiver_of(port: InPort[Any]) -> Receiver:

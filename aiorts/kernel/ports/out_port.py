@@ -576,6 +576,19 @@ class OutPort(Port[T]):
             self._thread_writes.set_open(False)
 
 
+def write_alone(port: OutPort[Any], sample: Any) -> bool:
+    """`write_nowait` in the loop's thread, of what goes straight into one queue; False: it was not sent."""
+    queue = port._fast
+    if sample.__class__ is not port._class or len(queue) >= port._room:
+        return False
+    queue.append(sample)
+    port._sent += 1
+    receiver = port._receiver
+    if receiver is not None and receiver.notify_enabled:
+        receiver.wake()
+    return True
+
+
 def write_all(port: OutPort[Any], samples: Sequence[Any]) -> int:
     """Write the first of these samples as far as they go straight into one queue; how many that were.
 

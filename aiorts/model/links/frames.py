@@ -45,6 +45,10 @@ _HEAD: Final = struct.Struct("<BBHI")
 _NUMBERED: Final = struct.Struct("<BBHIQQ")
 SOLE: Final = _NUMBERED.size
 """The place of the sample in a frame that has one alone."""
+numbered: Final = _NUMBERED.pack
+"""Makes a frame, or its head, of kind, flags, count, number of the link, and two numbers."""
+numbers_of: Final[Callable[[Buffer], tuple[int, int, int, int, int, int]]] = _NUMBERED.unpack_from
+"""These six of a frame that is as long as that at least."""
 _FATE: Final = struct.Struct("<QB")
 
 
@@ -83,39 +87,29 @@ def turn_of(frame: Buffer) -> Turn:
 
 def hello(link: int, epoch: int, received: int) -> bytes:
     """Says which end this is, and up to which number it has received."""
-    return _NUMBERED.pack(HELLO, 0, 0, link, epoch, received)
-
-
-def sole(link: int, number: int, oldest: int, sample: bytes, *, confirm: bool) -> bytes:
-    """`data` of one sample: it is the rest of the frame, since a length for each is needed of several alone."""
-    return _NUMBERED.pack(DATA, confirm, 1, link, number, oldest) + sample
+    return numbered(HELLO, 0, 0, link, epoch, received)
 
 
 def data(
     link: int, first: int, oldest: int, samples: Sequence[bytes], *, confirm: bool, ages: Sequence[int] = ()
 ) -> bytes:
-    """Samples from number `first` on, with the ages that are known; the writer keeps those from `oldest` on."""
+    """Samples from number `first` on, with the ages that are known; the writer keeps those from `oldest` on.
+
+    One sample is the rest of its frame: a length for each is needed of several alone.
+    """
     if ages:
         frame = data(link, first, oldest, samples, confirm=confirm)
-        head = _NUMBERED.pack(DATA, confirm | AGED, len(samples), link, first, oldest)
-        return b"".join((head, struct.pack(f"<{len(ages)}Q", *ages), frame[_NUMBERED.size :]))
+        head = numbered(DATA, confirm | AGED, len(samples), link, first, oldest)
+        return b"".join((head, struct.pack(f"<{len(ages)}Q", *ages), frame[SOLE:]))
     if len(samples) == 1:
-        return sole(link, first, oldest, samples[0], confirm=confirm)
+        return numbered(DATA, confirm, 1, link, first, oldest) + samples[0]
     lengths = struct.pack(f"<{len(samples)}I", *map(len, samples))
-    return b"".join((_NUMBERED.pack(DATA, confirm, len(samples), link, first, oldest), lengths, *samples))
-
-
-def flags_of_sole(frame: Buffer, link: int, number: int) -> int | None:
-    """The flags of a frame that is data of the sample of this number alone, which is its rest; None: it is another."""
-    if len(frame) < _NUMBERED.size:
-        return None
-    kind, flags, count, of, first, _ = _NUMBERED.unpack_from(frame)
-    return flags if kind == DATA and count == 1 and first == number and of == link else None
+    return b"".join((numbered(DATA, confirm, len(samples), link, first, oldest), lengths, *samples))
 
 
 def acknowledgement(link: int, done: int, received: int, fates: Mapping[int, str]) -> bytes:
     """All up to `done` are in the reader's buffer but those of `fates`; all up to `received` have come."""
-    frame = [_NUMBERED.pack(ACK, 0, len(fates), link, done, received)]
+    frame = [numbered(ACK, 0, len(fates), link, done, received)]
     for number, fate in fates.items():
         text = fate.encode()[:255].decode(errors="ignore").encode()
         frame += (_FATE.pack(number, len(text)), text)
@@ -124,7 +118,7 @@ def acknowledgement(link: int, done: int, received: int, fates: Mapping[int, str
 
 def lost(link: int, epoch: int, losses: Mapping[str, int]) -> bytes:
     """Says what this reader's end has lost of what was in its buffer: how many samples by reason, in all."""
-    frame = [_NUMBERED.pack(LOST, 0, len(losses), link, epoch, 0)]
+    frame = [numbered(LOST, 0, len(losses), link, epoch, 0)]
     for reason, count in losses.items():
         frame += (_FATE.pack(count, len(reason)), reason.encode())
     return b"".join(frame)
@@ -137,12 +131,12 @@ def bye(link: int) -> bytes:
 
 def want(link: int, number: int, *, wait: bool) -> bytes:
     """Asks for the sample that will have this number."""
-    return _NUMBERED.pack(WANT, wait, 0, link, number, 0)
+    return numbered(WANT, wait, 0, link, number, 0)
 
 
 def none(link: int, number: int, *, wait: bool) -> bytes:
     """There is no sample that could have this number."""
-    return _NUMBERED.pack(NONE, wait, 0, link, number, 0)
+    return numbered(NONE, wait, 0, link, number, 0)
 
 
 def head_of(frame: Buffer, link: int) -> tuple[int, int, int, int, int]:
@@ -150,8 +144,8 @@ def head_of(frame: Buffer, link: int) -> tuple[int, int, int, int, int]:
     an acknowledgement done and received, of want and none the number and zero, of lost the epoch and zero, of bye
     zeros.
     BadFrame: it is too short, or of another link."""
-    if len(frame) >= _NUMBERED.size:
-        kind, flags, count, number, one, two = _NUMBERED.unpack_from(frame)
+    if len(frame) >= SOLE:
+        kind, flags, count, number, one, two = numbers_of(frame)
     elif len(frame) == _HEAD.size and frame[0] == BYE:
         (kind, flags, count, number), one, two = _HEAD.unpack(frame), 0, 0
     else:
@@ -163,9 +157,9 @@ def head_of(frame: Buffer, link: int) -> tuple[int, int, int, int, int]:
 
 def ages_of(frame: Buffer, count: int) -> tuple[int, ...]:
     """The age of each sample of a data frame with AGED."""
-    if not 0 < count <= BATCH or len(frame) < _NUMBERED.size + 8 * count:
+    if not 0 < count <= BATCH or len(frame) < SOLE + 8 * count:
         raise BadFrame("too short for ages")
-    return struct.unpack_from(f"<{count}Q", frame, _NUMBERED.size)
+    return struct.unpack_from(f"<{count}Q", frame, SOLE)
 
 
 def samples_of(frame: Buffer, count: int, ages: int = 0) -> list[memoryview]:
@@ -174,13 +168,13 @@ def samples_of(frame: Buffer, count: int, ages: int = 0) -> list[memoryview]:
     if ages:
         view = view[8 * ages :]
     if count == 1:
-        return [view[_NUMBERED.size :]]
-    start = _NUMBERED.size + 4 * count
+        return [view[SOLE:]]
+    start = SOLE + 4 * count
     if not 0 < count <= BATCH or len(view) < start:
         raise BadFrame("no such number of samples")
     if len(view) - start > BATCH_BYTES:
         raise BadFrame("of more bytes than several samples have together")
-    places = list(accumulate(struct.unpack_from(f"<{count}I", view, _NUMBERED.size), initial=start))
+    places = list(accumulate(struct.unpack_from(f"<{count}I", view, SOLE), initial=start))
     if places[-1] != len(view):
         raise BadFrame("of another length")
     return [view[start:end] for start, end in pairwise(places)]
@@ -204,7 +198,7 @@ def losses_of(frame: Buffer, count: int) -> dict[str, int]:
 
 def _pairs_of(frame: Buffer, count: int) -> Iterator[tuple[int, str]]:
     """The pairs of a number and a word behind the head of a frame."""
-    place = _NUMBERED.size
+    place = SOLE
     for _ in range(count):
         if len(frame) < place + _FATE.size:
             raise BadFrame("too short")

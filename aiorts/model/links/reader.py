@@ -10,7 +10,7 @@ from typing import Final, TypeAlias
 
 from aiorts.late import dataclass
 from aiorts.model.links import frames
-from aiorts.model.links.frames import BadFrame, Buffer, Send, check_window
+from aiorts.model.links.frames import CONFIRM, DATA, SOLE, BadFrame, Buffer, Send, check_window, numbers_of
 from aiorts.model.links.state import LinkState
 
 _HEAD, _PARTS = itemgetter(1), itemgetter(2)
@@ -39,12 +39,16 @@ class ReaderLedger:
     delivered: int = 0
     """Given to the reader's buffer."""
     dropped: int = 0
-    held: int = 0
     duplicates: int = 0
     """Samples that came again."""
     ahead: int = 0
     """Samples that came before one that is missing: they come again."""
     bad_frames: int = 0
+
+    @property
+    def held(self) -> int:
+        """Neither given to the reader's buffer yet nor dropped."""
+        return self.received - self.delivered - self.dropped
 
 
 class ReaderEnd:
@@ -77,13 +81,13 @@ class ReaderEnd:
         """Counts the writer's ends: what one sent that is no more is given out and never acknowledged."""
         self._received = 0
         self._done = 0
-        self._told = 0
-        """The acknowledgement sent last was up to this number."""
         self._held: deque[Received] = deque()
         self._fates: dict[int, str] = {}
         """Of samples that are not in the buffer, until the writer's end has been told for certain."""
         self._confirm = 0
-        """Acknowledge at once when this number is done."""
+        """The sample of this number is to be acknowledged at once; 0: none."""
+        self._ack_at = window // 2
+        """Acknowledge at once when this number is done: that one, or half a window after the last acknowledgement."""
         self._ack_ns: int | None = None
         self._wanted = 0
         """Whether a sample is asked for: 1 one that is there, 2 else the next one."""
@@ -103,7 +107,8 @@ class ReaderEnd:
     def channel_up(self, now: int, peer_epoch: int) -> None:
         """There is a channel. With another writer's end than before numbers begin anew; what came before stays."""
         if peer_epoch != self._peer_epoch:
-            self._received = self._done = self._told = self._confirm = 0
+            self._received = self._done = self._confirm = 0
+            self._ack_at = self._window // 2
             self._fates.clear()
             self._era += _ERA
         self._peer_epoch, self._up, self._was_up, self._hello = peer_epoch, True, True, True
@@ -150,27 +155,29 @@ class ReaderEnd:
 
         The sample is what stands in the frame from `frames.SOLE` on. 0: it is no such frame, and was not received.
         """
-        number = self._received + 1
-        if self._held or self._fates or self._wanted or self._dates:
+        size = len(head) - SOLE
+        if size < 0 or self._held or self._fates or self._wanted or self._dates:
             return 0
-        flags = frames.flags_of_sole(head, self.number, number)
-        if flags is None or flags & ~frames.CONFIRM:
+        kind, flags, count, link, number, _ = numbers_of(head)
+        if kind != DATA or count != 1 or number != self._received + 1 or link != self.number or flags > CONFIRM:
             return 0
         if flags:
-            self._confirm = number
-        self._unacknowledged += len(head) - frames.SOLE
+            self._confirm, self._ack_at = number, min(number, self._ack_at)
+        self._unacknowledged += size
         self._received = number
         self.ledger.received += 1
-        self.ledger.held += 1
         if self._ack_ns is None:
             self._ack_ns = now + ACK_NS
         return self._era + number
 
-    def due_ns(self, now: int) -> int:
-        """When `poll` has something to send: `now`, or the time of an acknowledgement that is kept back."""
-        if self._hello or self._tells_lost or self._ack_ns is None or 0 < self.tell_ns <= now:
-            return now
-        return self._ack_ns
+    def done_alone(self, now: int) -> int:
+        """`done` of the sample that `receive_alone` has taken last; when it is to be acknowledged: `now`, or later."""
+        self.ledger.delivered += 1
+        number = self._done = self._received
+        due = self._ack_ns
+        if due is None or number >= self._ack_at or self._unacknowledged >= self._most_unacknowledged:
+            due = self._ack_ns = now
+        return due
 
     def _take_in(
         self,
@@ -217,9 +224,8 @@ class ReaderEnd:
         if self._wanted and count:
             self._wanted, self._want_ns = 0, None
         ledger.received += count
-        ledger.held += count
         if confirm:
-            self._confirm = self._received
+            self._confirm, self._ack_at = self._received, min(self._received, self._ack_at)
         if self._ack_ns is None:
             self._ack_ns = now + ACK_NS
 
@@ -296,13 +302,11 @@ class ReaderEnd:
     def done(self, now: int, ticket: int, count: int = 1) -> None:
         """So many samples are in the reader's buffer, the last of them with this ticket."""
         if count:
-            self.ledger.held -= count
             self.ledger.delivered += count
             self._through(now, ticket - self._era)
 
     def failed(self, now: int, ticket: int, why: str) -> None:
         """A sample is not in the reader's buffer: "rejected", or another reason."""
-        self.ledger.held -= 1
         self.ledger.dropped += 1
         if (number := ticket - self._era) > 0:
             self._fates[number] = why
@@ -312,11 +316,7 @@ class ReaderEnd:
         if number <= 0:
             return  # of an end that is no more
         self._done = number
-        if (
-            (self._confirm and number >= self._confirm)
-            or number - self._told >= self._window // 2
-            or self._unacknowledged >= self._most_unacknowledged
-        ):
+        if number >= self._ack_at or self._unacknowledged >= self._most_unacknowledged:
             self._ack_ns = now
         elif self._ack_ns is None:
             self._ack_ns = now + ACK_NS
@@ -343,9 +343,11 @@ class ReaderEnd:
         if self._ack_ns is None or now < self._ack_ns:
             return self._ack_ns
         if send(frames.acknowledgement(self.number, self._done, self._received, self._fates), ()):
-            self._told, self._ack_ns, self._unacknowledged = self._done, None, 0
+            self._ack_ns, self._unacknowledged, self._ack_at = None, 0, self._done + self._window // 2
             if self._done >= self._confirm:
                 self._confirm = 0
+            else:
+                self._ack_at = min(self._confirm, self._ack_at)
             self.tell_ns = self.tell_ns or now + _TELL_NS
         return None
 

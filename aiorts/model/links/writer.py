@@ -9,7 +9,7 @@ from typing import Final
 
 from aiorts.late import dataclass
 from aiorts.model.links import frames
-from aiorts.model.links.frames import BATCH, BATCH_BYTES, BadFrame, Buffer, Send, check_window
+from aiorts.model.links.frames import BATCH, BATCH_BYTES, DATA, BadFrame, Buffer, Send, check_window, numbered
 from aiorts.model.links.state import LinkState
 
 _HEAD, _PARTS, _CONFIRM = map(itemgetter, range(3))
@@ -37,10 +37,14 @@ class WriterLedger:
     acknowledged: int = 0
     dropped: int = 0
     """What the reader's end did not put into the buffer, with those of unknown fate and those withdrawn."""
-    in_flight: int = 0
     sent_again: int = 0
     """Samples that the channel took once more."""
     bad_frames: int = 0
+
+    @property
+    def in_flight(self) -> int:
+        """Neither acknowledged nor dropped yet."""
+        return self.offered - self.acknowledged - self.dropped
 
 
 class WriterEnd:
@@ -194,7 +198,6 @@ class WriterEnd:
             self._dates[number] = self.date
         self._bytes += len(head) if not parts else len(head) + sum(part.nbytes for part in parts)
         self.ledger.offered += 1
-        self.ledger.in_flight += 1
         return number
 
     def offer_all(self, heads: Sequence[bytes], *, confirm: bool) -> None:
@@ -204,42 +207,38 @@ class WriterEnd:
         self._kept.update(enumerate(zip(heads, repeat(()), repeat(confirm)), number))
         self._bytes += sum(map(len, heads))
         self.ledger.offered += count
-        self.ledger.in_flight += count
 
-    def offer_and_send(
-        self, now: int, head: bytes, parts: Sequence[memoryview], confirm: bool, send: Send
-    ) -> int | None:
-        """`offer` and `poll`, for a sample behind which nothing waits."""
+    @property
+    def takes_alone(self) -> bool:
+        """Whether `send_alone` takes a sample: there is room, and all that was offered before was sent."""
         kept = self._kept
+        return (
+            self._greeted  # which it is not while the channel is down
+            and self._highest == self._sent == self._next - 1
+            and not self._narrows
+            and len(kept) < self._window
+            and (self._bytes < self._window_bytes or not kept)
+        )
+
+    def send_alone(self, now: int, head: bytes, confirm: bool, send: Send) -> int:
+        """`offer` and `poll`, for a sample without parts that does not expire; when `poll` is to be called.
+
+        What is to be sent again is left to that.
+        """
         number = self._next
-        if (
-            parts
-            or self._narrows
-            or not self._greeted  # which it is not while the channel is down
-            or self._ended
-            or self._sent + 1 != number
-            or self._highest >= number
-            or (kept and now >= self._again_ns)
-            or self.date is not None
-            or self._dates
-        ):
-            self.offer(now, head, parts, confirm=confirm)
-            return self.poll(now, send)
-        # The common case written out: all that was offered before was sent, and nothing else is due.
         self._next = number + 1
-        kept[number] = head, parts, confirm
+        self._kept[number] = head, (), confirm
         self._bytes += len(head)
-        ledger = self.ledger
-        ledger.offered += 1
-        ledger.in_flight += 1
-        if number == self._oldest:
+        self.ledger.offered += 1
+        oldest = self._oldest
+        if number == oldest:
             self._heard_ns = now  # nothing was on its way
             self._again_ns = now + self._pause_ns
-        if send(frames.sole(self.number, number, self._oldest, head, confirm=confirm), ()):
+        if send(numbered(DATA, confirm, 1, self.number, number, oldest) + head, ()):
             self._sent = self._highest = number
             if not self._timed[0]:
                 self._timed = number, now
-        return self._again_ns if self._sent >= self._oldest else None
+        return self._again_ns
 
     def answer_none(self, send: Send) -> None:
         """There is no sample to answer the query with; one for the next sample stays."""
@@ -338,7 +337,6 @@ class WriterEnd:
         self._oldest = last + 1
         count = last - first + 1
         ledger = self.ledger
-        ledger.in_flight -= count
         if fate == "acknowledged":
             ledger.acknowledged += count
         else:
@@ -426,5 +424,6 @@ class WriterEnd:
         self._ended = True
         if self._up:
             send(frames.bye(self.number), ())
+        self._greeted = False
         self._give_up("unknown_fate", self._highest)
         self._give_up("disconnected", self._next - 1)
