@@ -42,6 +42,8 @@ _HEAD: Final = struct.Struct("<BBHIQq")
 _HEAD_OF_ONE: Final = struct.Struct("<BBHIQqI")
 """A head, and the length of the only block."""
 _ONE: Final = _HEAD_OF_ONE.size
+_COPIED: Final = 512
+"""Bytes of a message that is copied: a view takes longer."""
 _LENGTH: Final = struct.Struct("<I")
 _PLACE: Final = struct.Struct("<QQ")
 _FILLED: Final = 65_400
@@ -70,6 +72,11 @@ def message(kind: int, epoch: int, first: int, sent_ns: int, blocks: Sequence[Bl
         return _HEAD_OF_ONE.pack(VERSION, kind, 1, epoch, first, sent_ns, len(block)) + block
     head = _HEAD.pack(VERSION, kind, len(blocks), epoch, first, sent_ns)
     return b"".join((head, *_with_lengths(blocks)))
+
+
+def alone(epoch: int, first: int, sent_ns: int, frame: bytes) -> bytes:
+    """A message of one frame, as most are; see `message`."""
+    return _HEAD_OF_ONE.pack(VERSION, FRAME, 1, epoch, first, sent_ns, len(frame)) + frame
 
 
 def cost(size: int) -> int:
@@ -104,6 +111,17 @@ def read(data: bytes) -> Message:
     if count == 1 and length == size - _ONE:
         return Message(kind, epoch, first, sent_ns, (view[_ONE:],))
     return Message(kind, epoch, first, sent_ns, tuple(_blocks(view[_HEAD.size :], count)))
+
+
+def frame_of(data: bytes, epoch: int) -> tuple[int, bytes] | None:
+    """First number and frame of a short message that is a frame of this epoch, alone; None: `read` says what it is."""
+    size = len(data)
+    if not _ONE <= size <= _COPIED:
+        return None
+    version, kind, count, of, first, _, length = _HEAD_OF_ONE.unpack_from(data)
+    if version != VERSION or kind != FRAME or count != 1 or of != epoch or length != size - _ONE or first >= _MOST:
+        return None
+    return first, data[_ONE:]
 
 
 def pieces(blocks: Sequence[Block]) -> Iterator[tuple[bytes, list[memoryview]]]:

@@ -20,7 +20,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from aiorts_zenoh.envelope import BATCH, FRAME, LONG, LOOK, PIECE, PIECES, Block, cost, message, pieces, size_of
+from aiorts_zenoh.envelope import BATCH, FRAME, LONG, LOOK, PIECE, PIECES, Block, alone, cost, message, pieces, size_of
 
 ROOM: Final = 16 * BATCH
 """What may be on its way to one kernel, by its cost."""
@@ -38,6 +38,8 @@ _SOME: Final = 4 * BATCH
 """The cost, over all channels to one kernel, after which it is said how far this one has come."""
 _ASKED: Final = 64
 """Channels at which another kernel is asked at the same time how far it has come."""
+_FEW: Final = 4_096
+"""Bytes of a short frame."""
 _LAST: Final = 64
 """Bytes of a frame that may be the last one of a link."""
 _FULL: Final = 1 << 20
@@ -182,11 +184,18 @@ class Sender:
         """What was sent when the other end was asked last how far it has come."""
         budget.senders[self] = None
 
+    def send_alone(self, frame: bytes) -> bool:
+        """`send` of a short frame where none waits, written out; False: `send` takes it, or not."""
+        if self._queue or self._budget.used > _ROOM_FOR_ANY or len(frame) > _FEW:
+            return False
+        self._give(alone(self._epoch, self._sent, self._now(), frame))
+        return True
+
     def send(self, blocks: Sequence[bytes | memoryview]) -> bool:
         """Send a frame, or keep it until there is room; False: too much waits."""
         size, budget = size_of(blocks), self._budget
         if not self._queue and budget.takes(size):
-            self._give(FRAME, blocks)
+            self._give(self._message(FRAME, blocks))
             return True
         self._last = blocks if size <= _LAST else None
         if self._waits >= _FULL:
@@ -213,7 +222,7 @@ class Sender:
         self._waits -= size
         if not queue:
             self._budget.waiting.pop(self, None)
-        self._give(kind, blocks)
+        self._give(self._message(kind, blocks))
         return True
 
     def _cut(self) -> None:
@@ -228,8 +237,10 @@ class Sender:
         self._queue.extendleft(reversed(found))
         self._waits += sum(size for _, _, size in found) - whole
 
-    def _give(self, kind: int, blocks: Sequence[Block]) -> None:
-        data = message(kind, self._epoch, self._sent, self._now(), blocks)
+    def _message(self, kind: int, blocks: Sequence[Block]) -> bytes:
+        return message(kind, self._epoch, self._sent, self._now(), blocks)
+
+    def _give(self, data: bytes) -> None:
         self._put(data)
         costs = cost(len(data))
         self._sent += costs

@@ -27,7 +27,7 @@ from aiorts.links import (
 )
 from aiorts_zenoh.clocks import ClockOffset
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
-from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read
+from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, frame_of, message, read
 from aiorts_zenoh.gate import Gate
 from aiorts_zenoh.keys import BY_READER, BY_WRITER, ClientKeys, Keys, asked
 from aiorts_zenoh.presence import AnyName, Presence, Trust, this_machine
@@ -558,7 +558,10 @@ class _ZenohChannel(BaseChannel):
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if not self.is_open:
             return False
-        if self._writes and turn_of(head) is Turn.CONTROL:
+        is_urgent = self._writes and turn_of(head) is Turn.CONTROL
+        if not parts and not is_urgent and self.sender.send_alone(head):
+            return True
+        if is_urgent:
             # Not in the queue of the samples, which it may overtake. It counts as nothing that was sent there.
             self._urgent.put(message(FRAME, self._epoch, 0, time.time_ns(), (head,)))
             return True
@@ -569,6 +572,11 @@ class _ZenohChannel(BaseChannel):
 
     def arrived(self, data: bytes) -> bool:
         """A message has come; whether others may be sent now. ValueError: it is none."""
+        if (found := frame_of(data, self._epoch)) is not None:
+            self.events.on_frames(((found[1], ()),))
+            if self.is_open:
+                self._receiver.took(found[0], len(data))  # last: it may put a message, for which nobody waits
+            return False
         kind, epoch, first, _, blocks = read(data)
         if epoch != self._epoch:
             return False
@@ -579,7 +587,7 @@ class _ZenohChannel(BaseChannel):
                     self.came = sum(map(len, frame))
                 self.events.on_frames(((frame[0], frame[1:]),))
             if self.is_open:
-                self._receiver.took(first, len(data))  # last: it may put a message, for which nobody waits
+                self._receiver.took(first, len(data))  # as above
             return False
         if kind == TAKEN:
             self.sender.came(first)
