@@ -160,15 +160,16 @@ class InPort(Port[T]):
     def drain(self, *, sources: bool) -> list[T] | list[tuple[Connector, T]]: ...
     def drain(self, *, sources: bool = False) -> list[T] | list[tuple[Connector, T]]:
         """Every unread sample, oldest first; with `sources`, pairs of the connector it came through and the sample."""
-        self._bound()
-        if sources:
-            pairs: list[tuple[Connector, T]] = self._receiver.drain_sources()
-            return pairs
-        if queue := self._fast:
+        queue = self._fast
+        if sources or queue is OFF:
+            self._bound()
+            if sources:
+                pairs: list[tuple[Connector, T]] = self._receiver.drain_sources()
+                return pairs
+            samples = self._receiver.drain()
+        else:
             samples = list(queue)
             queue.clear()
-        else:
-            samples = self._receiver.drain()
         if samples:
             self._last = samples[-1]
         return samples

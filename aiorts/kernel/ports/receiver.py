@@ -342,13 +342,11 @@ class Receiver:
         port = self.port
         host = port._host
         if (
-            not self.plain
+            not self.plain  # which it is not in a thread, real-time or other
             or self.waiter is not None
             or host is None
             or (kernel := host.kernel) is None
             or kernel.debug
-            or host.stopping
-            or host.realtime
             or not host.alive
             or host.ports.get(port.name) is not port
         ):
