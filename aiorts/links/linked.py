@@ -50,8 +50,8 @@ class Drain(Protocol):
         """Take what the window has room for; it is sent soon."""
         ...
 
-    def confirm(self, transport: Confirmed, entry: Confirmation) -> bool:
-        """Send a sample before which none waits, and see to the time of its write; False: it was not taken."""
+    def confirm(self, transport: Confirmed, sample: Any) -> Confirmation | None:
+        """Send a sample before which none waits, and see to the time of its write; None: it was not taken."""
         ...
 
 
@@ -63,6 +63,8 @@ class Confirmation(Waiting):
     late: bool = False  # type: ignore[misc] # as above
     number: int = 0
     """Under which it was sent; 0: it was not."""
+    until_ns: int = 0
+    """When the time of its write is over, where the link sees to that; 0: it does not."""
 
 
 class Linked(FeaturedTransport):
@@ -115,6 +117,7 @@ class Confirmed(Linked):
     """A transport whose writes wait until the reader's end has acknowledged the sample. See `Transport`."""
 
     __slots__ = ()
+    answers = True
 
     @property
     def direct(self) -> bool:
@@ -136,18 +139,17 @@ class Confirmed(Linked):
         self.receiver.on_loop(self._pump)
         return entry
 
-    def send_now(self, sample: Any, loop: asyncio.AbstractEventLoop) -> Waiting | None:
-        link = self._link
-        if link is None or self.queue or self.waiting or self.receiver.lock is not None:
+    def send_now(self, sample: Any) -> Waiting | None:
+        link: Drain | None = self.extra.get(LINK)
+        if link is None or self.queue or self.waiting or self.receiver.lock is not None or not self.must_wait():
             return None
-        entry = Confirmation(self.connector, self.stamp_in(sample), loop.create_future())
-        return entry if link.confirm(self, entry) else None
+        return link.confirm(self, self.stamp_in(sample))
 
-    def taken(self, entry: Confirmation) -> None:
-        """The link has taken a sample that waited."""
+    def taken(self, sample: Any) -> None:
+        """The link has taken a sample that never was in the queue."""
         self.written += 1
         if not self.waiting:
-            self.miss(entry.sample)  # it never was in the queue: the out-port has it for `keep_last`
+            self.miss(sample)  # the out-port has it for `keep_last`
 
     def next_waiting(self) -> Confirmation | None:
         """The oldest sample that waits to be sent, where nothing lies in the queue before it; it is taken."""
@@ -155,7 +157,7 @@ class Confirmed(Linked):
             return None
         entry, _ = self.waiting.popitem(last=False)
         assert isinstance(entry, Confirmation)  # noqa: S101 - `queue_up` makes no others
-        self.taken(entry)
+        self.taken(entry.sample)
         return entry
 
     def settle_fate(self, entry: Confirmation, *, refused: bool) -> None:

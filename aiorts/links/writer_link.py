@@ -95,10 +95,10 @@ class WriterLink(LinkSide[WriterEnd]):
         self._confirmations: deque[Confirmation] = deque()
         self._confirmed_at = 0
         """How much was written when a sample was taken last whose writer waits for its acknowledgement."""
-        self._limits: deque[tuple[int, Confirmation]] = deque()
-        """When the time of a write is over that waits for its acknowledgement: of those that wait, and some before."""
+        self._limit_ns = None if profile.timeout is None else to_ns(profile.timeout)
+        """How long a write waits for the acknowledgement of its sample."""
         self._limit = Wakening(kernel, self._expire)
-        """The timer of all these."""
+        """The timer of all these writes."""
         self._unsendable = False
         self._idle: asyncio.Future[None] | None = None
         """The future that the end of the kernel awaits."""
@@ -192,47 +192,42 @@ class WriterLink(LinkSide[WriterEnd]):
             self._poll(now)
         return None
 
-    def confirm(self, transport: Confirmed, entry: Confirmation) -> bool:
-        """`_drain` and `_poll` of the only sample that waits, whose writer waits for its answer; False: there is more
+    def confirm(self, transport: Confirmed, sample: Any) -> Confirmation | None:
+        """`_drain` and `_poll` of the only sample that waits, whose writer waits for its answer; None: there is more
         to do."""
         channel, end = self._channel, self.end
         if channel is None or self._ages or self._taking or not end.takes_alone:
-            return False
+            return None
         try:
-            head, parts = self._encode(entry.sample)
+            head, parts = self._encode(sample)
         except AiortsError:
-            return False  # in its turn it is taken, and that is reported
+            return None  # in its turn it is taken, and that is reported
         now = self._now()
-        transport.taken(entry)
+        transport.taken(sample)
         self._confirmed_at = transport.missed
-        entry.number = end.numbered + 1
+        entry = Confirmation(self.connector, sample, self._kernel.loop.create_future(), number=end.numbered + 1)
         self._confirmations.append(entry)
-        if (limit := self.connector.profile.timeout) is not None:
-            self._watch(now + to_ns(limit), entry)
+        if (limit_ns := self._limit_ns) is not None:
+            entry.until_ns = now + limit_ns
+            self._limit.at(entry.until_ns)
         if parts:
             end.offer(now, head, parts, confirm=True)
             self._poll(now)
         else:
             self._wakening.at(end.send_alone(now, head, True, channel.send))
-        return True
-
-    def _watch(self, until_ns: int, entry: Confirmation) -> None:
-        """Limit the wait of a sample's write to this time."""
-        limits = self._limits
-        while limits and _is_over(limits[0][1]):
-            limits.popleft()
-        limits.append((until_ns, entry))
-        self._limit.at(until_ns)
+        return entry
 
     def _expire(self) -> None:
         """Let those wait no more whose time is over."""
-        now, waiting = self._now(), [each for each in self._limits if not _is_over(each[1])]
-        self._limits = deque(each for each in waiting if each[0] > now)
-        for until_ns, entry in waiting:
-            if until_ns <= now and entry.future is not None:
-                entry.late = time_out(entry)
-                entry.future.set_result(None)
-        self._limit.at(min((until_ns for until_ns, _ in self._limits), default=None))
+        now = self._now()
+        for entry in [each for each in self._confirmations if each.until_ns]:
+            if entry.future is None or entry.future.done():
+                continue
+            if entry.until_ns > now:
+                return self._limit.at(entry.until_ns)  # all wait equally long
+            entry.late = time_out(entry)
+            entry.future.set_result(None)
+        return None
 
     def _turn(self) -> None:
         self._turn_due = False
@@ -436,8 +431,7 @@ class WriterLink(LinkSide[WriterEnd]):
                 self.refused = added(self.refused, {fate: last - first + 1})
             confirmations = self._confirmations
             while confirmations and confirmations[0].number <= last:
-                entry = confirmations.popleft()
-                transport = self._transport()
+                entry, transport = confirmations.popleft(), transport_of(self.connector)
                 if isinstance(transport, Confirmed) and not entry.done:
                     transport.settle_fate(entry, refused=fate == "rejected")
 
@@ -450,10 +444,6 @@ def _least(profile: ConnectorProfile) -> int | None:
     if profile.full is FullPolicy.OVERWRITE or profile.subscription is Subscription.FLUSH:
         return None  # the reader's end takes all that comes, or the writer waits for each
     return max(_LEAST, profile.length)
-
-
-def _is_over(entry: Confirmation) -> bool:
-    return entry.future is None or entry.future.done()
 
 
 def _nowhere(_head: bytes, _parts: Sequence[memoryview]) -> bool:

@@ -46,6 +46,7 @@ class OutPort(Port[T]):
     """
 
     __slots__ = (
+        "_answering",
         "_blocking",
         "_class",
         "_fan",
@@ -104,6 +105,8 @@ class OutPort(Port[T]):
         """The direct transports whose reader has several, and keeps the order of arrival."""
         self._others: tuple[Transport, ...] = ()
         """The transports that have to choose, stamp or lock."""
+        self._answering: Transport | None = None
+        """The only transport, where it answers writes."""
         self._blocking: tuple[_Way, ...] = ()
         """The direct transports with full = block."""
         self._shapes: tuple[tuple[Port[Any], tuple[int, ...]], ...] = ()
@@ -212,6 +215,8 @@ class OutPort(Port[T]):
             sample = self._checked(sample)
         if get_ident() != self._thread and self._unlocked:
             self._check_can_wake()
+        if self._answering is not None and (entry := self._answering.send_now(sample)) is not None:
+            return await self._wait_for_answer(entry)
         if (self._blocking or self._others) and self._without_room() is not None:
             return await self._write_waiting(sample)
         return self._deliver(sample)
@@ -383,13 +388,11 @@ class OutPort(Port[T]):
         return done
 
     async def _write_waiting(self, sample: T) -> bool:
-        host = self._bound()
+        host = self._host
+        assert host is not None  # noqa: S101 - it has connectors
         if host.realtime:  # its thread never waits
             return self._write_general(sample)
         if not self._blocking or len(self._connectors) > 1:
-            sent = self._connectors[0]._transport.send_now(sample, host.loop) if len(self._connectors) == 1 else None
-            if sent is not None:
-                return await self._wait_for_answer(sent)
             done, entries = self._offer(sample, host.loop)
             if entries:
                 await self._wait_for(entries)
@@ -551,6 +554,7 @@ class OutPort(Port[T]):
         elif host.locked:
             first, last = Beginning(self, host), Ending(host)
             self._others = (first, *self._others, last)
+        self._answering = transports[0] if len(transports) == 1 and transports[0].answers else None
         self._blocking = tuple(way for way in ways if way[4].blocks)
         self._shapes = self._shapes_now()
         if not connectors or self.stamp is not None or self._shapes or host.debug:

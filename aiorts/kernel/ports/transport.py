@@ -117,6 +117,8 @@ class Transport:
     """The row of the table of transports that names this class."""
     admits_plainly: ClassVar[bool] = True
     """Whether who waits for room may be moved in without a call for each."""
+    answers: ClassVar[bool] = False
+    """Whether a write waits for an answer: `send_now` may send its sample."""
     listenable: ClassVar[bool] = True
     """Whether it may have listeners: no real-time thread uses it."""
 
@@ -470,7 +472,7 @@ class Transport:
             self.offer(sample)
             return None
 
-    def send_now(self, sample: Any, loop: asyncio.AbstractEventLoop) -> Waiting | None:
+    def send_now(self, sample: Any) -> Waiting | None:
         """Send a sample whose write waits for an answer, and see to its time; None: it is to wait as others do."""
         return None
 

@@ -109,7 +109,10 @@ def data(
 
 def acknowledgement(link: int, done: int, received: int, fates: Mapping[int, str]) -> bytes:
     """All up to `done` are in the reader's buffer but those of `fates`; all up to `received` have come."""
-    frame = [numbered(ACK, 0, len(fates), link, done, received)]
+    head = numbered(ACK, 0, len(fates), link, done, received)
+    if not fates:
+        return head
+    frame = [head]
     for number, fate in fates.items():
         text = fate.encode()[:255].decode(errors="ignore").encode()
         frame += (_FATE.pack(number, len(text)), text)

@@ -295,12 +295,14 @@ class WriterEnd:
             self._trip_ns = trip if not self._trip_ns else (7 * self._trip_ns + trip) // 8
             self._timed = (0, 0)
             self._pause_ns = self._first_pause()
-        if received > self._received or done >= self._oldest:
-            self._heard_ns = now
-            self._again_ns = now + self._pause_ns
-        self._received = max(self._received, received)
-        self._sent = max(self._sent, self._received)
         first = self._oldest
+        if received > self._received:
+            self._received = received
+            self._sent = max(self._sent, received)
+        elif done < first:
+            return
+        self._heard_ns = now
+        self._again_ns = now + self._pause_ns
         if done < first:
             return
         for number in sorted(number for number in fates if first <= number <= done) if fates else ():
