@@ -5,10 +5,5 @@ What it would be is worked out from the ports alone; `aiorts check` proposes the
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING, late
-
-if TYPE_CHECKING:
-    from aiorts.adapting.inserting import connect_adapted, first_half, inserted, numbered
-    from aiorts.adapting.proposing import FILTER, Between, between, filter_name, is_accepted, plain_between
-
-late()
+from aiorts.adapting.inserting import connect_adapted, first_half, inserted, numbered
+from aiorts.adapting.proposing import FILTER, Between, between, filter_name, is_accepted, plain_between

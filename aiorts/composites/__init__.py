@@ -6,16 +6,11 @@ each change takes effect as a whole or not at all.
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING, late
-
-if TYPE_CHECKING:
-    from aiorts.composites.composite import Composite, CompositeChanged
-    from aiorts.composites.composition import exports, groups_of, shown
-    from aiorts.composites.composition_check import group_of, leaves_of, outer_of, parts_of
-    from aiorts.composites.group import CompositeGroup
-    from aiorts.composites.membership import Wanted, change, transition
-    from aiorts.composites.previous_placement import PreviousPlacement
-    from aiorts.composites.recovery import bring_back, stopped_with
-    from aiorts.model.policy import ErrorPolicy
-
-late()
+from aiorts.composites.composite import Composite, CompositeChanged
+from aiorts.composites.composition import exports, groups_of, shown
+from aiorts.composites.composition_check import group_of, leaves_of, outer_of, parts_of
+from aiorts.composites.group import CompositeGroup
+from aiorts.composites.membership import Wanted, change, transition
+from aiorts.composites.previous_placement import PreviousPlacement
+from aiorts.composites.recovery import bring_back, stopped_with
+from aiorts.model.policy import ErrorPolicy

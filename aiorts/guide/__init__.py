@@ -4,18 +4,3 @@ from aiorts.guide.blocks import Block, blocks
 from aiorts.guide.contents import SECTIONS, Page, anchor, entries, headings, page, pages
 from aiorts.guide.search import Hit, search
 from aiorts.guide.terminal import rendered
-
-__all__ = (
-    "SECTIONS",
-    "Block",
-    "Hit",
-    "Page",
-    "anchor",
-    "blocks",
-    "entries",
-    "headings",
-    "page",
-    "pages",
-    "rendered",
-    "search",
-)

@@ -5,9 +5,4 @@
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING, late
-
-if TYPE_CHECKING:
-    from aiorts.health.measuring import Health
-
-late()
+from aiorts.health.measuring import Health

@@ -7,9 +7,7 @@ the component in the process, whose end is a failure of the component like any o
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from aiorts.late import late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.isolation.handover import give_state, hold, packed, release, state_of, taken

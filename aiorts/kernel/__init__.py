@@ -7,9 +7,7 @@ of them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from aiorts.late import late
+from aiorts.late import TYPE_CHECKING, late
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component

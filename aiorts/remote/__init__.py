@@ -9,5 +9,3 @@ from __future__ import annotations
 
 from aiorts.remote.component import FarComponent
 from aiorts.remote.finding import stand_in
-
-__all__ = ("FarComponent", "stand_in")

@@ -6,13 +6,6 @@ and the reader's array lies there. When the last array that looks into an extent
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from aiorts.late import late
-
-if TYPE_CHECKING:
-    from aiorts.rings.ends import Rings
-    from aiorts.rings.frames import OFFERED, REFUSAL
-    from aiorts.rings.program import proof, proves
-
-late()
+from aiorts.rings.ends import Rings
+from aiorts.rings.frames import OFFERED, REFUSAL
+from aiorts.rings.program import proof, proves

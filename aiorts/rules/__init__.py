@@ -5,10 +5,5 @@ It is a service of the kernel, there only where a system has `[[rules]]`; what a
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING, late
-
-if TYPE_CHECKING:
-    from aiorts.rules.connecting import ConnectingRules, RulesSettings
-    from aiorts.rules.rule import ruled
-
-late()
+from aiorts.rules.connecting import ConnectingRules, RulesSettings
+from aiorts.rules.rule import ruled

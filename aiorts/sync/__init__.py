@@ -8,5 +8,3 @@ from __future__ import annotations
 
 from aiorts.sync.matching import SynchronizerStatistics
 from aiorts.sync.synchronizer import Synchronizer
-
-__all__ = ("Synchronizer", "SynchronizerStatistics")

@@ -5,8 +5,7 @@ Names are imported when they are first used, so that a pytest plugin costs nothi
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:

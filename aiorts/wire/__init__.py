@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:

@@ -7,15 +7,8 @@ aiorts reads time from a `Clock` only.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from aiorts.late import late
-
-if TYPE_CHECKING:
-    from aiorts_bench.harness.bench import Bench, Options
-    from aiorts_bench.harness.case import COST, Aim, Case, Measure, Reading
-    from aiorts_bench.harness.report import Report, Row
+from aiorts_bench.harness.bench import Bench, Options
+from aiorts_bench.harness.case import COST, Aim, Case, Measure, Reading
+from aiorts_bench.harness.report import Report, Row
 
 __all__ = ("COST", "Aim", "Bench", "Case", "Measure", "Options", "Reading", "Report", "Row")
-
-late()

@@ -2,9 +2,4 @@
 
 from __future__ import annotations
 
-from aiorts.late import TYPE_CHECKING, late
-
-if TYPE_CHECKING:
-    from aiorts.control.server.service import Control, ControlSettings
-
-late()
+from aiorts.control.server.service import Control, ControlSettings

@@ -13,25 +13,3 @@ from aiorts.model.links.ledger import Joined, join
 from aiorts.model.links.reader import ReaderEnd, ReaderLedger, Received
 from aiorts.model.links.state import LinkState
 from aiorts.model.links.writer import WriterEnd, WriterLedger
-
-__all__ = (
-    "CALL",
-    "FATES",
-    "READ",
-    "RIGHTS",
-    "SOLE",
-    "WRITE",
-    "Allowed",
-    "Buffer",
-    "Joined",
-    "LinkState",
-    "ReaderEnd",
-    "ReaderLedger",
-    "Received",
-    "Send",
-    "Turn",
-    "WriterEnd",
-    "WriterLedger",
-    "join",
-    "turn_of",
-)
