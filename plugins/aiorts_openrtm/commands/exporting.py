@@ -147,10 +147,9 @@ def _dated(root: Element, kind: str) -> Element:
 
 
 def _empty(name: str) -> Element:
-    from aiorts_openrtm.markup.shapes import made_root
+    from aiorts_openrtm.markup.shapes import made_system
 
-    now = _now()
-    return made_root(id=f"RTSystem:aiorts:{name}:1.0.0", abstract=name, creationDate=now, updateDate=now, version="0.2")
+    return made_system(identity=f"RTSystem:aiorts:{name}:1.0.0", abstract=name, date=_now())
 
 
 def _ports(system: SystemFile, notes: list[Note]) -> Ports:

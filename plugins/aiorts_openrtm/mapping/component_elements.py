@@ -13,7 +13,7 @@ from aiorts_openrtm.mapping.extras import MARK, extra_text
 from aiorts_openrtm.mapping.types import word_of
 from aiorts_openrtm.mapping.values import is_said, text_of
 from aiorts_openrtm.markup.element import Element
-from aiorts_openrtm.markup.shapes import RTS_EXT, before, made
+from aiorts_openrtm.markup.shapes import RTS_EXT, before, made, made_component
 
 _DEFAULT: Final = "default"
 _TYPES: Final = "__type__"
@@ -27,20 +27,13 @@ Entry = ComponentEntry | CompositeEntry
 def new_component(entry: Entry, data: Mapping[str, str], services: Sequence[str]) -> Element:
     """A new component, without its contexts."""
     word = word_of(entry.type) if isinstance(entry, ComponentEntry) else _COMPOSITE
-    element = made(
-        "Components",
+    parts = (
         *(made("DataPorts", name=name, ext_visible="true") for name in data),
         *(made("ServicePorts", name=name) for name in services),
         made("ConfigurationSets", id=_DEFAULT),
-        made("Location", ext=True, x="0", y="0", height="0", width="0", direction="down"),
-        id=f"{_VENDOR}:{word}:1.0.0",
-        pathUri=f"localhost/{entry.name}.rtc",
-        activeConfigurationSet=_DEFAULT,
-        instanceName=entry.name,
-        compositeType="None" if isinstance(entry, ComponentEntry) else "PeriodicECShared",
-        isRequired="true",
-        ext_visible="true",
     )
+    composite = "None" if isinstance(entry, ComponentEntry) else "PeriodicECShared"
+    element = made_component(entry.name, f"{_VENDOR}:{word}:1.0.0", parts, composite=composite)
     if isinstance(entry, CompositeEntry):
         return change_component(element, CompositeEntry(entry.name, ()), entry)
     changed = change_component(element, ComponentEntry(entry.name, word), entry)

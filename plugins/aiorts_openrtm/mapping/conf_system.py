@@ -18,7 +18,7 @@ from aiorts_openrtm.errors import OpenRTMError
 from aiorts_openrtm.mapping.extras import MARK
 from aiorts_openrtm.mapping.types import Types
 from aiorts_openrtm.markup.element import Element
-from aiorts_openrtm.markup.shapes import in_order, made, made_root
+from aiorts_openrtm.markup.shapes import in_order, made, made_component, made_set, made_system
 from aiorts_openrtm.notes import Note
 from aiorts_openrtm.profiles.rts_profile import MOST
 
@@ -39,6 +39,10 @@ _ACTS: Final = frozenset(
         *("manager.modules.load_path", "manager.modules.preload", "manager.name", "naming.formats"),
     }
 )
+_TAKEN: Final = frozenset(
+    {*_BASICS, "configuration.active_config", "execution_contexts", "naming.formats", "config_file"}
+)
+"""Keys of a component that act here, or say what is in its profile."""
 _OF_COMPONENTS: Final = ("conf.", "configuration.", "exec_cxt.", "execution_contexts", "ec.", "port.")
 _EC: Final = re.compile(r"\s*([\w.]+)\s*(?:\(\s*([\w.-]*)\s*\))?\s*")
 _COMMA: Final = re.compile(r",(?![^()]*\))")
@@ -119,13 +123,9 @@ class _Reader:
         active = self._preactivated(components)
         contexts = self._contexts(components, active)
         elements = [self._element(one, contexts[one.name]) for one in components]
-        root = made_root(
+        root = made_system(
             *in_order([*elements, *self._connectors(components)]),
-            id=f"RTSystem:aiorts:{self._conf.path.stem}:1.0.0",
-            abstract="",
-            creationDate="1970-01-01T00:00:00",
-            updateDate="1970-01-01T00:00:00",
-            version="0.2",
+            identity=f"RTSystem:aiorts:{self._conf.path.stem}:1.0.0",
             where=f"{self._conf.path}:1",
         )
         files = self._files(components)
@@ -178,17 +178,7 @@ class _Reader:
                 if one.value(word):
                     one.basics[word] = one.value(word)
         for key in one.keys:
-            if (
-                key not in _BASICS
-                and not key.startswith(("conf.", "exec_cxt.", "ec.", "port."))
-                and key
-                not in (
-                    "configuration.active_config",
-                    "execution_contexts",
-                    "naming.formats",
-                    "config_file",
-                )
-            ):
+            if key not in _TAKEN and not key.startswith(("conf.", "exec_cxt.", "ec.", "port.")):
                 entry = one.keys[key]
                 self._notes.append(Note(entry.where, f"{key} = {entry.value!r:.60}: nothing here acts on it"))
 
@@ -237,29 +227,14 @@ class _Reader:
                 self._notes.append(Note(entry.where, f"{key}: of OpenRTM's ports; nothing here acts on it"))
         basics = one.basics
         vendor, category, version = (basics.get(word, "") for word in ("vendor", "category", "version"))
-        return made(
-            "Components",
-            *(
-                made(
-                    "ConfigurationSets",
-                    *(
-                        made("ConfigurationData", name=param, data=entry.value, where=entry.where)
-                        for param, entry in values.items()
-                    ),
-                    id=name,
-                    where=one.where,
-                )
-                for name, values in sets.items()
-            ),
-            *contexts,
-            made("Location", ext=True, x="0", y="0", height="0", width="0", direction="down"),
-            id=f"RTC:{vendor}:{category}:{one.type}:{version}",
-            pathUri=f"localhost/{self._path_of(one)}",
-            activeConfigurationSet=one.value("configuration.active_config", "default"),
-            instanceName=one.name,
-            compositeType="PeriodicECShared" if one.type == "PeriodicECSharedComposite" else "None",
-            isRequired="true",
-            ext_visible="true",
+        data = {name: {param: (one.value, one.where) for param, one in values.items()} for name, values in sets.items()}
+        return made_component(
+            one.name,
+            f"RTC:{vendor}:{category}:{one.type}:{version}",
+            [*(made_set(name, values, one.where) for name, values in data.items()), *contexts],
+            path=self._path_of(one),
+            active=one.value("configuration.active_config", "default"),
+            composite="PeriodicECShared" if one.type == "PeriodicECSharedComposite" else "None",
             where=one.where,
         )
 

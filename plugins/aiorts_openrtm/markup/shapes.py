@@ -61,6 +61,7 @@ TYPES: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 """What `xsi:type` of an element is, as OpenRTM's tools write it."""
+_NEVER: Final = "1970-01-01T00:00:00"
 _SPACES: Final = (("rts", RTS), ("rtsExt", RTS_EXT), ("xsi", XSI))
 
 
@@ -100,6 +101,45 @@ def made_root(*children: Element, where: str = "", **values: str) -> Element:
     root = replace(root, attributes=tuple(attribute(key, value) for key, value in values.items()))
     spaces = tuple(Attribute(f"xmlns:{prefix}", XMLNS, prefix, space) for prefix, space in _SPACES)
     return Element(root.name, root.space, root.local, (*spaces, *root.attributes), root.children, where)
+
+
+def made_system(*children: Element, identity: str, abstract: str = "", date: str = _NEVER, where: str = "") -> Element:
+    """A new root with what each has to say."""
+    return made_root(
+        *children, id=identity, abstract=abstract, creationDate=date, updateDate=date, version="0.2", where=where
+    )
+
+
+def made_component(
+    name: str,
+    identity: str,
+    parts: Iterable[Element],
+    *,
+    path: str = "",
+    active: str = "default",
+    composite: str = "None",
+    where: str = "",
+) -> Element:
+    """A new component of a profile, with what each has to say."""
+    return made(
+        "Components",
+        *parts,
+        made("Location", ext=True, x="0", y="0", height="0", width="0", direction="down"),
+        id=identity,
+        pathUri=f"localhost/{path or f'{name}.rtc'}",
+        activeConfigurationSet=active,
+        instanceName=name,
+        compositeType=composite,
+        isRequired="true",
+        ext_visible="true",
+        where=where,
+    )
+
+
+def made_set(name: str, data: Mapping[str, tuple[str, str]], where: str) -> Element:
+    """A new configuration set, of each value and its place."""
+    values = (made("ConfigurationData", name=key, data=value, where=place) for key, (value, place) in data.items())
+    return made("ConfigurationSets", *values, id=name, where=where)
 
 
 def of_key(key: str) -> tuple[str, bool]:
