@@ -56,7 +56,7 @@ def element_of_xml(text: str, path: Path | str) -> Element:
     return builder.root
 
 
-class _Builder(handler.ContentHandler):
+class _Builder(handler.ContentHandler, handler.LexicalHandler):
     """Makes the tree while the parser reads. It is the handler of comments, too."""
 
     def __init__(self, path: Path | str) -> None:
@@ -127,17 +127,8 @@ class _Builder(handler.ContentHandler):
         if self._open:
             self._open[-1].children.append(Comment(content))
 
-    def startCDATA(self) -> None:  # noqa: N802 - as SAX calls it
-        """Its text is as any other."""
-
-    def endCDATA(self) -> None:  # noqa: N802 - as SAX calls it
-        """Its text is as any other."""
-
     def startDTD(self, name: str, public_id: str | None, system_id: str | None) -> None:  # noqa: N802 - as SAX calls it
         raise OpenRTMError(f"{self.where}: a document type has no place in a profile; take it away")
-
-    def endDTD(self) -> None:  # noqa: N802 - as SAX calls it
-        """Never: none begins."""
 
     def _named(self, name: str, spaces: Mapping[str, str]) -> tuple[str, str]:
         prefix, _, local = name.rpartition(":")
