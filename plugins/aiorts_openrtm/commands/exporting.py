@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from aiorts import declaration_of, exits
+from aiorts import declaration_of
 from aiorts.errors import AiortsError
 from aiorts.layout import stored_places
 from aiorts.system import Choices, SystemFile, load, prepare
-from aiorts_openrtm.commands.output import check_free, say, say_json, write
+from aiorts_openrtm.commands.output import check_free, tell, write
 from aiorts_openrtm.errors import OpenRTMError
 from aiorts_openrtm.markup.element import Element, indented
 from aiorts_openrtm.notes import Note
@@ -68,13 +68,7 @@ def export(
     text = _text(element, form, notes)
     if output != "-":
         write(text, output, force=force)
-    if as_json:
-        say_json(text, notes)
-        return exits.DONE
-    if output == "-":
-        write(text, output, force=force)
-    say(notes)
-    return exits.DONE
+    return tell(text, notes, output, as_json=as_json)
 
 
 def _text(element: Element, form: str, notes: list[Note]) -> str:

@@ -9,10 +9,9 @@ from types import MappingProxyType
 
 import click
 
-from aiorts import exits
 from aiorts.layout import layout_beside, text_of_places
 from aiorts.system import parse, system_text
-from aiorts_openrtm.commands.output import check_free, say, say_json, write
+from aiorts_openrtm.commands.output import check_free, tell, write
 from aiorts_openrtm.notes import Note
 
 _FILE = click.Path(path_type=Path)
@@ -67,10 +66,4 @@ def import_(file: Path, output: str, module_paths: tuple[Path, ...], force: bool
                 write(text_of_places("", places), beside, force=force)
             else:
                 notes.append(Note(str(file), f"{beside} is there already and stays; --force overwrites it"))
-    if as_json:
-        say_json(text, notes)
-        return exits.DONE
-    if output == "-":
-        write(text, output, force=force)
-    say(notes)
-    return exits.DONE
+    return tell(text, notes, output, as_json=as_json)

@@ -12,6 +12,7 @@ from typing import Final
 
 import click
 
+from aiorts import exits
 from aiorts.system import standard_output
 from aiorts_openrtm.errors import OpenRTMError
 from aiorts_openrtm.notes import Note
@@ -50,7 +51,18 @@ def check_free(output: str, *, force: bool) -> None:
         raise OpenRTMError(f"{output}: is there already; --force overwrites it")
 
 
-def say(notes: Iterable[Note]) -> None:
+def tell(text: str, notes: Iterable[Note], output: str, *, as_json: bool) -> int:
+    """Say what was made, and print it where it is in no file; returns the exit status."""
+    if as_json:
+        _say_json(text, notes)
+    else:
+        if output == "-":
+            standard_output().write(text)
+        _say(notes)
+    return exits.DONE
+
+
+def _say(notes: Iterable[Note]) -> None:
     """The notes on standard error, one a line."""
     listed = sorted(notes, key=_place)
     for note in listed[:_MOST_LINES]:
@@ -59,7 +71,7 @@ def say(notes: Iterable[Note]) -> None:
         click.echo(f"note: and {len(listed) - _MOST_LINES} more; --json has all", err=True)
 
 
-def say_json(text: str, notes: Iterable[Note]) -> None:
+def _say_json(text: str, notes: Iterable[Note]) -> None:
     """The text and the notes as one JSON document."""
     listed = [{"where": note.where, "text": note.text} for note in notes]
     standard_output().write(json.dumps({"text": text, "notes": listed}, ensure_ascii=False, indent=1) + "\n")
