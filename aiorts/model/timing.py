@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 from typing import Self
 
 from aiorts.late import dataclass
-from aiorts.model.counters import SpanFigures
+from aiorts.model.rates import SpanFigures
 
 
 @dataclass(frozen=True, slots=True)

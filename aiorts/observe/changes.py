@@ -6,19 +6,19 @@ all that it touches, whatever kind of event it is: those of other parts of the s
 
 from __future__ import annotations
 
-import asyncio
 from collections import deque
 from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.errors import BusyError
 from aiorts.kernel.execution.cell import cell
-from aiorts.kernel.loop.bus import Assembled, Closing, Event
+from aiorts.kernel.loop.bus import Assembled, Event
+from aiorts.kernel.loop.bus import Closing as KernelCloses
 from aiorts.kernel.loop.turns import in_turns
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.service_profile import ServiceConnectorProfile
 from aiorts.observe.change_values import Change, Part, ProfileSnapshot
+from aiorts.observe.iterating import Closing, Waiter
 from aiorts.observe.profiling import (
     component_report,
     connector_report,
@@ -31,8 +31,6 @@ from aiorts.observe.profiling import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable
-    from types import TracebackType
-    from typing import Self
 
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.observe.profiles import SystemProfile
@@ -49,7 +47,7 @@ _ONE: Final = ("component", "composite")
 """Fields of events that name a component."""
 
 
-class Changes:
+class Changes(Closing):
     """An async iterator of `ProfileSnapshot` and `Change`, for one task; ends with its kernel, or with `close()`."""
 
     def __init__(self, kernel: Microkernel, length: int, sink: Callable[[Change], object] | None = None) -> None:
@@ -63,7 +61,7 @@ class Changes:
         self._stale = sink is None
         """Whether a new snapshot is due."""
         self._missed = 0
-        self._waiter: asyncio.Future[None] | None = None
+        self._waiter = Waiter()
         self._closed = False
         self._unsubscribe = kernel.bus.subscribe(Event, self._note)
 
@@ -72,26 +70,18 @@ class Changes:
         if not self._closed:
             self._closed = True
             self._unsubscribe()
-            self._wake()
+            self._waiter.wake()
 
     def end(self) -> None:
         """The kernel is closed: what waits can still be read."""
         self.close()
 
-    def __aiter__(self) -> Self:
-        return self
-
     async def __anext__(self) -> ProfileSnapshot | Change:
-        if self._waiter is not None:
-            raise BusyError(f"{self._kernel.name}: another task iterates these changes; one at a time")
+        self._waiter.check_free(f"{self._kernel.name}: another task iterates these changes")
         while not self._stale and not self._queue:
             if self._closed:
                 raise StopAsyncIteration
-            self._waiter = asyncio.get_running_loop().create_future()
-            try:
-                await self._waiter
-            finally:
-                self._waiter = None
+            await self._waiter.wait()
         if self._stale:
             self._stale = False
             missed, self._missed = self._missed, 0
@@ -100,14 +90,6 @@ class Changes:
             return ProfileSnapshot(profile.sequence, profile, missed)
         return self._queue.popleft()
 
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _note(self, event: Event) -> None:
         if type(event).__name__ in _COUNTS:
             return
@@ -115,7 +97,7 @@ class Changes:
         if self._stale:
             self._missed += 1
             return
-        if not (parts or isinstance(event, (Assembled, Closing))):
+        if not (parts or isinstance(event, (Assembled, KernelCloses))):
             return
         if self._sink is not None:
             self._sink(Change(event.sequence, event, parts))
@@ -125,12 +107,7 @@ class Changes:
             self._queue.clear()
         else:
             self._queue.append(Change(event.sequence, event, parts))
-        self._wake()
-
-    def _wake(self) -> None:
-        waiter = self._waiter
-        if waiter is not None and not waiter.done():
-            waiter.set_result(None)
+        self._waiter.wake()
 
     # -- what an event touches -------------------------------------------------------------------------------------
 

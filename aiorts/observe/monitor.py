@@ -33,12 +33,10 @@ from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.late import dataclass
 from aiorts.model.profile import ConnectorStatistics
+from aiorts.observe.iterating import Closing, Waiter
 from aiorts.spelling import suggestion
 
 if TYPE_CHECKING:
-    from types import TracebackType
-    from typing import Self
-
     from aiorts.kernel.component import Component
     from aiorts.kernel.execution.context import Context
     from aiorts.kernel.microkernel import Microkernel
@@ -82,7 +80,7 @@ class Reading:
     """Readings left out since the last one: the reader was slower than the rate."""
 
 
-class Monitor:
+class Monitor(Closing):
     """An async iterator of `Reading`, `rate` times a second on the kernel's clock; ends with its kernel, or `close()`.
 
     `async with` closes it.
@@ -98,7 +96,7 @@ class Monitor:
         self._period_ns = round(1e9 / rate)
         self._due_ns: int | None = None
         self._closed = False
-        self._waiter: asyncio.Future[None] | None = None
+        self._waiter = Waiter()
         self._before: dict[str, ConnectorStatistics] = {}
         """Of connectors whose rate is asked for, at the last reading."""
         for path in self._paths:
@@ -107,18 +105,7 @@ class Monitor:
     def close(self) -> None:
         """End the stream; idempotent."""
         self._closed = True
-        self._wake()
-
-    def __aiter__(self) -> Self:
-        return self
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+        self._waiter.wake()
 
     async def __anext__(self) -> Reading:
         kernel, missed = self._kernel, 0
@@ -145,18 +132,13 @@ class Monitor:
         if duration_ns <= 0:
             await asyncio.sleep(0)
             return
-        self._waiter = self._kernel.loop.create_future()
-        timer = self._kernel.call_later(duration_ns / 1e9, self._wake)
-        self._kernel.closing.add_done_callback(self._wake)
+        timer = self._kernel.call_later(duration_ns / 1e9, self._waiter.wake)
+        self._kernel.closing.add_done_callback(self._waiter.wake)
         try:
-            await self._waiter
+            await self._waiter.wait()
         finally:
             timer.cancel()
-            self._kernel.closing.remove_done_callback(self._wake)
-
-    def _wake(self, *_: object) -> None:
-        if self._waiter is not None and not self._waiter.done():
-            self._waiter.set_result(None)
+            self._kernel.closing.remove_done_callback(self._waiter.wake)
 
     def _value(self, path: str) -> Any:
         try:

@@ -5,23 +5,20 @@ They come over a tap: the system is with it what it is without, and no writer wa
 
 from __future__ import annotations
 
-import asyncio
 import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from aiorts.errors import BusyError, ConfigurationError, WiringError
+from aiorts.errors import ConfigurationError, WiringError
 from aiorts.kernel.loop.bus import ComponentRemoved, PortRemoved
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.kernel.ports.port import host_of
 from aiorts.model.declared import kinds_of
 from aiorts.model.profile import ConnectorProfile
+from aiorts.observe.iterating import Closing, Waiter
 
 if TYPE_CHECKING:
-    from types import TracebackType
-    from typing import Self
-
     from aiorts.kernel.loop.bus import Bus
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
@@ -31,7 +28,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-class Samples(AsyncIterator[T], Generic[T]):
+class Samples(Closing, AsyncIterator[T], Generic[T]):
     """An async iterator of the samples that an out-port writes, for one task; see `Kernel.samples`.
 
     It ends with its kernel, with its port, with `close()` or `aclose()`, at the end of `async with`, and when nothing
@@ -64,19 +61,8 @@ class Samples(AsyncIterator[T], Generic[T]):
         """As `close`, as asynchronous generators have it."""
         self.close()
 
-    def __aiter__(self) -> Self:
-        return self
-
     async def __anext__(self) -> T:
         return await self._feed.next()
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         feed = self._feed
@@ -91,7 +77,7 @@ class Feed(Generic[T]):
         self.path = out.path
         self._rest: deque[T] = deque()
         """The samples that waited when the tap was closed."""
-        self._waiter: asyncio.Future[None] | None = None
+        self._waiter = Waiter()
         self._kernel: Microkernel = service.kernel
         self._connector: Connector = service.kernel.connections.tap(service, out, lambda _: self._wake(), **options)
         self._unsubscribe = when_removed(service.kernel.bus, out.path, lambda _: self.end())
@@ -129,23 +115,17 @@ class Feed(Generic[T]):
 
     async def next(self) -> T:
         """The oldest sample that waits; StopAsyncIteration when none comes any more."""
-        if self._waiter is not None:
-            raise BusyError(f"{self.path}: another task iterates these samples; one at a time")
+        self._waiter.check_free(f"{self.path}: another task iterates these samples")
         while not self.waiting:
             if self.ended:
                 raise StopAsyncIteration
-            self._waiter = asyncio.get_running_loop().create_future()
-            try:
-                await self._waiter
-            finally:
-                self._waiter = None
+            await self._waiter.wait()
         sample: T = self._rest.popleft() if self.ended else self._connector.in_.read_nowait()
         return sample
 
     def _wake(self) -> None:
-        waiter = self._waiter
-        if waiter is not None and not waiter.done() and (self.waiting or self.ended):
-            waiter.set_result(None)
+        if self.waiting or self.ended:
+            self._waiter.wake()
 
 
 def out_port_of(kernel: Microkernel, path: str) -> OutPort[Any]:
