@@ -55,22 +55,13 @@ def _codec(extension: Extension, found: Any) -> str:
     return "" if back == record else f"it gives {back!r} back for {record!r}; see aiorts.testing.check_codec"
 
 
-def _converter(extension: Extension, found: Any) -> str:
-    return "" if callable(found) else f"{_shown(found)} is no function that makes a converter of text and two types"
+def _fitting(fits: Callable[[Any], bool], what: str) -> Callable[[Extension, Any], str]:
+    return lambda _, found: "" if fits(found) else f"{_shown(found)} is no {what}"
 
 
-def _describer(extension: Extension, found: Any) -> str:
-    return "" if callable(found) else f"{_shown(found)} is no function that describes a component of a path"
-
-
-def _command(extension: Extension, found: Any) -> str:
-    return "" if isinstance(found, click.Command) else f"{_shown(found)} is no click.Command"
-
-
-def _bench(extension: Extension, found: Any) -> str:
+def _is_bench(found: Any) -> bool:
     # aiorts_bench checks its benches itself; these are the attributes it needs.
-    fits = isinstance(getattr(found, "help", None), str) and callable(getattr(found, "report", None))
-    return "" if fits else f"{_shown(found)} is no aiorts_bench.Bench"
+    return isinstance(getattr(found, "help", None), str) and callable(getattr(found, "report", None))
 
 
 def _type(extension: Extension, found: Any) -> str:
@@ -101,10 +92,10 @@ _TESTS: Final[Mapping[str, Callable[[Extension, Any], str]]] = {
     "contexts": lambda _, found: _derived(found, Context),
     "services": _service,
     "codecs": _codec,
-    "converters": _converter,
-    "describers": _describer,
+    "converters": _fitting(callable, "function that makes a converter of text and two types"),
+    "describers": _fitting(callable, "function that describes a component of a path"),
     "transports": lambda _extension, _found: "",  # there are none yet, and so no rule for them
-    "commands": _command,
-    "benches": _bench,
+    "commands": _fitting(lambda found: isinstance(found, click.Command), "click.Command"),
+    "benches": _fitting(_is_bench, "aiorts_bench.Bench"),
     "types": _type,
 }
