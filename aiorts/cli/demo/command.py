@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from importlib.resources import files
 from pathlib import Path
 from typing import Final
@@ -10,7 +9,7 @@ from typing import Final
 import click
 
 from aiorts import exits
-from aiorts.cli.console.output import say
+from aiorts.cli.console.output import say, say_now
 from aiorts.errors import ConfigurationError
 
 _FILES: Final = {"motor.py": "motor.py", "system.toml": "system.toml", "test_motor.py": "test_motor.txt"}
@@ -34,13 +33,7 @@ def demo(source: bool, folder: Path | None) -> int:
         return _save(folder)
     from aiorts.cli.demo.show import show
 
-    return show(_now)
-
-
-def _now(line: str) -> None:
-    say(line)
-    if sys.stdout is not None:
-        sys.stdout.flush()
+    return show(say_now)
 
 
 def _save(folder: Path) -> int:
