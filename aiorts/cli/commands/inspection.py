@@ -18,7 +18,7 @@ from aiorts.cli.commands.live.look.describing import text_of
 from aiorts.cli.commands.live.look.reading import report_of, tell_of
 from aiorts.cli.commands.record_types import profile_of_type
 from aiorts.cli.console.completion import subjects, type_names
-from aiorts.cli.console.output import plain, say, say_json, table
+from aiorts.cli.console.output import plain, say_either, table
 from aiorts.cli.console.subjects import Subject, find_subject
 from aiorts.errors import UnknownTypeError
 from aiorts.kernel.extensions.type_modules import import_types
@@ -60,19 +60,13 @@ def inspect(name: str, options: tuple[str, ...], modules: tuple[str, ...], as_js
     tell_of(name, "inspect")
     if subject.is_component:
         drawn = draw(subject, options, name)
-        if as_json:
-            say_json(drawn.profile)
-        else:
-            say(_component_text(drawn))
+        say_either(drawn.profile, lambda: _component_text(drawn), as_json=as_json)
         return exits.DONE
     if options:
         raise click.UsageError(f"{name}: {options[0]!r}: a type has no options")
     _check_type(subject, name)
     profile = {**profile_of_type(subject.cls), "package": subject.source, "source": _file_of(subject.cls)}
-    if as_json:
-        say_json(profile)
-    else:
-        say(_type_text(profile))
+    say_either(profile, lambda: _type_text(profile), as_json=as_json)
     return exits.DONE
 
 
@@ -84,10 +78,8 @@ def _inspect_running(name: str, options: tuple[str, ...], *, as_json: bool) -> b
     if options:
         raise click.UsageError(f"{name}: {options[0]!r}: what runs has no options; see aiorts conf")
     one, report = found
-    if as_json:
-        say_json({"kind": one.kind, "name": one.full, **report})
-    else:
-        say(text_of(one.kind, one.name, one.full, report, long=True))
+    document = {"kind": one.kind, "name": one.full, **report}
+    say_either(document, lambda: text_of(one.kind, one.name, one.full, report, long=True), as_json=as_json)
     return True
 
 

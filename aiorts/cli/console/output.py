@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import Enum
 from typing import Any
 
@@ -39,6 +39,14 @@ def say_json(value: Any) -> None:
     from json import dumps
 
     say(dumps(plain(value), indent=1, allow_nan=False))
+
+
+def say_either(value: Any, text: Callable[[], str], *, as_json: bool) -> None:
+    """Print a value as a JSON document, or what says it to people."""
+    if as_json:
+        say_json(value)
+    else:
+        say(text())
 
 
 def say_line(value: Any) -> None:

@@ -10,7 +10,7 @@ from aiorts import exits
 from aiorts.cli.commands.live.components import pairs, right_for
 from aiorts.cli.commands.live.showing import json_option, timeout_option
 from aiorts.cli.commands.live.target import Found, complete, kernels
-from aiorts.cli.console.output import say, say_json, say_line, say_now
+from aiorts.cli.console.output import say, say_either, say_line, say_now
 from aiorts.errors import AbsentError, GoalCancelled, GoalFailed
 
 _WORDS: Any = "[VALUE | NAME=VALUE]..."
@@ -30,10 +30,8 @@ def call(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> in
     with kernels(changing=True, right=right_for(map(_value, words))) as found:
         one = found.find(path)
         answer = one.client.call("call", timeout + 2.0, timeout=timeout, **_given(one, path, words))
-    if as_json:
-        say_json(answer)
-    elif answer["value"] is not None:
-        say(_text(answer["value"]))
+    if as_json or answer["value"] is not None:
+        say_either(answer, lambda: _text(answer["value"]), as_json=as_json)
     return exits.DONE
 
 

@@ -12,7 +12,7 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.showing import json_option, say_done, timeout_option
 from aiorts.cli.commands.live.target import complete, complete_params, complete_types, kernels
-from aiorts.cli.console.output import say, say_json
+from aiorts.cli.console.output import say_either
 from aiorts.control import is_code
 from aiorts.sessions import RightName
 
@@ -50,10 +50,8 @@ def create(
             "create", 30.0 + 2 * timeout, type=absolute(type_), name=bare, params=values, context=context,
             activate=activate, timeout=timeout,
         )  # fmt: skip
-        if as_json:
-            say_json({"done": [{"name": f"{running.name}/{done['text']}"}]})
-        else:
-            say(f"{running.name}/{done['text']}")
+        full = f"{running.name}/{done['text']}"
+        say_either({"done": [{"name": full}]}, lambda: full, as_json=as_json)
     return exits.DONE
 
 

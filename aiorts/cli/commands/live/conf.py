@@ -12,7 +12,7 @@ from aiorts import exits
 from aiorts.cli.commands.live.components import right_for
 from aiorts.cli.commands.live.showing import json_option, say_done, timeout_option
 from aiorts.cli.commands.live.target import Found, Kernels, complete, complete_changes, kernels
-from aiorts.cli.console.output import say, say_json, table
+from aiorts.cli.console.output import say_either, table
 from aiorts.errors import AbsentError, ConfigurationError
 from aiorts.spelling import suggestion
 
@@ -75,10 +75,7 @@ def conf(
         shown = one.client.call("configuration", timeout, component=one.component)
         if wanted:
             shown = {**shown, "parameters": _chosen(one, shown["parameters"], wanted)}
-        if as_json:
-            say_json(shown)
-        else:
-            _show(one, shown, long=long)
+        say_either(shown, lambda: _shown(one, shown, long=long), as_json=as_json)
     return exits.DONE
 
 
@@ -148,19 +145,16 @@ def text_of(file: str) -> str:
     return text
 
 
-def _show(one: Found, shown: Mapping[str, Any], *, long: bool) -> None:
+def _shown(one: Found, shown: Mapping[str, Any], *, long: bool) -> str:
     others = {name: values for name, values in shown["sets"].items() if name != "default"}
-    say(f"{one.full}  set {shown['active']}{' of default, ' + ', '.join(others) if others else ''}")
+    head = f"{one.full}  set {shown['active']}{' of default, ' + ', '.join(others) if others else ''}"
     rows = []
     for param in shown["parameters"]:
         name = param["name"]
         within = [f"{other}: {_text(values[name])}" for other, values in others.items() if name in values]
         about = (param["type"], param["unit"], param["constraint"], param["doc"]) if long else (param["unit"],)
         rows.append((name, _text(param["value"]), *about, "; ".join(within)))
-    if rows:
-        say(table(rows))
-    else:
-        say("  no parameters")
+    return f"{head}\n{table(rows) or '  no parameters'}"
 
 
 def _text(value: Any) -> str:

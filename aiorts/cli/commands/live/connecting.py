@@ -13,7 +13,7 @@ from aiorts.cli.commands.live.ledger import ledger_text
 from aiorts.cli.commands.live.showing import json_option, say_done, say_kernels, timeout_option
 from aiorts.cli.commands.live.spans import read_text
 from aiorts.cli.commands.live.target import Found, Kernels, Running, complete, complete_fitting, kernels, the_one
-from aiorts.cli.console.output import counted, say, say_json
+from aiorts.cli.console.output import counted, say_either
 from aiorts.control import converters_read
 from aiorts.errors import ControlError
 from aiorts.model.options import OWN_KEYS, OWN_OPTIONS
@@ -67,11 +67,7 @@ def connect(
         ports = [port_of(found, path) for path in paths]
         running = _maker(ports)
         made = running.client.call("connect", wait, ports=[_seen(one, running) for one in ports], options=options)
-        if as_json:
-            say_json(made)
-        else:
-            for one in made:
-                say(_text(one, ledger=False))
+        say_either(made, lambda: "\n".join(_text(one, ledger=False) for one in made), as_json=as_json)
     return exits.DONE
 
 

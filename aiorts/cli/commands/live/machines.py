@@ -10,7 +10,7 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.showing import json_option, timeout_option
 from aiorts.cli.commands.live.target import Found, complete, kernels
-from aiorts.cli.console.output import say, say_json, table
+from aiorts.cli.console.output import say_either, table
 
 
 @click.command(short_help="Show a state machine, and send it events.")
@@ -37,10 +37,7 @@ def fsm(component: str, event: str, data: str, mode: str | None, timeout: float,
         if not as_json and (event or mode is not None):
             return exits.DONE
         shown = one.client.call("machine", timeout, component=one.component)
-        if as_json:
-            say_json(shown)
-        else:
-            _show(one, shown)
+        say_either(shown, lambda: _shown(one, shown), as_json=as_json)
     return exits.DONE
 
 
@@ -56,9 +53,8 @@ def json_or_text(word: str) -> Any:
         return word
 
 
-def _show(one: Found, shown: Mapping[str, Any]) -> None:
+def _shown(one: Found, shown: Mapping[str, Any]) -> str:
     machine, modes = shown["machine"], shown["modes"]
-    say(one.full)
     rows = []
     if machine is not None:
         rows += [
@@ -72,4 +68,4 @@ def _show(one: Found, shown: Mapping[str, Any]) -> None:
     if modes is not None:
         pending = f", {modes['pending']} is pending" if modes["pending"] else ""
         rows += [("mode", f"{modes['mode']} of {', '.join(modes['modes'])}{pending}")]
-    say(table([row for row in rows if row[1]]))
+    return f"{one.full}\n{table([row for row in rows if row[1]])}"

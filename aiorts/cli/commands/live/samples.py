@@ -33,7 +33,7 @@ _BATCH: Final = 64
 def print_(
     port: str,
     count: int | None,
-    duration: float | None,
+    until: float | None,
     plot: bool,
     fields: str | None,
     rate: float | None,
@@ -47,7 +47,6 @@ def print_(
 
     --plot draws the first number of the samples, or FIELD, over time. --rate passes over samples, by their time.
     """
-    until = None if duration is None else time.monotonic() + duration
     chosen = [name.strip() for name in fields.split(",")] if fields is not None else []
     with kernels(timeout) as found:
         one = found.find(port)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from datetime import UTC, datetime
 from typing import Any, Final, TypeVar
 
 import click
 
 from aiorts import exits
-from aiorts.cli.console.output import say, say_json
+from aiorts.cli.console.output import say, say_json, say_line, say_now
 from aiorts.cli.console.report import say as tell
 from aiorts.errors import AbsentError, ClosedError, NoAnswerError
 from aiorts.sessions import CutOff, Kernels, Running, Stream
@@ -35,6 +37,11 @@ def json_option(text: str = "One JSON document.") -> Callable[[C], C]:
     return click.option("--json", "as_json", is_flag=True, help=text)
 
 
+def _until(_ctx: click.Context, _param: click.Parameter, seconds: float | None) -> float | None:
+    """The moment of `time.monotonic()` at which a command ends, by how long it is to go on."""
+    return None if seconds is None else time.monotonic() + seconds
+
+
 def following_options(what: str, line: str) -> Callable[[C], C]:
     """Those of a command that goes on: --count, --once and --for say when it ends, --timeout and --json are as ever.
 
@@ -47,7 +54,7 @@ def following_options(what: str, line: str) -> Callable[[C], C]:
         for option in (
             json_option(f"A JSON object in a line for each {line}."),
             timeout_option(1.0, "Wait S seconds for the kernel to answer"),
-            click.option("--for", "duration", type=_SECONDS, metavar="S", help="End after S seconds."),
+            click.option("--for", "until", type=_SECONDS, callback=_until, metavar="S", help="End after S seconds."),
             click.option("--once", "count", flag_value=1, type=int, help="The same as --count 1."),
             click.option("--count", type=click.IntRange(min=1), metavar="N", help=f"End after N {what}."),
         ):
@@ -108,6 +115,21 @@ def say_silent(found: Kernels) -> None:
 
 
 # -- what goes on ------------------------------------------------------------------------------------------------------
+
+
+def say_missed(stream: Stream, what: str, *, as_json: bool) -> None:
+    """Say how many items are missing since the last time, if any are."""
+    missed, stream.missed = stream.missed, 0
+    if missed and as_json:
+        say_line({"missed": missed})
+    elif missed:
+        say_now(f"... {missed} {what}")
+
+
+def moment_text(time_ns: int) -> str:
+    """The time of day here, to the millisecond."""
+    at = datetime.fromtimestamp(time_ns / 1e9, UTC).astimezone()
+    return f"{at:%H:%M:%S}.{at.microsecond // 1000:03d}"
 
 
 def hint(text: str) -> None:

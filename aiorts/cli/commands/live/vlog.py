@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from itertools import chain
 from typing import Any, Final
 
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.showing import followed, following_options, hint, items_of, named, say_done
+from aiorts.cli.commands.live.showing import (
+    followed,
+    following_options,
+    hint,
+    items_of,
+    moment_text,
+    named,
+    say_done,
+    say_missed,
+)
 from aiorts.cli.commands.live.target import Found, Running, complete, kernels
-from aiorts.cli.console.output import say, say_json, say_line, say_now, table
+from aiorts.cli.console.output import say_either, say_line, say_now, table
 from aiorts.errors import AmbiguousError
-from aiorts.sessions import Stream
 
+_MISSED: Final = "lines were dropped here: this end was too slow"
 LEVELS: Final = ("debug", "info", "warning", "error", "critical")
 
 
@@ -34,7 +41,7 @@ def vlog(
     wanted: str | None,
     levels: bool,
     count: int | None,
-    duration: float | None,
+    until: float | None,
     timeout: float,
     as_json: bool,
 ) -> int:
@@ -43,15 +50,15 @@ def vlog(
     Without a name it is the only kernel that runs, with all its components. --set changes from which level on they log;
     lines below it are not made at all. What a slow terminal does not take is dropped and counted.
     """
-    until = None if duration is None else time.monotonic() + duration
     with kernels(timeout, changing=wanted is not None) as found:
         running, components = _meant([one for word in names for one in found.all(word, bare=True)], found.kernel)
         client = running.client
         if wanted is not None:
             client.call("log_level", level=wanted, components=components, lasting=not follow)
         if levels:
-            _show_levels(client.call("log_levels", components=components), as_json=as_json)
-        if levels:
+            logs = client.call("log_levels", components=components)
+            rows = [(name, one["level"], f"{one['lines']} lines") for name, one in logs.items()]
+            say_either(named(logs), lambda: table(rows, indent=""), as_json=as_json)
             return exits.DONE
         if wanted is not None and not follow:
             return say_done((f"{running.name}/{one}" for one in components or ("",)), as_json=as_json)
@@ -60,9 +67,9 @@ def vlog(
             hint(f"{running.name}: nothing was logged yet{'; lines come from now on, Ctrl-C ends' if follow else ''}")
         came = items_of(stream, until) if follow else stream
         for line in followed(chain(stream.began, came), running, count):
-            _show_missed(stream, as_json=as_json)
+            say_missed(stream, _MISSED, as_json=as_json)
             _show(line, as_json=as_json)
-        _show_missed(stream, as_json=as_json)
+        say_missed(stream, _MISSED, as_json=as_json)
     return exits.DONE
 
 
@@ -81,23 +88,6 @@ def _show(line: Mapping[str, Any], *, as_json: bool) -> None:
     if as_json:
         say_line(line)
         return
-    at = datetime.fromtimestamp(line["time_ns"] / 1e9, UTC).astimezone()
     hook = f".{line['hook']}" if line["hook"] else ""
     who = f"{line['component']}{hook}: " if line["component"] else ""
-    say_now(f"{at:%H:%M:%S}.{at.microsecond // 1000:03d} {line['level']:<8} {who}{line['text']}")
-
-
-def _show_missed(stream: Stream, *, as_json: bool) -> None:
-    """Say how many lines are missing since the last time, if any are."""
-    missed, stream.missed = stream.missed, 0
-    if missed and as_json:
-        say_line({"missed": missed})
-    elif missed:
-        say_now(f"... {missed} lines were dropped here: this end was too slow")
-
-
-def _show_levels(found: Mapping[str, Mapping[str, Any]], *, as_json: bool) -> None:
-    if as_json:
-        say_json(named(found))
-    else:
-        say(table([(name, one["level"], f"{one['lines']} lines") for name, one in found.items()], indent=""))
+    say_now(f"{moment_text(line['time_ns'])} {line['level']:<8} {who}{line['text']}")

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from typing import Any
 
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.showing import followed, following_options, hint, items_of
+from aiorts.cli.commands.live.showing import followed, following_options, hint, items_of, moment_text, say_missed
 from aiorts.cli.commands.live.target import complete_kernels, kernels
 from aiorts.cli.console.output import say_line, say_now
-from aiorts.sessions import Stream
 
 _LONGEST = 80
 
@@ -22,43 +20,30 @@ _LONGEST = 80
 @click.option("--kind", "kinds", multiple=True, metavar="NAME", help="Only events of this kind; repeatable.")
 @following_options("events", "event")
 def watch(
-    kernel: str, kinds: tuple[str, ...], count: int | None, duration: float | None, timeout: float, as_json: bool
+    kernel: str, kinds: tuple[str, ...], count: int | None, until: float | None, timeout: float, as_json: bool
 ) -> int:
     """Print each event of the kernel's bus as it happens: `aiorts help events` has the kinds.
 
     Without a name it is the only kernel that runs. Where this end is too slow, a line says how many events are missing.
     It ends with the kernel.
     """
-    import time
-
-    until = None if duration is None else time.monotonic() + duration
     with kernels(timeout) as found:
         running = found.kernel(kernel.rstrip("/"))
         stream = running.client.stream("events", kinds=kinds)
         hint(f"{running.name}: {', '.join(kinds) or 'events'} from now on; Ctrl-C ends")
         for item in followed(items_of(stream, until), running, count):
-            _show_missed(stream, as_json=as_json)
+            say_missed(stream, "events are missing here", as_json=as_json)
             if as_json:
                 say_line(item)
             else:
                 say_now(_text(item))
-        _show_missed(stream, as_json=as_json)
+        say_missed(stream, "events are missing here", as_json=as_json)
     return exits.DONE
 
 
-def _show_missed(stream: Stream, *, as_json: bool) -> None:
-    """Say how many events are missing since the last time, if any are."""
-    missed, stream.missed = stream.missed, 0
-    if missed and as_json:
-        say_line({"missed": missed})
-    elif missed:
-        say_now(f"... {missed} events are missing here")
-
-
 def _text(item: Mapping[str, Any]) -> str:
-    at = datetime.fromtimestamp(item["time_ns"] / 1e9, UTC).astimezone()
     fields = ", ".join(f"{name}={_value(value)}" for name, value in item["event"].items() if value not in ("", None))
-    return f"{at:%H:%M:%S}.{at.microsecond // 1000:03d} {item['kind']} {fields}"
+    return f"{moment_text(item['time_ns'])} {item['kind']} {fields}"
 
 
 def _value(value: Any) -> str:

@@ -9,7 +9,7 @@ from aiorts.cli.commands.live.look.describing import text_of
 from aiorts.cli.commands.live.look.named import named
 from aiorts.cli.commands.live.showing import json_option, timeout_option
 from aiorts.cli.commands.live.target import complete, kernels
-from aiorts.cli.console.output import say, say_json
+from aiorts.cli.console.output import say_either
 
 
 @click.command(short_help="Show a component, port, connector, context or kernel that runs.")
@@ -26,8 +26,9 @@ def cat(names: tuple[str, ...], long: bool, timeout: float, as_json: bool) -> in
     with kernels(timeout) as found:
         meant = {one.full: one for word in names for one in named(found, word)}.values()
         reports = [(one, one.report()) for one in meant]
-    if as_json:
-        say_json([{"kind": one.kind, "name": one.full, **report} for one, report in reports])
-    else:
-        say("\n\n".join(text_of(one.kind, one.name, one.full, report, long=long) for one, report in reports))
+    say_either(
+        [{"kind": one.kind, "name": one.full, **report} for one, report in reports],
+        lambda: "\n\n".join(text_of(one.kind, one.name, one.full, report, long=long) for one, report in reports),
+        as_json=as_json,
+    )
     return exits.DONE

@@ -48,7 +48,7 @@ def _of_edges(command: Callable[..., int]) -> Any:
 def _follow(
     name: str,
     interval: float,
-    duration: float | None,
+    until: float | None,
     count: int | None,
     timeout: float,
     begin: Callable[[Running, tuple[Edge, ...]], Show],
@@ -61,7 +61,6 @@ def _follow(
         running, meant = find_edges(found, name)
         show = begin(running, meant)
         names = [edge.name for edge in meant]
-        until = None if duration is None else time.monotonic() + duration
         shown = 0
         chosen = {"connectors": names, "contexts": [], "components": [], "timed": names if timed else []}
         try:
@@ -78,7 +77,7 @@ def _follow(
 
 @click.command(short_help="Show how many samples pass a connector or port each second.")
 @_of_edges
-def hz(name: str, interval: float, duration: float | None, count: int | None, timeout: float, as_json: bool) -> int:
+def hz(name: str, interval: float, until: float | None, count: int | None, timeout: float, as_json: bool) -> int:
     """Show the rate of a connector, or of each connector of a port: since the start, and its least, greatest and
     standard deviation over the intervals. Names are COMPONENT.PORT, 'A.OUT->B.IN' or the connector's own.
 
@@ -100,12 +99,12 @@ def hz(name: str, interval: float, duration: float | None, count: int | None, ti
 
         return show
 
-    return _follow(name, interval, duration, count, timeout, begin)
+    return _follow(name, interval, until, count, timeout, begin)
 
 
 @click.command(short_help="Show how many bytes pass a connector or port each second.")
 @_of_edges
-def bw(name: str, interval: float, duration: float | None, count: int | None, timeout: float, as_json: bool) -> int:
+def bw(name: str, interval: float, until: float | None, count: int | None, timeout: float, as_json: bool) -> int:
     """Show the bytes a second of a connector, or of each connector of a port: its rate in the interval, multiplied by
     the encoded size of one sample. Names are as those of `aiorts hz`.
 
@@ -135,12 +134,12 @@ def bw(name: str, interval: float, duration: float | None, count: int | None, ti
 
         return show
 
-    return _follow(name, interval, duration, count, timeout, begin)
+    return _follow(name, interval, until, count, timeout, begin)
 
 
 @click.command(short_help="Show how long samples are on their way, and how old they are.")
 @_of_edges
-def delay(name: str, interval: float, duration: float | None, count: int | None, timeout: float, as_json: bool) -> int:
+def delay(name: str, interval: float, until: float | None, count: int | None, timeout: float, as_json: bool) -> int:
     """Show latency (from the write to the read) and age (when read, by the time stamp) of the last 1,000 samples of a
     connector, or of each connector of a port: median, 99th percentile, maximum. Names are as those of `aiorts hz`.
 
@@ -182,7 +181,7 @@ def delay(name: str, interval: float, duration: float | None, count: int | None,
 
         return show
 
-    return _follow(name, interval, duration, count, timeout, begin, timed=True, right="operate")
+    return _follow(name, interval, until, count, timeout, begin, timed=True, right="operate")
 
 
 _TIMED: Final = ("latency", "age")

@@ -51,7 +51,7 @@ def top(
     sort: str,
     only: str | None,
     count: int | None,
-    duration: float | None,
+    until: float | None,
     timeout: float,
     as_json: bool,
 ) -> int:
@@ -67,7 +67,6 @@ def top(
     that time. It ends with the kernel.
     """
     view = View((only,) if only else KINDS, sort, text=text)
-    until = None if duration is None else time.monotonic() + duration
     with kernels(timeout) as found:
         running = found.kernel(kernel.rstrip("/"))
         watch = _Watch(running)
