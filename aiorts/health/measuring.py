@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator, Iterable, Mapping
 from itertools import islice
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -188,16 +188,14 @@ class _Measurement:
 
     async def _count_edges(self) -> dict[str, EdgeCounts]:
         found: dict[str, EdgeCounts] = {}
-        for some in _batches(self._kernel.connectors.values(), _CONNECTORS_AT_ONCE):
+        async for some in _batches(self._kernel.connectors.values(), _CONNECTORS_AT_ONCE):
             found |= {one.name: edge_since(self._edges.get(one.name), _edge(one)) for one in some if not one.closed}
-            await asyncio.sleep(0)
         return found
 
     async def _count_contexts(self) -> dict[str, ContextCounts]:
         found: dict[str, ContextCounts] = {}
-        for some in _batches(self._kernel.contexts.values(), _CONTEXTS_AT_ONCE):
+        async for some in _batches(self._kernel.contexts.values(), _CONTEXTS_AT_ONCE):
             found |= {one.name: context_since(self._contexts.get(one.name), self._context(one)) for one in some}
-            await asyncio.sleep(0)
         return found
 
     def _context(self, context: Context) -> ContextCounts:
@@ -215,14 +213,13 @@ class _Measurement:
         """Those in error, each with why, and those that are not active though in a context."""
         errors: dict[str, str] = {}
         idle: set[str] = set()
-        for some in _batches(self._kernel.components.values(), _COMPONENTS_AT_ONCE):
+        async for some in _batches(self._kernel.components.values(), _COMPONENTS_AT_ONCE):
             for component in some:
                 states = {member.state for member in cell(component).members}
                 if _ERROR in states:
                     errors[component.name] = _why(component)
                 elif states and _ACTIVE not in states:
                     idle.add(component.name)
-            await asyncio.sleep(0)
         return errors, idle
 
 
@@ -237,11 +234,12 @@ def _why(component: Component) -> str:
     return "" if error is None else format_error(error)
 
 
-def _batches(things: Iterable[T], at_once: int) -> Iterator[tuple[T, ...]]:
+async def _batches(things: Iterable[T], at_once: int) -> AsyncIterator[tuple[T, ...]]:
     """Those that there are now, so many at once."""
     left = iter(tuple(things))
     while some := tuple(islice(left, at_once)):
         yield some
+        await asyncio.sleep(0)
 
 
 async def _wait(kernel: Microkernel, seconds: float) -> None:
