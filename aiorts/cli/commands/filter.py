@@ -32,7 +32,7 @@ from aiorts.cli.runtime.alone import (
 )
 from aiorts.cli.runtime.ends import Ends
 from aiorts.cli.runtime.options import Options, checked
-from aiorts.cli.runtime.session import execute
+from aiorts.cli.runtime.session import Run, execute, log_of
 from aiorts.cli.runtime.stopping import Stopper
 from aiorts.errors import AbsentError, AiortsError, ComponentError, ConfigurationError, WiringError
 from aiorts.kernel.declarations import declarations
@@ -248,8 +248,8 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
     stopper = Stopper()
     stopper.last_words.append(ends.report_rest)
     try:
-        with stopper.signals():
-            return execute(filter_.make, 1, options, stopper, streams=_STREAMS) or filter_.status
+        with stopper.signals(), log_of(options, stopper) as log:
+            return execute(Run(filter_.make, 1, options, stopper, log, streams=_STREAMS)) or filter_.status
     finally:
         ends.report_rest()
         if stream is not None:

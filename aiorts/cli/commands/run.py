@@ -21,7 +21,7 @@ from aiorts.cli.runtime.alone import DEFAULT_RATE, input_is_given
 from aiorts.cli.runtime.options import Options, checked, with_clock
 from aiorts.cli.runtime.printing import Printing
 from aiorts.cli.runtime.service_options import RunCommand, chosen
-from aiorts.cli.runtime.session import execute, log_of, prepared, refuse
+from aiorts.cli.runtime.session import Run, execute, log_of, prepared, refuse
 from aiorts.cli.runtime.stopping import Stopper
 from aiorts.cli.runtime.summary import Summary
 from aiorts.cli.runtime.target import errors_of, find_target
@@ -142,12 +142,12 @@ def run(
         steps: list[Callable[[Kernel], None]] = [] if summary is None else [summary.prepare]
         if printed:
             steps.append(partial(Printing.prepare, printed))
-        status = execute(
+        whole = Run(
             prepared(found.make, *steps),
             len(found.names),
             options,
             stopper,
-            log=log,
+            log,
             catalogue=found.catalogue,
             unfed_advice=found.unfed,
             streams=found.streams,
@@ -155,6 +155,7 @@ def run(
             watch=watched,
             refused=lambda error: None if summary is None else summary.refused(error),
         )
+        status = execute(whole)
         if ends is not None:
             ends.report_rest()
             status = status or (exits.FAILED if ends.bad else exits.DONE)

@@ -42,7 +42,7 @@ from aiorts.kernel.loop.origins import in_brackets, origin_of
 from aiorts.late import dataclass
 from aiorts.system import Ending, Finding
 
-__all__ = ("Construct", "Options", "checked", "execute", "log_of", "prepared")
+__all__ = ("Construct", "Options", "Run", "checked", "execute", "log_of", "prepared")
 
 Construct: TypeAlias = Callable[[Kernel], Coroutine[Any, Any, None]]
 """Makes the system in a kernel."""
@@ -52,21 +52,33 @@ _FULL = (errno.ENOSPC, errno.EIO)
 _FILE_FAULTS = (ConfigurationError, DeclarationError, InvalidNameError, PluginError, UnknownTypeError, WiringError)
 
 
+def _nothing(_error: BaseException) -> None:
+    """Of a refusal that nobody is told of."""
+
+
 @dataclass(frozen=True, slots=True)
-class _Run:
+class Run:
     """What belongs to one run."""
 
     construct: Construct
     components: int
+    """How many there will be: once they are there the garbage collector looks at them for the last time."""
     options: Options
     stopper: Stopper
     log: Log
-    catalogue: Catalogue | None
-    unfed_advice: str
-    streams: tuple[str, ...]
-    errors: Callable[[], Sequence[Finding]]
-    watch: Watch | None
-    refused: Callable[[BaseException], None]
+    """The run's log, which its caller has begun."""
+    catalogue: Catalogue | None = None
+    """Where the kernel has types from that are asked for by name."""
+    unfed_advice: str = ""
+    """For a component alone, what to do when it waits for data that cannot come."""
+    streams: tuple[str, ...] = ()
+    """Components that are the command's own standard streams."""
+    errors: Callable[[], Sequence[Finding]] = tuple
+    """Asked when the system cannot be made: all that is wrong with its file."""
+    watch: Watch | None = None
+    """Applies what is changed in its files while it runs."""
+    refused: Callable[[BaseException], None] = _nothing
+    """Called with the error of a system that cannot be made."""
 
     def warn(self, code: str, message: str) -> None:
         """A line of the command itself, unless only errors are asked for."""
@@ -85,44 +97,14 @@ def prepared(make: Construct, *steps: Callable[[Kernel], None]) -> Construct:
     return made
 
 
-def execute(
-    construct: Construct,
-    components: int,
-    options: Options,
-    stopper: Stopper,
-    *,
-    log: Log | None = None,
-    catalogue: Catalogue | None = None,
-    unfed_advice: str = "",
-    streams: tuple[str, ...] = (),
-    errors: Callable[[], Sequence[Finding]] = tuple,
-    watch: Watch | None = None,
-    refused: Callable[[BaseException], None] = lambda _error: None,
-) -> int:
-    """Open a kernel, have the system made in it, run it to its end; the exit status.
-
-    Args:
-        components: how many there will be: once they are there the garbage collector looks at them for the last time.
-        log: the run's log, which its caller has begun; by default it has one of its own.
-        catalogue: where the kernel has types from that are asked for by name.
-        unfed_advice: for a component alone, what to do when it waits for data that cannot come.
-        streams: components that are the command's own standard streams.
-        errors: asked when the system cannot be made: all that is wrong with its file.
-        watch: applies what is changed in its files while it runs.
-        refused: called with the error of a system that cannot be made.
-    """
-    with contextlib.ExitStack() as stack:
-        if log is None:
-            log = stack.enter_context(log_of(options, stopper))
-        try:
-            run = _Run(
-                construct, components, options, stopper, log, catalogue, unfed_advice, streams, errors, watch, refused
-            )
-            with unawaited_reported(log.tell) as unawaited:
-                status = _run(run)
-            return status or (exits.FAILED if unawaited and not options.lenient else exits.DONE)
-        finally:
-            gc.unfreeze()
+def execute(run: Run) -> int:
+    """Open a kernel, have the system made in it, run it to its end; the exit status."""
+    try:
+        with unawaited_reported(run.log.tell) as unawaited:
+            status = _run(run)
+        return status or (exits.FAILED if unawaited and not run.options.lenient else exits.DONE)
+    finally:
+        gc.unfreeze()
 
 
 def log_of(options: Options, stopper: Stopper) -> Log:
@@ -140,7 +122,7 @@ def refuse(log: Log, error: BaseException, found: Sequence[Finding], status: int
     return exits.REFUSED if any(one.code != ComponentError.code for one in found) else status
 
 
-def _run(run: _Run) -> int:
+def _run(run: Run) -> int:
     options = run.options
     if options.simulate:
         from aiorts.testing import simulate
@@ -152,7 +134,7 @@ def _run(run: _Run) -> int:
         raise click.UsageError(f"--loop {options.loop}: {error}; pip install uvloop, or take --loop auto") from None
 
 
-async def _session(run: _Run) -> int:
+async def _session(run: Run) -> int:
     options, stopper = run.options, run.stopper
     clock = None if options.speed is None else ScaledClock(options.speed)
     kernel = Kernel(
@@ -274,7 +256,7 @@ async def _unless_stopped(kernel: Kernel, work: Any, over: asyncio.Future[None])
     return done and error is None, error
 
 
-async def _until_end(kernel: Kernel, run: _Run, over: asyncio.Future[None], ending: Ending) -> int:
+async def _until_end(kernel: Kernel, run: Run, over: asyncio.Future[None], ending: Ending) -> int:
     """Wait until it ends, or is to end; it has failed when samples were lost at its end."""
     finishing = asyncio.ensure_future(ending.wait())
     waiting: set[asyncio.Future[Any]] = {finishing, asyncio.ensure_future(kernel.wait_stop_requested()), over}
@@ -289,7 +271,7 @@ async def _until_end(kernel: Kernel, run: _Run, over: asyncio.Future[None], endi
     return exits.DONE
 
 
-def _tells_slow(kernel: Kernel, run: _Run) -> Callable[[Sequence[Connector]], float | None]:
+def _tells_slow(kernel: Kernel, run: Run) -> Callable[[Sequence[Connector]], float | None]:
     """Tells for whom the run still waits after its sources have ended; returns for how many seconds at the most."""
 
     def tell(waiting: Sequence[Connector]) -> float | None:
@@ -304,7 +286,7 @@ def _tells_slow(kernel: Kernel, run: _Run) -> Callable[[Sequence[Connector]], fl
     return tell
 
 
-def _status(kernel: Kernel, status: int, error: BaseException | None, failures: Failures, run: _Run) -> int:
+def _status(kernel: Kernel, status: int, error: BaseException | None, failures: Failures, run: Run) -> int:
     """The exit status of the run, as far as it has come; a failure at the end counts as much as one before.
 
     What was refused before the start stays refused, whatever a service finds when it ends.
@@ -319,12 +301,12 @@ def _status(kernel: Kernel, status: int, error: BaseException | None, failures: 
     return status or (exits.FAILED if run.stopper.output_failed or failures.unfinished else exits.DONE)
 
 
-def _is_dead(name: str, error: BaseException | None, run: _Run) -> bool:
+def _is_dead(name: str, error: BaseException | None, run: Run) -> bool:
     """Whether a component failed, and not a stream of the command, which has none to write to or read from any more."""
     return name not in run.streams and getattr(error, "code", "") != "E-OUTPUT"
 
 
-def _report_failed(failed: Mapping[str, BaseException | None], run: _Run) -> None:
+def _report_failed(failed: Mapping[str, BaseException | None], run: Run) -> None:
     """Name each that ended in error once more, if its own line was long ago; one alone ends with its line."""
     for name, error in failed.items():
         if not run.log.has_failed(name, just_now=run.components > 1):
