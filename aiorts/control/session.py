@@ -68,7 +68,7 @@ class Session:
         """Call `end` when the session ends, or at once if it has, unless what is returned is called before."""
         if self.ended:
             end()
-            return _nothing
+            return nothing
         self._keys += 1
         key = self._keys
         self._kept[key] = end
@@ -153,7 +153,7 @@ class Session:
                 stream.close()
             self._audit(operation, arguments, "cancelled")
             kind, why = (AbsentError, "its kernel has ended") if self.kernel.closed else (ControlError, "was cancelled")
-            self._send(_error(number, kind(f"{operation.name}: {why}")), _nothing)
+            self._send(_error(number, kind(f"{operation.name}: {why}")), nothing)
         elif (error := task.exception()) is not None:
             if isinstance(error, TransitionTimeout):
                 self.operates(changing)
@@ -179,7 +179,7 @@ class Session:
         self._audit(operation, arguments, "done")
         if operation.changes is not None and not self.ended:
             self.operates(operation.changes(arguments, value))
-        self._send({"id": number, "ok": value}, _nothing)
+        self._send({"id": number, "ok": value}, nothing)
         if stream is not None:
             stream.begun()
             if self.ended:
@@ -197,7 +197,7 @@ class Session:
             LOG.error("%s: %s failed: %s", self.who, operation.name, format_error(error), exc_info=error)
             error = ControlError(f"{operation.name}: {format_error(error)}")
         self._audit(operation, arguments, f"refused {error.code}: {error}")
-        self._send(_error(number, error), _nothing)
+        self._send(_error(number, error), nothing)
 
     def _audit(self, operation: Operation, arguments: Any, outcome: str) -> None:
         """One line for each call that changes something: who, what, outcome."""
@@ -237,7 +237,7 @@ class Stream:
         self._early: list[Mapping[str, Any]] | None = []
         """Messages that came before the operation has said that it began."""
         self._closers: list[Callable[[], object]] = []
-        self._finish: Callable[[], object] = _nothing
+        self._finish: Callable[[], object] = nothing
 
     @property
     def has_room(self) -> bool:
@@ -302,7 +302,7 @@ class Stream:
         if self._early is not None:
             self._early.append(message)
         else:
-            self.session._send(message, self._count if "item" in message else _nothing)
+            self.session._send(message, self._count if "item" in message else nothing)
 
     def _count(self) -> None:
         self._gone += 1
@@ -322,5 +322,5 @@ def _error(number: int, error: AiortsError) -> dict[str, Any]:
     return {"id": number, "error": {"code": error.code, "text": str(error)}}
 
 
-def _nothing() -> None:
+def nothing() -> None:
     """Of a message that nobody counts."""

@@ -82,6 +82,10 @@ class ContextCounters:
     lateness_max_ns: int
 
 
+_COUNTS: Final = tuple(ContextCounters.__annotations__)[2:]
+"""The counters of a context that its statistics have by the same names."""
+
+
 @dataclass(frozen=True, slots=True)
 class ComponentCounters:
     """The states of a component, and the counters of its ports."""
@@ -202,17 +206,8 @@ def _timed(connector: Connector) -> dict[str, tuple[int, ...]]:
 
 
 def _context(context: Context) -> dict[str, Any]:
-    found = context.counts
-    return {
-        "rate": context.rate,
-        "running": context.running,
-        "cycles": found.cycles,
-        "skipped": found.skipped,
-        "overruns": found.overruns,
-        "lateness_p50_ns": found.lateness_p50_ns,
-        "lateness_p99_ns": found.lateness_p99_ns,
-        "lateness_max_ns": found.lateness_max_ns,
-    }
+    counts = {name: getattr(context.counts, name) for name in _COUNTS}
+    return {"rate": context.rate, "running": context.running, **counts}
 
 
 def _component(component: Component) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
+from aiorts.control.session import nothing
 from aiorts.errors import AiortsError, BusyError, ControlError, DeniedError, StaleError, WireError
 from aiorts.kernel.execution.file_access import acting
 from aiorts.model.reading import from_plain
@@ -281,7 +282,7 @@ class Connection:
             self._answer({"busy": round(seconds, 1)})
 
     def _answer(self, message: Mapping[str, Any]) -> None:
-        self._queue(message, _nothing)
+        self._queue(message, nothing)
 
     def deliver(self, message: Mapping[str, Any], sent: Callable[[], None]) -> None:
         """Send what a call of it gave."""
@@ -369,7 +370,3 @@ def peer_credentials(connected: socket.socket) -> tuple[int, int] | None:
     size = struct.calcsize("3i")
     process, user, _ = struct.unpack("3i", connected.getsockopt(socket.SOL_SOCKET, option, size))
     return process, user
-
-
-def _nothing() -> None:
-    """Of a message that nobody counts."""
