@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field
-from types import MappingProxyType
-from typing import Any, Final
 
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import OverdueHook
-
-_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+from aiorts.model.plain import empty
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,11 +17,11 @@ class Names:
     address: str
     state: str
     """"open", "closing" or "closed"."""
-    components: Mapping[str, Mapping[str, str]] = field(default_factory=lambda: _NOTHING)
+    components: Mapping[str, Mapping[str, str]] = field(default_factory=empty)
     """Lifecycle state by context, of each component."""
-    contexts: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
+    contexts: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
     """The members of each context, in order of execution."""
-    connectors: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
+    connectors: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
     """The ports of each connector, those of service ports too."""
     in_error: tuple[str, ...] = ()
     """Components that have failed, and were neither reset nor activated since."""
@@ -42,7 +39,7 @@ class Names:
     """As the profile has it."""
     pid: int = 0
     """Of its process; 0 where it is not said."""
-    overdue: Mapping[str, Mapping[str, OverdueHook]] = field(default_factory=lambda: _NOTHING)
+    overdue: Mapping[str, Mapping[str, OverdueHook]] = field(default_factory=empty)
     """The hooks that run longer than their deadlines by context, of each component that has one."""
 
 

@@ -35,6 +35,14 @@ _FIELDS: Final[WeakKeyDictionary[Any, tuple[str, ...]]] = WeakKeyDictionary()
 """Names of the fields of each dataclass met so far."""
 
 
+_EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
+
+
+def empty() -> Mapping[str, Any]:
+    """A mapping of nothing, which cannot be changed: the default of a field."""
+    return _EMPTY
+
+
 def plain(value: object) -> Any:
     """`value` as dicts, lists, text, numbers, booleans and None; what is none of these becomes its `str`."""
     kind = value.__class__

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from aiorts.kernel.service import reports
 from aiorts.late import dataclass
+from aiorts.model.plain import empty
 from aiorts.observe import profiling
 from aiorts.observe.profiles import ComponentReport, ConnectorReport, ContextReport, ServiceConnectorReport
 
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
 
 _frozen: Final = MappingProxyType
-_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +35,13 @@ class ProcessReport:
 class SystemPart:
     """The reports of a part of the system, as the whole profile has them."""
 
-    components: Mapping[str, ComponentReport] = field(default_factory=lambda: _NOTHING)
-    connectors: Mapping[str, ConnectorReport] = field(default_factory=lambda: _NOTHING)
-    service_connectors: Mapping[str, ServiceConnectorReport] = field(default_factory=lambda: _NOTHING)
-    contexts: Mapping[str, ContextReport] = field(default_factory=lambda: _NOTHING)
-    links: Mapping[str, str] = field(default_factory=lambda: _NOTHING)
+    components: Mapping[str, ComponentReport] = field(default_factory=empty)
+    connectors: Mapping[str, ConnectorReport] = field(default_factory=empty)
+    service_connectors: Mapping[str, ServiceConnectorReport] = field(default_factory=empty)
+    contexts: Mapping[str, ContextReport] = field(default_factory=empty)
+    links: Mapping[str, str] = field(default_factory=empty)
     """How far each link into another kernel is, by the name of its connector."""
-    processes: Mapping[str, ProcessReport] = field(default_factory=lambda: _NOTHING)
+    processes: Mapping[str, ProcessReport] = field(default_factory=empty)
     """Of components that run in processes of their own, what is known of these."""
 
 

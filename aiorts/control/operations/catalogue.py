@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import field, replace
-from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 from aiorts.control.operation import Operation, Right
@@ -18,10 +17,10 @@ from aiorts.kernel.extensions.arguments import WORDS, arguments_of
 from aiorts.kernel.extensions.catalogue import Extension
 from aiorts.kernel.extensions.loading import is_imported, load_object_aside
 from aiorts.late import dataclass
+from aiorts.model.plain import empty
 from aiorts.model.profile import PortProfile
 from aiorts.observe import ParameterReport, declaration_of, declared_params
 
-_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 T = TypeVar("T", "ComponentType", "ContextKind")
 B = TypeVar("B")
 _LONGEST: Final = 2_000
@@ -50,7 +49,7 @@ class ComponentType:
     """The docstring of the class, at most 2,000 characters of it."""
     ports: tuple[PortProfile, ...] = ()
     """The ports that its class declares; a component may add others when it is created."""
-    params: Mapping[str, ParameterReport] = field(default_factory=lambda: _NOTHING)
+    params: Mapping[str, ParameterReport] = field(default_factory=empty)
     """Its parameters, each with the default as the value."""
 
 
@@ -64,7 +63,7 @@ class ContextKind:
     unknown: str = ""
     """As `ComponentType.unknown`."""
     doc: str = ""
-    options: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
+    options: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
     """Its keyword arguments, by name: the kinds of value in words; none is any."""
 
 

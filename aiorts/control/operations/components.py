@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right, is_code
@@ -14,11 +13,10 @@ from aiorts.control.values import Done
 from aiorts.errors import AiortsError, ComponentError, StateError, UnknownTypeError, format_error
 from aiorts.kernel.extensions.catalogue import AbsentExtension
 from aiorts.late import dataclass
+from aiorts.model.plain import empty
 
 if TYPE_CHECKING:
     from aiorts.composites import Composite
-
-_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +27,7 @@ class Creation:
     """A name that a plugin offers; or, with the right code, "FILE.py:Class" or "package.module:Class"."""
     name: str = ""
     """Made from the type's by default."""
-    params: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    params: Mapping[str, Any] = field(default_factory=empty)
     """Values of parameters; a text is read by the parameter's type."""
     context: str | None = None
     """The context that it joins."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field
-from types import MappingProxyType
 from typing import Any, Final
 
 from aiorts.control.operation import Operation, Right
@@ -15,8 +14,7 @@ from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
 from aiorts.model.configuration.configuration_profile import ConfigurationProfile
 from aiorts.model.configuration.sets import DEFAULT
-
-_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+from aiorts.model.plain import empty
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +29,7 @@ class Configuring:
     """A change of a component's configuration, put in force in one step or not at all."""
 
     component: str
-    values: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
+    values: Mapping[str, Mapping[str, Any]] = field(default_factory=empty)
     """Values of parameters by set; those of the set "" go into the active one. A text is read by the parameter's
     type."""
     add: tuple[str, ...] = ()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field
-from types import MappingProxyType
 from typing import Any, Final
 
 from aiorts.control.operation import Nothing, Operation, Right
@@ -14,10 +13,10 @@ from aiorts.control.values import Done
 from aiorts.errors import ConfigurationError, StateError
 from aiorts.kernel.execution.context import Context
 from aiorts.late import dataclass
+from aiorts.model.plain import empty
 from aiorts.model.values import convert_value
 from aiorts.observe import ContextReport
 
-_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 _ORDER: Final = (bool, int, float, str)
 """Of the kinds that a value may be of, that which is tried first."""
 
@@ -31,7 +30,7 @@ class Start:
     kind: str = "periodic"
     members: tuple[str, ...] = ()
     """Components, in order of execution."""
-    options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    options: Mapping[str, Any] = field(default_factory=empty)
     """What the kind takes: rate, deadline, ...; a text is read by the option's type."""
     activate: bool = False
     timeout: float | None = 5.0

@@ -11,10 +11,9 @@ from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.known import absent, component_named, context_named
 from aiorts.control.session import Session
 from aiorts.late import dataclass
+from aiorts.model.plain import empty
 from aiorts.observe import SystemPart, system_part
 from aiorts.types import full_name
-
-_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +49,7 @@ class Outline:
 
     type: str
     """"module:Class"."""
-    ports: Mapping[str, PortOutline] = field(default_factory=lambda: _NOTHING)
+    ports: Mapping[str, PortOutline] = field(default_factory=empty)
     params: tuple[str, ...] = ()
 
 

@@ -6,7 +6,6 @@ import asyncio
 import json
 from collections.abc import Mapping
 from dataclasses import field
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
 from aiorts.control.operation import Operation, Right
@@ -16,13 +15,11 @@ from aiorts.control.values import Done
 from aiorts.errors import AbsentError, ControlError, GoalCancelled, GoalFailed
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.late import dataclass
-from aiorts.model.plain import Schemas, plain
+from aiorts.model.plain import Schemas, empty, plain
 
 if TYPE_CHECKING:
     from aiorts.model.interface import Method
     from aiorts.services import Goal, OutsideCaller, ServicePort
-
-_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +30,7 @@ class Calling:
     """ "component.port.method", with the interface before the method where the port has several that have it."""
     args: tuple[Any, ...] = ()
     """By position; a text is read by the type that the interface says."""
-    kwargs: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    kwargs: Mapping[str, Any] = field(default_factory=empty)
     """By name."""
     timeout: float = 5.0
     """Seconds of the kernel's clock until the call is given up."""

@@ -10,7 +10,6 @@ import asyncio
 from collections.abc import Awaitable, Generator, Iterable, Iterator, Mapping
 from dataclasses import field
 from time import perf_counter
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from aiorts.clock import SimulatedClock
@@ -31,6 +30,7 @@ from aiorts.kernel.ports.port import NOTHING
 from aiorts.late import dataclass
 from aiorts.model.buffer import MAX_LENGTH
 from aiorts.model.lifecycle import OverdueHook
+from aiorts.model.plain import empty
 from aiorts.model.profile import ThreadWriteStatistics
 from aiorts.model.rates import ConnectorCounters, Size
 from aiorts.model.service_profile import ServiceStatistics
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from aiorts.model.timing import Spans
 
 T = TypeVar("T")
-_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 _Made: TypeAlias = dict[str, Any]
 """`Counters` as dicts."""
 _One: TypeAlias = tuple[str, str, Any]
@@ -94,11 +93,11 @@ class ComponentCounters:
     """Lifecycle state by context."""
     failed: bool
     """Whether it has failed, and was neither reset nor activated since."""
-    overdue: Mapping[str, OverdueHook] = field(default_factory=lambda: _NOTHING)
+    overdue: Mapping[str, OverdueHook] = field(default_factory=empty)
     """The hook that runs longer than its deadline, by context."""
-    calls: Mapping[str, ServiceStatistics] = field(default_factory=lambda: _NOTHING)
+    calls: Mapping[str, ServiceStatistics] = field(default_factory=empty)
     """The calls through each interface, as `ComponentReport.calls` has them."""
-    thread_writes: Mapping[str, ThreadWriteStatistics] = field(default_factory=lambda: _NOTHING)
+    thread_writes: Mapping[str, ThreadWriteStatistics] = field(default_factory=empty)
     """The writes of other threads, by out-port."""
 
 
@@ -119,7 +118,7 @@ class Counters:
     another process."""
     contexts: Mapping[str, ContextCounters]
     components: Mapping[str, ComponentCounters]
-    links: Mapping[str, int] = field(default_factory=lambda: _NOTHING)
+    links: Mapping[str, int] = field(default_factory=empty)
     """Of connectors whose reader is in another kernel: samples that were sent and are not acknowledged yet. What is
     unread there is not in the counts of this kernel; `connectors` with `both_ends` asks the other one."""
 
@@ -130,7 +129,7 @@ class CounterChanges(Counters):
 
     whole: bool = False
     """Whether it has all counters, in place of those of the items before."""
-    gone: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
+    gone: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
     """The names that are not there any more, by kind: "connectors", "contexts", ..."""
 
 

@@ -7,7 +7,6 @@ from collections.abc import Awaitable, Generator, Mapping
 from dataclasses import field, replace
 from functools import partial
 from itertools import accumulate
-from types import MappingProxyType
 from typing import Any, Final
 
 from aiorts.control.operation import Operation, Right, converters_read
@@ -18,11 +17,10 @@ from aiorts.errors import AbsentError, LinkError, WiringError
 from aiorts.kernel.ports import PortDeclaration
 from aiorts.late import dataclass
 from aiorts.model.names import names_kernel
+from aiorts.model.plain import empty
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 from aiorts.model.service_profile import ServiceConnectorProfile, ServiceStatistics
 from aiorts.observe import visible
-
-_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +29,7 @@ class Wiring:
 
     ports: tuple[str, ...]
     """Paths; one that begins with the name of another kernel, as links reach it, is of a port there."""
-    options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    options: Mapping[str, Any] = field(default_factory=empty)
     """As `Kernel.connect` takes them."""
 
 
