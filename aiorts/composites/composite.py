@@ -20,8 +20,8 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.hooks import HookKind
+from aiorts.model.lifecycle import OUTSIDE, LifecycleState
 from aiorts.model.lifecycle import Event as LifeEvent
-from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.policy import ErrorPolicy
 from aiorts.model.profile import ComponentProfile
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = ("Composite", "CompositeChanged")
 
-_OWN_HOOKS = {"on_initialize", "on_finalize"}
 _REDEFINED = frozenset(
     {"add_port", "context", "contexts", "has_finished", "last_error", "profile", "remove_port", "state", "states"}
 )
@@ -85,7 +84,7 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         for hook, kind in declarations(cls).hook_kinds.items():
-            if kind != HookKind.ABSENT and hook not in _OWN_HOOKS:
+            if kind != HookKind.ABSENT and hook not in OUTSIDE:
                 raise DeclarationError(
                     f"{cls.__qualname__}.{hook}: a composite is not run itself; write a component and make it a member"
                 )

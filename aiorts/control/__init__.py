@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from aiorts.control.session import Session
     from aiorts.model.lifecycle import state_text
     from aiorts.model.plain import Schemas
-    from aiorts.model.rates import ConnectorCounters
+    from aiorts.model.counters import ConnectorCounters
 
 __all__ = (
     "OPERATIONS",

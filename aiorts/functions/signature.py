@@ -20,6 +20,7 @@ from aiorts.errors import DeclarationError
 from aiorts.kernel.parameters import Declared, Param
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.late import dataclass
+from aiorts.model.annotations import alternatives
 from aiorts.types.spelling import Array, Tag
 
 _DATA: Final = attrgetter("data")
@@ -305,11 +306,9 @@ def _bare(hint: Any) -> tuple[Any, tuple[Any, ...]]:
 
 
 def _without_none(hint: Any) -> tuple[Any, bool]:
-    if get_origin(hint) in (typing.Union, types.UnionType):
-        kinds = [kind for kind in get_args(hint) if kind is not type(None)]
-        if len(kinds) == 1 and len(kinds) < len(get_args(hint)):
-            return kinds[0], True
-    return hint, False
+    kinds = alternatives(hint)
+    others = [kind for kind in kinds if kind is not type(None)]
+    return (others[0], True) if len(others) == 1 < len(kinds) else (hint, False)
 
 
 def _given_port(where: str, given: tuple[Any, ...], kind: type[Any]) -> Any:

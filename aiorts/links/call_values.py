@@ -113,6 +113,8 @@ def restored(hint: Any, value: Any) -> Any:
     """A value of the type that the interface says. InterfaceMismatch: a record of it is none."""
     try:
         return _reader(hint)(value)
+    except InterfaceMismatch:
+        raise
     except Exception as error:  # noqa: BLE001 - the class's own check of its values may raise anything
         raise InterfaceMismatch(f"no {spelled(hint)}: {format_error(error)}") from None
 
@@ -130,11 +132,11 @@ class _Readers(Lenient):
             kind, wrong = type(value), None
             if kind in arms and kind is not bytes:
                 return value
-            for arm in arms.values():
+            for one in arms:
                 try:
-                    if (found := arm(value)) is not value:
+                    if (found := restored(one, value)) is not value:
                         return found
-                except Exception as error:  # noqa: BLE001 - as above
+                except InterfaceMismatch as error:
                     wrong = error
             if wrong is not None and bytes not in arms:
                 raise wrong

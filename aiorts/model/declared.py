@@ -11,10 +11,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import Field, field
 from enum import StrEnum
 from functools import lru_cache
-from types import MappingProxyType, NoneType, UnionType
-from typing import Any, Final, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+from types import MappingProxyType, NoneType
+from typing import Any, Final, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 from aiorts.errors import ConfigurationError
+from aiorts.model.annotations import alternatives
 from aiorts.model.values import truth_of, whole_of
 from aiorts.spelling import meant, suggestion
 
@@ -90,8 +91,7 @@ def _alternatives_of(cls: type) -> Mapping[str, tuple[Any, ...]]:
         hints = get_type_hints(cls)
     except (NameError, TypeError):
         return {}
-    is_union = {name: get_origin(hints[name]) in (Union, UnionType) for name in options_of(cls)}
-    return {name: get_args(hints[name]) if several else (hints[name],) for name, several in is_union.items()}
+    return {name: alternatives(hints[name]) for name in options_of(cls)}
 
 
 @lru_cache

@@ -85,21 +85,6 @@ class Failure(StrEnum):
     """The transition completes; the cause stays in `last_error` and is published."""
 
 
-HOOKS = (
-    "on_initialize",
-    "on_finalize",
-    "on_startup",
-    "on_shutdown",
-    "on_activated",
-    "on_deactivated",
-    "on_execute",
-    "on_state_update",
-    "on_rate_changed",
-    "on_aborting",
-    "on_error",
-    "on_reset",
-)
-
 ON_FAILURE: dict[str, Failure] = {
     "on_initialize": Failure.REFUSE,
     "on_finalize": Failure.RECORD,
@@ -114,6 +99,11 @@ ON_FAILURE: dict[str, Failure] = {
     "on_error": Failure.STAY,
     "on_reset": Failure.STAY,
 }
+HOOKS = tuple(ON_FAILURE)
+OUTSIDE = frozenset({"on_initialize", "on_finalize"})
+"""Hooks that run in no context; they have limits of their own."""
+CYCLE_HOOKS = tuple(hook for hook in HOOKS if hook not in OUTSIDE)
+"""Hooks that a context runs."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,7 +60,7 @@ _OF_THE_READER: Final[tuple[tuple[str, str], ...]] = (
     ("buffer.write.timeout", "timeout"),
     ("buffer.read.empty_policy", "empty"),
 )
-_ALIASES: Final[tuple[tuple[str, str], ...]] = (
+ALIASES: Final[tuple[tuple[str, str], ...]] = (
     *_EITHER_SIDE,
     *_OF_THE_READER,
     ("buffer.length", "length"),
@@ -362,7 +362,7 @@ def says_what_is_lost(options: Mapping[str, Any], profile: ConnectorProfile) -> 
     """Whether the user chose, in the options of this profile, how many samples may wait at a reader, and which are
     dropped beyond that."""
     given = {key.removeprefix("dataport.") for key, value in options.items() if value is not None}
-    chosen = {key for alias, key in _ALIASES if key in _ON_LOSS and not given.isdisjoint((alias, key))}
+    chosen = {key for alias, key in ALIASES if key in _ON_LOSS and not given.isdisjoint((alias, key))}
     return bool(chosen - {"push"} if _pushes_in_vain(profile) else chosen)
 
 
@@ -396,7 +396,7 @@ def _check_rendezvous(where: str, options: Mapping[str, Any], profile: Connector
 def _as_given(options: Mapping[str, Any], key: str) -> str:
     """An option as the user wrote it; of several spellings the one that is in force."""
     plain = {given.removeprefix("dataport."): given for given in options}
-    spelled = [key, *(alias for alias, known in reversed(_ALIASES) if known == key)]
+    spelled = [key, *(alias for alias, known in reversed(ALIASES) if known == key)]
     given = next((plain[alias] for alias in spelled if alias in plain), "")
     return f"{given} = {options[given]!r}" if given else ""
 
@@ -432,7 +432,7 @@ def _check_once(where: str, options: Mapping[str, Any], plain: Mapping[str, Any]
         before = given_as.setdefault(alias, (given, value))
         if folded(str(before[1])) != folded(str(value)):  # as text: NaN is not equal to itself
             raise WiringError(f"{where}: {before[0]} and {given} are one option with two values; take one of them away")
-    for alias, key in _ALIASES:
+    for alias, key in ALIASES:
         if alias != key and alias in plain and key in plain and not _same(key, plain[alias], plain[key]):
             if key == "out_length" and alias == "buffer.length":
                 continue  # of both sides, and more precisely of one
@@ -450,7 +450,7 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
     own: dict[str, Any] = {}
     used: set[str] = set()
     _check_once(where, options, plain)
-    for alias, key in _ALIASES:
+    for alias, key in ALIASES:
         if alias in plain:
             used.add(alias)
             own[key] = plain[alias]
@@ -465,16 +465,15 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
         key = given.removeprefix("dataport.")
         if key in used or key in SERVICE_KEYS:
             continue
-        if "." not in given and key not in _KNOWN_KEPT:
+        if "." not in given and key not in KEPT:
             hint = suggestion(key, (*OWN_KEYS, *SERVICE_KEYS), f"there are {', '.join(OWN_KEYS)}")
             raise WiringError(f"{where}: unknown option {given!r}; {hint}")
         extra[given] = str(value)
     return own, extra
 
 
-_KNOWN_KEPT: Final = frozenset(
-    {"data_type", "interface_type", "buffer_type", "marshaling_type", "thread_type", "fsm_event_name"}
-)
+KEPT: Final = ("data_type", "interface_type", "buffer_type", "marshaling_type", "thread_type", "fsm_event_name")
+"""OpenRTM's keys without a dot that are kept and do nothing."""
 
 
 _KEPT_BEGINNINGS: Final = (
@@ -518,11 +517,11 @@ def transport_notice(keys: Sequence[str]) -> str:
 
 def doubts(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Options that are taken and do nothing: the key as it was given, and what is to be said of it."""
-    known = {alias for alias, _ in _ALIASES} | _KNOWN_KEPT
+    known = {alias for alias, _ in ALIASES} | {*KEPT}
     for given in options:
         key = given.removeprefix("dataport.")
         bare = key.removeprefix("inport.").removeprefix("outport.")
-        kept = bare in _KNOWN_KEPT or bare.startswith(_KEPT_BEGINNINGS) or key in _OF_TRANSPORT
+        kept = bare in KEPT or bare.startswith(_KEPT_BEGINNINGS) or key in _OF_TRANSPORT
         if "." not in given or key in known or key in OWN_KEYS or kept or key.partition(".")[0] in SERVICE_KEYS:
             continue
         otherwise = "it is kept and does nothing: take it away"
@@ -590,7 +589,7 @@ _ALONE: Final[tuple[tuple[str, Callable[[ConnectorProfile], bool], str], ...]] =
 
 OpenRTM's own keys for them stand in the files of its tools, whatever the subscription: nothing is said of those.
 """
-_KEY_OF: Final = {**dict(reversed(_ALIASES)), **{key: key for key in OWN_KEYS}}
+_KEY_OF: Final = {**dict(reversed(ALIASES)), **{key: key for key in OWN_KEYS}}
 
 
 def idle(options: Mapping[str, Any], profile: ConnectorProfile) -> Iterator[tuple[str, str]]:

@@ -17,8 +17,7 @@ from aiorts.model.blame import Blame
 from aiorts.model.buffer import DEFAULT_LENGTH, MAX_LENGTH, EmptyPolicy, FullPolicy
 from aiorts.model.declared import OptionError, option
 from aiorts.model.policy import Dataflow, OnLinkLost, Push, Stamp, Subscription
-from aiorts.model.rates import Counted
-from aiorts.model.timing import Spans
+from aiorts.model.timing import Counted, Spans
 
 if TYPE_CHECKING:
     from aiorts.model.connect_options import Converter

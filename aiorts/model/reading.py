@@ -19,25 +19,13 @@ from aiorts.errors import DeclarationError, LimitError, RecordError, RecordTypeE
 from aiorts.late import dataclass
 from aiorts.model.annotations import ByAnnotation
 from aiorts.model.plain import has_default
-from aiorts.model.values import shown
+from aiorts.model.values import WORDS, shown
 
 T = TypeVar("T")
 _SHOWN: Final = 80
 _DEEPEST: Final = 100
 _NUMBERS: Final = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
-_WORDS: Final[Mapping[type, str]] = MappingProxyType(
-    {
-        dict: "an object",
-        list: "a list",
-        tuple: "a list",
-        str: "text",
-        bool: "true or false",
-        int: "a whole number",
-        float: "a number",
-        bytes: "bytes",
-        NoneType: "null",
-    }
-)
+_WORDS: Final[Mapping[type, str]] = {**WORDS, dict: "an object", tuple: "a list", bytes: "bytes", NoneType: "null"}
 """How messages call what JSON and msgpack know."""
 
 

@@ -39,6 +39,10 @@ TRUTH: Final[Mapping[str, bool]] = types.MappingProxyType(
     }
 )
 """The words of truth values; they are read in any case, with blanks round them."""
+WORDS: Final[Mapping[type, str]] = types.MappingProxyType(
+    {bool: "true or false", int: "a whole number", float: "a number", str: "text", list: "a list"}
+)
+"""How messages call the types of plain values."""
 WHOLE: Final = r"[+-]?([0-9](_?[0-9])*|0[xX](_?[0-9a-fA-F])+|0[oO](_?[0-7])+|0[bB](_?[01])+)"
 """The pattern of a whole number, which JSON Schema has, too."""
 

@@ -14,7 +14,7 @@ from dataclasses import field
 from typing import Any, ClassVar, Final
 
 from aiorts.late import dataclass
-from aiorts.model.rates import Counted
+from aiorts.model.timing import Counted
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,12 +13,13 @@ from aiorts.control.session import Session
 from aiorts.errors import AiortsError
 from aiorts.kernel.component import Component
 from aiorts.kernel.execution.context import Context
-from aiorts.kernel.extensions.arguments import WORDS, arguments_of
+from aiorts.kernel.extensions.arguments import arguments_of
 from aiorts.kernel.extensions.catalogue import Extension
 from aiorts.kernel.extensions.loading import is_imported, load_object_aside
 from aiorts.late import dataclass
 from aiorts.model.plain import empty
 from aiorts.model.profile import PortProfile
+from aiorts.model.values import WORDS
 from aiorts.observe import ParameterReport, declaration_of, declared_params
 
 T = TypeVar("T", "ComponentType", "ContextKind")

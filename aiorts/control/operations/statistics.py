@@ -32,7 +32,7 @@ from aiorts.model.buffer import MAX_LENGTH
 from aiorts.model.lifecycle import OverdueHook
 from aiorts.model.plain import empty
 from aiorts.model.profile import ThreadWriteStatistics
-from aiorts.model.rates import ConnectorCounters, Size
+from aiorts.model.counters import ConnectorCounters, Size
 from aiorts.model.service_profile import ServiceStatistics
 from aiorts.observe import calls, thread_writes
 from aiorts.wire import MsgpackCodec

@@ -14,14 +14,15 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from aiorts.errors import AiortsError
+from aiorts.model.annotations import alternatives
 from aiorts.model.declared import Option, fault_of, options_of, words_of
+from aiorts.model.values import WORDS
 from aiorts.spelling import suggestion
 
 T = TypeVar("T")
 OPTION_TYPES: Final = "bool, int, float, str, Path or a Literal of texts, each also with None, or tuple[str, ...]"
 """What a field of settings that is an option may be."""
 _PLAIN: Final = (bool, int, float, str, Path)
-WORDS: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "text", list: "a list"}
 
 
 def arguments_of(cls: type) -> dict[str, tuple[type, ...]]:
@@ -160,8 +161,7 @@ def _kinds(hint: Any) -> tuple[type, ...]:
 
 def _parts(hint: Any) -> list[Any]:
     """What a value may be but None."""
-    union = typing.get_origin(hint) in (typing.Union, types.UnionType)
-    return [part for part in (typing.get_args(hint) if union else (hint,)) if part is not types.NoneType]
+    return [part for part in alternatives(hint) if part is not types.NoneType]
 
 
 def _types(part: Any) -> Iterable[Any]:

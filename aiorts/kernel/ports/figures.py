@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from aiorts.kernel.ports.port_types import port_type
 from aiorts.model.profile import ConnectorStatistics
-from aiorts.model.rates import mean_rate
-from aiorts.model.timing import Spans
+from aiorts.model.timing import Spans, mean_rate
 
 if TYPE_CHECKING:
     from aiorts.clock import Clock

@@ -17,7 +17,7 @@ from typing import Any, Final
 from aiorts.errors import ClosedError, ConfigurationError, StateError, ThreadError, WriteTimeout
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.model.profile import ThreadWriteStatistics
-from aiorts.model.rates import mean_rate
+from aiorts.model.timing import mean_rate
 
 LIMIT: Final = 1024
 """Samples that wait at one out-port at the most."""

@@ -159,7 +159,11 @@ class ContextEntry:
     name: str
     kind: str
     members: tuple[str, ...]
-    activate: bool = True
+    activate: bool = option(
+        True,
+        "Whether its members are activated once all contexts of the file run, each after those it sends to. A context "
+        "with a rate has had its first cycle by then, at t0: a member's first on_execute is at t0 + 1/rate.",
+    )
     options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     """What the context's class takes: rate, overrun, deadline, ..."""
 
@@ -168,10 +172,8 @@ class ContextEntry:
 class ClockEntry:
     """`[clock]`: how time passes, unless the command line says otherwise."""
 
-    kind: str = "system"
-    """"system", "scaled" (`speed` times as fast) or "simulated"."""
-    speed: float | None = None
-    """Seconds of the system in one real second; None unless scaled."""
+    kind: Literal["system", "scaled", "simulated"] = option("system", "scaled: `speed` times as fast.")
+    speed: float | None = option(None, "Seconds of the system in one real second.", above=0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ error.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -15,15 +14,15 @@ from typing import Final, Literal
 
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
-from aiorts.model.declared import check_declared, option
-from aiorts.model.lifecycle import HOOKS
+from aiorts.model.declared import check_declared, expected_of, option
+from aiorts.model.lifecycle import CYCLE_HOOKS
 
 _MOST: Final = 1_000_000
 _FACTOR: Final = 2.0
 _AGES: Final = 1e9
 """Seconds; what is longer never comes, and more than that is no whole number of nanoseconds."""
-_OUTSIDE: Final = frozenset({"on_initialize", "on_finalize"})
-"""Hooks that run in no context; they have limits of their own."""
+ACTING: Final = ("restart", "deadline", "deadlines")
+"""The options of which one is given at least: without them nothing is done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,23 +53,19 @@ class Supervision:
         if self.backoff_max < self.backoff:
             raise ConfigurationError(f"backoff_max = {self.backoff_max!r}: is less than backoff = {self.backoff!r}")
         for hook, seconds in self.deadlines.items():
-            if hook not in HOOKS or hook in _OUTSIDE:
-                known = ", ".join(one for one in HOOKS if one not in _OUTSIDE)
+            if hook not in CYCLE_HOOKS:
+                known = ", ".join(CYCLE_HOOKS)
                 raise ConfigurationError(f"deadlines: no hook {hook!r} that a context runs; there are {known}")
-            _check_seconds(f"deadlines.{hook}", seconds)
+            if what := expected_of(Supervision, "deadline", seconds):
+                raise ConfigurationError(f"deadlines.{hook} = {seconds!r}: {what}")
         object.__setattr__(self, "deadlines", MappingProxyType(dict(self.deadlines)))
 
     @property
     def limits(self) -> Mapping[str, float] | None:
         """Seconds for every hook that has a limit; None when there is no limit at all."""
-        limits = {} if self.deadline is None else {hook: self.deadline for hook in HOOKS if hook not in _OUTSIDE}
+        limits = {} if self.deadline is None else dict.fromkeys(CYCLE_HOOKS, self.deadline)
         limits.update(self.deadlines)
         return MappingProxyType(limits) if limits else None
-
-
-def _check_seconds(name: str, value: object) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-        raise ConfigurationError(f"{name} = {value!r}: expected seconds above 0")
 
 
 class Attempts:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import fields, replace
 from fnmatch import fnmatchcase
 from functools import partial
@@ -20,12 +20,13 @@ from typing import Any, Final
 from aiorts.composites import exports, groups_of
 from aiorts.errors import AiortsError, ConfigurationError, InvalidNameError, SystemFileError, WiringError
 from aiorts.model.configuration.sets import DEFAULT
-from aiorts.model.declared import OptionError, kinds_of, options_of, read_option, words_of
+from aiorts.model.declared import OptionError, fault_of, kinds_of, options_of, read_option, words_of
 from aiorts.model.names import Path as PortPath
 from aiorts.model.names import check_name, names_kernel
 from aiorts.model.options import OWN_KEYS, SERVICE_KEYS, connector_profile
 from aiorts.model.pairs import ConnectedPairs
 from aiorts.model.wanted.entries import ClockEntry, ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry
+from aiorts.model.wanted.restart_policy import ACTING
 from aiorts.processes import Limits
 from aiorts.spelling import meant, nearest, suggestion
 from aiorts.supervision import StartRule, Supervision, in_order
@@ -41,7 +42,6 @@ from aiorts.system.text.toml import LARGEST, read_text
 from aiorts.system.text.version import SCHEMA, version_fault
 
 __all__ = (
-    "CLOCKS",
     "LARGEST",
     "SCHEMA",
     "TOP",
@@ -53,14 +53,11 @@ __all__ = (
     "spelled",
 )
 
-CLOCKS: Final = ("system", "scaled", "simulated")
 _PLUGINS: Final = 'write plugins.path = ["."], the folders with plugins, counted from this file; [] is none'
 TOP: Final = ("schema", *TOP_KEYS, "plugins", "clock", "components", "composites", "connections", "contexts")
 _LIMITS: Final = tuple(field.name for field in fields(Limits))
 _COMPONENT: Final = ("type", "options", "params", "sets", "active", *options_of(ComponentEntry), IF, REPEAT)
 _COMPOSITE: Final = ("members", *options_of(CompositeEntry), IF, REPEAT)
-_SUPERVISION: Final = tuple(field.name for field in fields(Supervision))
-_START: Final = tuple(field.name for field in fields(StartRule) if field.name != "component")
 _LOOSE: Final[Mapping[str, Mapping[str, Any]]] = {"backoff": {"backoff_max": 1e300}, "backoff_max": {"backoff": 1e-300}}
 """What a value is tried with: the two limits of a delay are compared with each other where both are known."""
 
@@ -393,22 +390,18 @@ class _Reader(Reading):
     def _clock(self, top: dict[str, Any]) -> ClockEntry:
         key: Key = ("clock",)
         table = self._get((), top, "clock", dict, {})
-        self._only(key, table, ("kind", "speed"))
-        kind = self._get(key, table, "kind", str, "scaled" if "speed" in table else "system")
-        if kind not in CLOCKS:
-            self._unknown((*key, "kind"), "kind", kind, CLOCKS)
-            return ClockEntry()
-        if kind != "scaled":
-            if "speed" in table:
-                self._say((*key, "speed"), f'only a clock of kind = "scaled" has a speed, this is {kind}')
-            return ClockEntry(kind)
-        speed = self._get(key, table, "speed", object)
-        if speed is NOTHING:
-            return ClockEntry()
-        if isinstance(speed, bool) or not isinstance(speed, int | float) or not 0 < speed < float("inf"):
-            self._say((*key, "speed"), f"expected a number above 0, such as 10.0, got {speed!r:.80}")
-            return ClockEntry()
-        return ClockEntry(kind, float(speed))
+        self._only(key, table, options_of(ClockEntry))
+        usual = {"kind": "scaled"} if "speed" in table else {}
+        kind = self._value(ClockEntry, key, {**usual, **table}, "kind")
+        if kind == "scaled":
+            speed = self._get(key, table, "speed", object, missing=None)
+            if not (what := fault_of(ClockEntry, "speed", speed)):
+                return ClockEntry() if speed is None else ClockEntry(kind, float(speed))
+        else:
+            what = f'only a clock of kind = "scaled" has a speed, this is {kind}' if "speed" in table else ""
+        if what:
+            self._say((*key, "speed"), what)
+        return ClockEntry() if kind == "scaled" else ClockEntry(kind)
 
     # -- of a component ----------------------------------------------------------------------------------------------
 
@@ -436,22 +429,24 @@ class _Reader(Reading):
             return None
         key = (*key, "supervision")
         given = self._get(key[:-1], table, "supervision", dict, {})
-        if "restart" not in given and "deadline" not in given and "deadlines" not in given:
-            if not self._only(key, given, _SUPERVISION):
+        if given.keys().isdisjoint(ACTING):
+            if not self._only(key, given, options_of(Supervision)):
                 what = 'says nothing that is done; write restart = "reset" or "restart", or a deadline'
                 self._say(key, what, of_key=True)
             return None
-        made: Supervision | None = self._made(key, given, _SUPERVISION, Supervision)
+        made: Supervision | None = self._made(key, given, options_of(Supervision), Supervision)
         return made
 
     def _start(self, key: Key, table: dict[str, Any]) -> StartRule | None:
         if "start" not in table:
             return None
         given = self._get(key, table, "start", dict, {})
-        made: StartRule | None = self._made((*key, "start"), given, _START, partial(StartRule, str(key[-1])))
+        made: StartRule | None = self._made(
+            (*key, "start"), given, options_of(StartRule), partial(StartRule, str(key[-1]))
+        )
         return made
 
-    def _made(self, key: Key, given: dict[str, Any], known: tuple[str, ...], make: Any) -> Any:
+    def _made(self, key: Key, given: dict[str, Any], known: Collection[str], make: Any) -> Any:
         """What `make` makes of the values; each is tried alone first, so that each that is wrong is marked."""
         before = len(self.mistakes)
         self._only(key, given, known)

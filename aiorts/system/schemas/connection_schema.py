@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from aiorts.model.declared import kinds_of, options_of
-from aiorts.model.options import PortLimits
+from aiorts.model.options import ALIASES, KEPT, PortLimits
 from aiorts.model.profile import ConnectorProfile
 from aiorts.system.schemas.option_schema import option_schema
 from aiorts.system.schemas.template_schema import PART
@@ -16,11 +16,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     for key, one in options_of(cls).items()
 }
 """By key. What `Kernel.connect` takes, and OpenRTM's words for the same values."""
-_KEPT: Final = ("data_type", "interface_type", "buffer_type", "marshaling_type", "thread_type")
-_ALIASES: Final = (
-    *("dataflow_type", "subscription_type", "io_mode", "timestamp_policy", "allow_dup_connection"),
-    "sync_readwrite",
-)
+_ALIASES: Final = [alias for alias, _ in ALIASES if "." not in alias and alias not in OPTIONS]
 
 
 def connection_schema(name: str) -> dict[str, Any]:
@@ -40,7 +36,7 @@ def connection_schema(name: str) -> dict[str, Any]:
             },
             **PART,
             **OPTIONS,
-            **{key: {"description": "Of OpenRTM's files: kept and reported, without effect."} for key in _KEPT},
+            **{key: {"description": "Of OpenRTM's files: kept and reported, without effect."} for key in KEPT},
             **{key: {"description": "OpenRTM's name of an option above."} for key in _ALIASES},
         },
         # OpenRTM's keys have dots, which are tables in TOML: `buffer.length = 4`.

@@ -16,28 +16,23 @@ def _spelled(word: str) -> str:
     return "".join(f"[{c}{c.upper()}]" if c.isalpha() else c for c in word)
 
 
-_YES: Final = {
-    "anyOf": [
-        {"type": "boolean"},
-        {"enum": [0, 1]},
-        {
-            "type": "string",
-            "pattern": rf"^\s*({'|'.join(map(_spelled, TRUTH))})\s*$",
-        },
-    ]
-}
+def _text(*patterns: str) -> dict[str, Any]:
+    """The schema of a text that has one of these patterns, with blanks round it."""
+    return {"type": "string", "pattern": rf"^\s*({'|'.join(patterns)})\s*$"}
+
+
+YES_TEXT: Final = _text(*map(_spelled, TRUTH))
+WHOLE_TEXT: Final = _text(WHOLE)
 
 
 def _choice(kind: type[StrEnum], one: Option) -> dict[str, Any]:
     """The words of an option for an editor to offer, and the same in any case, with blanks round them."""
     words = [*(member.value for member in kind), *one.words, *([""] if one.default is None else [])]
-    return {"anyOf": [{"enum": words}, {"type": "string", "pattern": rf"^\s*({'|'.join(map(_spelled, words))})\s*$"}]}
+    return {"anyOf": [{"enum": words}, _text(*map(_spelled, words))]}
 
 
 def _number(kind: type, one: Option) -> dict[str, Any]:
-    return {
-        "anyOf": [_range(kind, one), {"type": "string", "pattern": rf"^\s*({WHOLE if kind is int else _FLOAT})\s*$"}]
-    }
+    return {"anyOf": [_range(kind, one), WHOLE_TEXT if kind is int else _text(_FLOAT)]}
 
 
 def _range(kind: type, one: Option) -> dict[str, Any]:
@@ -52,8 +47,7 @@ def limits_schema(one: Option) -> dict[str, Any]:
 
 def _yes(others: tuple[Any, ...]) -> dict[str, Any]:
     words = [word for other in others for word in words_of(other)]
-    texts = ({"type": "string", "pattern": rf"^\s*{_spelled(word)}\s*$"} for word in words)
-    return {"anyOf": [*_YES["anyOf"], *texts]}
+    return {"anyOf": [{"type": "boolean"}, {"enum": [0, 1]}, YES_TEXT, *(_text(_spelled(word)) for word in words)]}
 
 
 def option_schema(kinds: tuple[Any, ...], one: Option) -> dict[str, Any]:

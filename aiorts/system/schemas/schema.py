@@ -27,11 +27,13 @@ from aiorts.kernel.service import load_service
 from aiorts.model.configuration.parameters import Constraint, ParameterSpec
 from aiorts.model.declared import options_of, words_among
 from aiorts.model.plain import Schema, Schemas
+from aiorts.model.wanted.entries import ClockEntry, ContextEntry
 from aiorts.system.file.parse import SCHEMA
 from aiorts.system.schemas.connection_schema import connection_schema
-from aiorts.system.schemas.option_schema import limits_schema
+from aiorts.system.schemas.option_schema import WHOLE_TEXT, YES_TEXT, limits_schema
 from aiorts.system.schemas.table_schemas import (
     active_schema,
+    component_schema,
     composite_schema,
     keys_schema,
     sets_schema,
@@ -43,9 +45,7 @@ from aiorts.system.schemas.template_schema import PART, include_schema, template
 T = typing.TypeVar("T")
 
 _NAME: Final = "[A-Za-z0-9_][A-Za-z0-9_-]{0,99}"
-_INTEGER: Final = r"^\s*[+-]?(0[xX][0-9a-fA-F_]+|0[oO][0-7_]+|0[bB][01_]+|[0-9][0-9_]*)\s*$"
 _NUMBER: Final = r"^\s*[+-]?([0-9][0-9_]*\.?[0-9_]*([eE][+-]?[0-9_]+)?|\.[0-9_]+([eE][+-]?[0-9_]+)?|[iI][nN][fF]([iI][nN][iI][tT][yY])?|[nN][aA][nN])\s*$"  # noqa: E501
-_TRUTH: Final = r"^\s*([tT][rR][uU][eE]|[fF][aA][lL][sS][eE]|[yY][eE][sS]|[nN][oO]|[oO][nN]|[oO][fF][fF]|1|0)\s*$"
 _BOUNDS: Final = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
 _WORDS: Final = {"overrun": ["skip", "catch_up"]}
 """Arguments of contexts that take one of some words."""
@@ -131,7 +131,7 @@ def _plugins() -> dict[str, Any]:
 
 
 def _clock() -> dict[str, Any]:
-    speed = {"type": "number", "exclusiveMinimum": 0, "description": "Seconds of the system in one real second."}
+    speed = keys_schema(ClockEntry)["speed"]
     return {
         "description": "How time passes, unless the command line says otherwise (--speed, --simulate).",
         "oneOf": [
@@ -186,7 +186,7 @@ def _entry(kind: dict[str, Any], params: dict[str, Any], cls: type[Component] | 
             "params": params,
             "sets": sets_schema(params, _NAME),
             "active": active_schema(),
-            **keys_schema(),
+            **component_schema(),
             **PART,
         },
     }
@@ -209,8 +209,8 @@ class _Values(Schemas):
         self._limits = limits
         super().__init__(
             simple={
-                bool: {"anyOf": [{"type": "boolean"}, {"type": "string", "pattern": _TRUTH}]},
-                int: self._number("integer", _INTEGER),
+                bool: {"anyOf": [{"type": "boolean"}, YES_TEXT]},
+                int: self._number("integer", WHOLE_TEXT["pattern"]),
                 float: self._number("number", _NUMBER),
                 str: self._text(),
                 Path: self._text(minLength=1),
@@ -309,13 +309,7 @@ def _context(kind: str, cls: type[Context] | None) -> dict[str, Any]:
                 "uniqueItems": True,
                 "description": "Components, in the order in which they run.",
             },
-            "activate": {
-                "type": "boolean",
-                "default": True,
-                "description": "Whether its members are activated once all contexts of the file run, each after those "
-                "it sends to. A context with a rate has had its first cycle by then, at t0: a member's first "
-                "on_execute is at t0 + 1/rate.",
-            },
+            **keys_schema(ContextEntry),
             **PART,
         },
     }

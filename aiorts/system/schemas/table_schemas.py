@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Final
 
 from aiorts.model.declared import kinds_of, options_of
-from aiorts.model.lifecycle import HOOKS
+from aiorts.model.lifecycle import CYCLE_HOOKS
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry
+from aiorts.model.wanted.restart_policy import ACTING
 from aiorts.supervision import StartRule, Supervision
 from aiorts.system.schemas.option_schema import plain_schema
 from aiorts.system.schemas.template_schema import PART
@@ -45,17 +47,17 @@ def active_schema() -> dict[str, Any]:
     return {"type": "string", "description": "The configuration set in force: one of sets, of its class, or default."}
 
 
-def keys_schema() -> dict[str, Any]:
+def component_schema() -> dict[str, Any]:
     """The declared keys of a component."""
     tables = {
         "supervision": {"$ref": "#/$defs/supervision"},
         "start": {"$ref": "#/$defs/start"},
         "limits": _table(_KEYS["limits"].doc, _LIMITS),
     }
-    return _keys(ComponentEntry, tables)
+    return keys_schema(ComponentEntry, tables)
 
 
-def _keys(cls: type, tables: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+def keys_schema(cls: type, tables: Mapping[str, dict[str, Any]] = MappingProxyType({})) -> dict[str, Any]:
     """The declared keys of a class: those that are tables as given, the others by their types."""
     kinds, keys = kinds_of(cls), options_of(cls).items()
     return {key: tables.get(key) or plain_schema(kinds[key][0], one) for key, one in keys}
@@ -63,17 +65,16 @@ def _keys(cls: type, tables: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
 
 def supervision_schema() -> dict[str, Any]:
     """`[components.X.supervision]`."""
-    hooks = {hook: _SECONDS for hook in HOOKS if hook not in ("on_initialize", "on_finalize")}
-    deadlines = _table(options_of(Supervision)["deadlines"].described, hooks)
-    keys = _table(_KEYS["supervision"].doc, _keys(Supervision, {"deadlines": deadlines}))
-    return keys | {"anyOf": [{"required": [word]} for word in ("restart", "deadline", "deadlines")]}
+    deadlines = _table(options_of(Supervision)["deadlines"].described, dict.fromkeys(CYCLE_HOOKS, _SECONDS))
+    keys = _table(_KEYS["supervision"].doc, keys_schema(Supervision, {"deadlines": deadlines}))
+    return keys | {"anyOf": [{"required": [word]} for word in ACTING]}
 
 
 def start_schema() -> dict[str, Any]:
     """`[components.X.start]`."""
     after = {"anyOf": [_CONDITION, {"type": "array", "items": _CONDITION}]}
     described = {**after, "description": options_of(StartRule)["after"].described}
-    return _table(_KEYS["start"].doc, _keys(StartRule, {"after": described}))
+    return _table(_KEYS["start"].doc, keys_schema(StartRule, {"after": described}))
 
 
 def composite_schema() -> dict[str, Any]:
@@ -86,7 +87,7 @@ def composite_schema() -> dict[str, Any]:
                 "uniqueItems": True,
                 "description": "Components, composites, KERNEL/COMPONENT elsewhere, in the order in which they run.",
             },
-            **_keys(CompositeEntry, _OF_COMPOSITE),
+            **keys_schema(CompositeEntry, _OF_COMPOSITE),
             **PART,
         },
     )

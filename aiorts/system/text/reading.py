@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, Final
 
 from aiorts.errors import InvalidNameError
 from aiorts.late import dataclass
 from aiorts.model.names import check_name
+from aiorts.model.values import WORDS
 from aiorts.spelling import nearest, suggestion
 from aiorts.system.text.origins import Origin, Origins, Spot
 from aiorts.system.text.places import Key
 
-_WORDS: Final[dict[type, str]] = {
-    str: "text",
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    list: "a list",
-    dict: "a table",
-}
+_WORDS: Final = {**WORDS, dict: "a table"}
 NOTHING: Final[Any] = object()
 _MOST_MISTAKES: Final = 200
 """Mistakes that are named: who has more mends these first."""
@@ -103,7 +97,7 @@ class Reading:
                 self._say((*key, number), f"expected a list of texts, got {item!r:.80}")
         return tuple(item for item in value if isinstance(item, str))
 
-    def _only(self, key: Key, table: Mapping[str, Any], known: tuple[str, ...]) -> list[str]:
+    def _only(self, key: Key, table: Mapping[str, Any], known: Collection[str]) -> list[str]:
         unknown = [word for word in table if word not in known]
         for word in unknown:
             self._unknown((*key, word), "key", word, known, of_key=True)

@@ -16,7 +16,7 @@ from aiorts.cli.console.quote import cells_of
 from aiorts.cli.console.report import printed
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import state_text
-from aiorts.model.rates import ConnectorCounters
+from aiorts.model.counters import ConnectorCounters
 
 KINDS: Final = ("connectors", "contexts", "components")
 SORTS: Final = ("name", "rate", "dropped", "buffered", "late")
