@@ -68,7 +68,7 @@ def plain(value: object) -> Any:
     return str(value)
 
 
-class Schemas(ByAnnotation[Schema]):
+class Schemas:
     """The schemas of annotations; those of the dataclasses that they mention are gathered.
 
     Args:
@@ -79,6 +79,24 @@ class Schemas(ByAnnotation[Schema]):
     Attributes:
         definitions: the schemas of dataclasses by name; of two with the same name the second has its module's before.
     """
+
+    def __init__(
+        self, place: str = "#/$defs/", *, defaults: bool = False, simple: Mapping[Any, Schema] = MappingProxyType({})
+    ) -> None:
+        self._forms = SchemaForms(place, defaults=defaults, simple=simple)
+        self.definitions = self._forms.definitions
+
+    def of(self, hint: Any) -> Schema:
+        """The schema of an annotation.
+
+        Raises:
+            TypeError: values of it have no form in JSON that is known.
+        """
+        return self._forms.of(hint)
+
+
+class SchemaForms(ByAnnotation[Schema]):
+    """The schema of each form of an annotation; the arguments are those of `Schemas`."""
 
     def __init__(
         self, place: str = "#/$defs/", *, defaults: bool = False, simple: Mapping[Any, Schema] = MappingProxyType({})
@@ -113,7 +131,6 @@ class Schemas(ByAnnotation[Schema]):
         return {"$ref": f"{self._place}{self._named(kind)}"}
 
     def other(self, hint: Any) -> Schema:
-        """TypeError: values of it have no form in JSON that is known."""
         raise TypeError(f"{hint!r}: has no JSON Schema")
 
     def _named(self, kind: type[Any]) -> str:

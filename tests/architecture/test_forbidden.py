@@ -216,6 +216,10 @@ def test_no_file_changes_the_class_of_a_live_object(trees: Trees) -> None:
     assert changed == []
 
 
+def test_near_words_are_looked_for_in_one_place(trees: Trees) -> None:
+    assert list(trees(r"get_close_matches|import difflib")) == ["aiorts/spelling.py"]
+
+
 def test_everything_is_caught_at_the_borders_in_the_list_and_nowhere_else(trees: Trees) -> None:
     broad = trees(r"except\s*\*?\s*:|Exception\b")
     found = {f"{name}:{function}": line for name, tree in broad.items() for function, line in broad_handlers(tree)}

@@ -459,6 +459,17 @@ def test_a_record_that_its_class_refuses_is_a_mismatch() -> None:
     assert restored(bytes, b"x") == b"x"
 
 
+def test_a_value_comes_as_the_alternative_that_it_is_of() -> None:
+    hint = Colour | Limit | None
+    assert [restored(hint, plain(hint, one)) for one in (Colour.RED, Limit(1.0), None)] == [
+        Colour.RED,
+        Limit(1.0),
+        None,
+    ]
+    with pytest.raises(InterfaceMismatch, match="no Colour"):
+        restored(Colour | None, 3)
+
+
 def test_an_interface_fits_itself() -> None:
     spec = read_interface(Arm)
     (found,) = values_of(frame_of([interface_text(spec)]), (list,))

@@ -71,6 +71,19 @@ def test_the_good_one_of_which_the_broken_ones_are_made_validates() -> None:
     assert faults(GOOD) == []
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("params.rate = 50.0", 'params.continuous = "enable"'),
+        ("params.verbosity = 1", 'params.verbosity = "0x1"'),
+        ("length = 4", 'length = 4\nfsm_event_name = "x"'),
+    ],
+)
+def test_what_the_reader_takes_validates(old: str, new: str) -> None:
+    assert old in GOOD
+    assert faults(GOOD.replace(old, new, 1)) == []
+
+
 @pytest.mark.row(78)
 @pytest.mark.parametrize(
     ("old", "new"),

@@ -17,7 +17,7 @@ from aiorts.errors import AiortsError, InterfaceMismatch
 from aiorts.kernel.execution.file_access import check_file
 from aiorts.model.annotations import Lenient, Read
 from aiorts.model.interface import spelled
-from aiorts.model.plain import Schema, Schemas
+from aiorts.model.plain import Schema, SchemaForms
 from aiorts.model.values import convert_value, is_path, items_of, pairs_of, shown
 from aiorts.types import describe, from_plain
 
@@ -138,7 +138,7 @@ def value_schema(hint: Any) -> dict[str, Any]:
     return _Schemas(simple={float: {"type": "number"}, bytes: {}, None: {"type": "null"}}).of(hint)
 
 
-class _Schemas(Schemas):
+class _Schemas(SchemaForms):
     """Schemas for a form to be filled in."""
 
     def members(self, kind: type[Enum]) -> Schema:

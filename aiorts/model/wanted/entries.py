@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import field, fields, replace
+from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Literal
@@ -63,18 +63,11 @@ CHANGED_BY_RULE: Final = tuple(key for key, one in options_of(ComponentEntry).it
 """The keys of a component that are changed while its instance stays."""
 
 
-def said_keys(entry: ComponentEntry | CompositeEntry) -> dict[str, Any]:
-    """The declared keys of an entry that are not as by default."""
+def said_keys(entry: ComponentEntry | CompositeEntry | Supervision | StartRule) -> dict[str, Any]:
+    """The declared keys of an entry, or of a table in one, that are not as by default."""
     cls: type = type(entry)
     keys = options_of(cls).items()
     return {key: value for key, one in keys if (value := getattr(entry, key)) != one.default}
-
-
-def chosen(rule: Supervision | StartRule) -> dict[str, Any]:
-    """What a rule says that is not so by default."""
-    usual = Supervision() if isinstance(rule, Supervision) else StartRule(rule.component)
-    names = (one.name for one in fields(rule))
-    return {name: getattr(rule, name) for name in names if getattr(rule, name) != getattr(usual, name)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +165,9 @@ class ContextEntry:
 class ClockEntry:
     """`[clock]`: how time passes, unless the command line says otherwise."""
 
-    kind: Literal["system", "scaled", "simulated"] = option("system", "scaled: `speed` times as fast.")
+    kind: Literal["system", "scaled", "simulated"] = option(
+        "system", "system, scaled (`speed` times as fast) or simulated."
+    )
     speed: float | None = option(None, "Seconds of the system in one real second.", above=0)
 
 

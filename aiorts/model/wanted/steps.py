@@ -18,7 +18,6 @@ from aiorts.model.wanted.entries import (
     CompositeEntry,
     ConnectionEntry,
     ContextEntry,
-    chosen,
     said_keys,
 )
 from aiorts.model.wanted.restart_policy import Supervision
@@ -353,7 +352,7 @@ def _rules(one: ComponentEntry) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for word, value in said_keys(one).items():
         if isinstance(value, Supervision | StartRule):
-            found |= {f"{word}.{key}": said for key, said in chosen(value).items()}
+            found |= {f"{word}.{key}": said for key, said in said_keys(value).items()}
         elif word in CHANGED_BY_RULE:
             found[word] = value
     return found

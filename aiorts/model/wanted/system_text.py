@@ -16,7 +16,6 @@ from aiorts.model.wanted.entries import (
     ConnectionEntry,
     ContextEntry,
     Wanted,
-    chosen,
     said_keys,
 )
 from aiorts.model.wanted.restart_policy import Supervision
@@ -100,7 +99,7 @@ class _Writer:
         for name, values in one.sets.items():
             yield f"sets.{_key(name)} = {self._inline(f'{one.name}.{name}', values)}"
         for word, value in said_keys(one).items():
-            said = chosen(value) if isinstance(value, Supervision | StartRule) else value
+            said = said_keys(value) if isinstance(value, Supervision | StartRule) else value
             yield f"{word} = {self._value(one.name, said)}"
 
     def _composite(self, one: CompositeEntry) -> Iterator[str]:

@@ -26,7 +26,7 @@ from aiorts.kernel.extensions.catalogue import Catalogue, Extension
 from aiorts.kernel.service import load_service
 from aiorts.model.configuration.parameters import Constraint, ParameterSpec
 from aiorts.model.declared import options_of, words_among
-from aiorts.model.plain import Schema, Schemas
+from aiorts.model.plain import Schema, SchemaForms
 from aiorts.model.wanted.entries import ClockEntry, ContextEntry
 from aiorts.system.file.parse import SCHEMA
 from aiorts.system.schemas.connection_schema import connection_schema
@@ -202,7 +202,7 @@ def _parameter(spec: ParameterSpec) -> dict[str, Any]:
     return made
 
 
-class _Values(Schemas):
+class _Values(SchemaForms):
     """The schemas of a parameter's values, as TOML or as the text that means them."""
 
     def __init__(self, limits: Constraint) -> None:
