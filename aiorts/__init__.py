@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.extensions.type_modules import import_types
     from aiorts.model.blame import Blame
     from aiorts.model.connect_options import ConnectOptions
+    from aiorts.model.declared import Option
     from aiorts.model.lifecycle import LifecycleState
     from aiorts.model.naming import NamePolicy
     from aiorts.model.reading import PlainLimits
@@ -91,6 +92,7 @@ __all__ = (
     "Microkernel",
     "MultiModeComponent",
     "NamePolicy",
+    "Option",
     "OutPort",
     "Param",
     "Participant",

@@ -107,7 +107,7 @@ MUTATIONS = [
         "kernel/test_ending.py",
     ),
     # contexts
-    Mutation("if not MIN_RATE <= rate <= highest:", "if not MIN_RATE <= rate:", "contexts"),
+    Mutation("_RATE._replace(high=highest)", "_RATE", "contexts"),
     Mutation('if self.overrun == "catch_up":', 'if self.overrun != "catch_up":', "contexts"),
     Mutation("return member.state is not _INACTIVE and not member.left", "return not member.left", "contexts"),
     Mutation("while self._requested and self._requested[0].done():", "while False:", "contexts"),

@@ -150,11 +150,13 @@ def system_file() -> str:
                 "params": {"type": "object", "description": "[components.NAME.params]: parameters by name."},
                 "supervision": {"type": "object", "description": "See [components.NAME.supervision]."},
                 "start": {"type": "object", "description": "See [components.NAME.start]."},
+                "limits": {"type": "object", "description": "See [components.NAME.limits]."},
             },
             ["type"],
         )
     )
-    parts += [_table(f"[components.NAME.{name}]", made["$defs"][name]) for name in ("supervision", "start")]
+    tables = {**made["$defs"], "limits": component["properties"]["limits"]}
+    parts += [_table(f"[components.NAME.{name}]", tables[name]) for name in ("supervision", "start", "limits")]
     parts.append(_table("[composites.NAME]", made["$defs"]["composite"]))
     top.pop("composites")
     parts.append(_table("[[connections]]", made["$defs"]["connection"], top.pop("connections")["description"]))

@@ -7,10 +7,12 @@ import importlib
 import inspect
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import is_dataclass
 from enum import Enum
 from functools import cache
 from typing import Any, Final
 
+from aiorts.model.declared import options_of
 from reference_source import (
     WIDTH,
     Definition,
@@ -153,6 +155,10 @@ def _class(path: str, cls: type, of: Source, node: ast.ClassDef) -> str:
         out += f"\nIts code is `{code}`.\n"
     if bases:
         out += f"\nDerived from {listed(bases)}.\n"
+    declared = [] if is_dataclass(cls) else [(name, one.described) for name, one in options_of(cls).items()]
+    above = {(name, one.described) for base in cls.__mro__[1:] for name, one in options_of(base).items()}
+    declared = [one for one in declared if one not in above]  # a base class, which is named, says it
+    said.sections.update({"Args": [*said.sections.get("Args", ()), *declared]} if declared else {})
     out += _sections(said, "Args", "Raises")
     init = _method(own, "__init__")
     if init is not None:

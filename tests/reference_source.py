@@ -214,8 +214,21 @@ def parameters(of: Source, node: ast.FunctionDef | ast.AsyncFunctionDef, *, boun
 
 
 def _parameter(of: Source, one: ast.arg, default: ast.expr | None) -> str:
-    kind = f": {of.of(one.annotation)}" if one.annotation is not None else ""
+    kind = f": {_undeclared(of, one.annotation)}" if one.annotation is not None else ""
     return f"{one.arg}{kind}" if default is None else f"{one.arg}{kind}{' = ' if kind else '='}{_plain(of, default)}"
+
+
+def _undeclared(of: Source, annotation: ast.expr) -> str:
+    """A type without the declaration that `Annotated` has beside it, also where a name stands for both."""
+    text = of.of(annotation)
+    for node in ast.walk(annotation):
+        made = definition(of.module, node.id) if isinstance(node, ast.Name) else None
+        value = made.node.value if made is not None and isinstance(made.node, ast.Assign) else node
+        where = of if made is None else made.source
+        if isinstance(value, ast.Subscript) and where.of(value.value) == "Annotated":
+            assert isinstance(value.slice, ast.Tuple)
+            text = text.replace(of.of(node), where.of(value.slice.elts[0]))
+    return text
 
 
 def wrapped(head: str, parts: list[str], tail: str) -> str:

@@ -7,23 +7,21 @@ when more arrives. With `every`, a member that has had no cause for so long is t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from operator import attrgetter
-from typing import TYPE_CHECKING, ClassVar, Final, cast
+from typing import TYPE_CHECKING, Annotated, ClassVar, cast
 
 from aiorts.clock import to_ns
 from aiorts.contexts.schedule import MAX_RATE
-from aiorts.errors import ConfigurationError
-from aiorts.kernel.execution.context import Context
+from aiorts.kernel.execution.context import Context, Deadline, Timing
 from aiorts.kernel.execution.cycle import Wait
 from aiorts.kernel.execution.member import Member
 from aiorts.kernel.ports import InPort
 from aiorts.kernel.ports.connector import unread_at
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.kernel.ports.notified_ports import NotifiedPorts
+from aiorts.model.declared import Option
 from aiorts.model.lifecycle import LifecycleState
-from aiorts.model.values import shown
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports import Port
 
 _FOR_EVER = Wait(None)
-_SHORTEST: Final = 1.0 / MAX_RATE
 _order = attrgetter("order")
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
 _INACTIVE = LifecycleState.INACTIVE
@@ -82,14 +79,8 @@ class _RepeatedMember(EventMember):
 class EventContext(Context):
     """Runs a member when it has a cause: new data, `trigger()`, or a failure that it has to handle.
 
-    Args:
-        every: seconds of the kernel's clock, from 0.0001, after which an active member runs without another cause,
-            counted from the cycle it ran in last or its activation; None is never. A run that was missed is not caught
-            up. A member is no source for it: where the sources are done, the run ends.
-        name, deadline, timing: see `Context`.
-
     Raises:
-        ConfigurationError: `every` is no such number.
+        ConfigurationError: an option is out of range.
     """
 
     kind: ClassVar[str] = "event"
@@ -97,12 +88,27 @@ class EventContext(Context):
     _members: list[EventMember]  # type: ignore[assignment] # all that it makes are
 
     def __init__(
-        self, *, every: float | None = None, name: str = "", deadline: float | None = None, timing: bool = False
+        self,
+        *,
+        every: Annotated[
+            float | None,
+            Option(
+                "The time by the kernel's clock after which an active member runs without another cause, counted from "
+                "the cycle it ran in last or its activation; by default never. A run that was missed is not caught up. "
+                "A member is no source for it: where the sources are done, the run ends.",
+                unit="s",
+                low=1.0 / MAX_RATE,
+            ),
+        ] = None,
+        name: str = "",
+        deadline: Deadline = None,
+        timing: Timing = False,
     ) -> None:
         super().__init__(name=name, deadline=deadline, timing=timing)
         self.every = every
         if every is not None:
-            self._every_ns = _checked_ns(every, name or self.kind)
+            self._check_options(EventContext, every=every)
+            self._every_ns = to_ns(every)
             self._due: dict[_RepeatedMember, int] = {}
             """When each active member runs without another cause; the next one first."""
             # In the place of what the class has: a context without `every` pays nothing for it.
@@ -250,12 +256,6 @@ class EventContext(Context):
                 again.append(member)  # noqa: PERF401
         if again:
             self._make_ready(again)
-
-
-def _checked_ns(every: object, where: str) -> int:
-    if isinstance(every, bool) or not isinstance(every, int | float) or not _SHORTEST <= every < math.inf:
-        raise ConfigurationError(f"{where}: every = {shown(every)}: expected seconds from {_SHORTEST}, or None")
-    return to_ns(every)
 
 
 def _can_run(member: EventMember) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from aiorts.errors import ClosedError, StateError
-from aiorts.kernel.execution.context import Context
+from aiorts.kernel.execution.context import Context, Deadline, Timing
 from aiorts.kernel.execution.cycle import Wait
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ class ExternalContext(Context):
 
     kind: ClassVar[str] = "external"
 
-    def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = True) -> None:
+    def __init__(self, *, name: str = "", deadline: Deadline = None, timing: Timing = True) -> None:
         super().__init__(name=name, deadline=deadline, timing=timing)
         self._requested: deque[asyncio.Future[None]] = deque()
         self._over: list[asyncio.Future[None]] = []

@@ -7,8 +7,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
-from aiorts.contexts.schedule import MAX_RATE, Schedule, check_rate
-from aiorts.kernel.execution.context import Context
+from aiorts.contexts.schedule import MAX_RATE, Ceiling, OverrunPolicy, Rate, Schedule, check_rate
+from aiorts.kernel.execution.context import Context, Deadline, Timing
 from aiorts.kernel.execution.cycle import Wait
 from aiorts.kernel.loop.bus import Overrun, RateChanged
 from aiorts.kernel.loop.guarded import KernelLog
@@ -25,30 +25,25 @@ _LOG = KernelLog()
 class PeriodicContext(Context):
     """Runs its members `rate` times a second.
 
-    Args:
-        rate: Hz, 0.001 to `max_rate`.
-        overrun: "skip" leaves missed ticks out, "catch_up" runs those that are at most 1 s old.
-        max_rate: the highest rate allowed, Hz.
-        name, deadline, timing: see `Context`; execution times are measured by default.
-
     Raises:
-        ConfigurationError: rate or policy out of range.
+        ConfigurationError: an option is out of range.
     """
 
     kind: ClassVar[str] = "periodic"
 
     def __init__(
         self,
-        rate: float = 1000.0,
+        rate: Rate = 1000.0,
         *,
-        overrun: str = "skip",
-        max_rate: float = MAX_RATE,
+        overrun: OverrunPolicy = "skip",
+        max_rate: Ceiling = MAX_RATE,
         name: str = "",
-        deadline: float | None = None,
-        timing: bool = True,
+        deadline: Deadline = None,
+        timing: Timing = True,
     ) -> None:
         super().__init__(name=name, deadline=deadline, timing=timing)
-        self._schedule: Schedule | None = Schedule(rate, overrun, max_rate)
+        self._check_options(PeriodicContext, overrun=overrun, max_rate=max_rate)
+        self._schedule: Schedule | None = Schedule(check_rate(rate, max_rate), overrun)
         self.overrun = overrun
         """What is done about missed ticks: "skip" or "catch_up"."""
         self.max_rate = max_rate

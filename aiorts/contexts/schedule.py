@@ -10,62 +10,45 @@ from __future__ import annotations
 
 from array import array
 from operator import length_hint
-from typing import Final
+from typing import Annotated, Final, Literal
 
 from aiorts.errors import ConfigurationError
+from aiorts.model.declared import Option, expected_number
 from aiorts.model.lateness import Lateness
 from aiorts.model.values import shown
 
-MIN_RATE: Final = 0.001
 MAX_RATE: Final = 10_000.0
-_HIGHEST_CEILING: Final = 1e9
-"""Hz: a period is at least a nanosecond."""
+_MIN_RATE: Final = 0.001
+_RATE: Final = Option("Cycles per second, up to max_rate.", unit="Hz", low=_MIN_RATE)
+Rate = Annotated[float, _RATE]
+# A period is at least a nanosecond.
+Ceiling = Annotated[float, Option("The highest rate allowed.", unit="Hz", low=_MIN_RATE, high=1e9)]
+OverrunPolicy = Annotated[
+    Literal["skip", "catch_up"],
+    Option("skip leaves missed ticks out; catch_up runs those that are at most 1 s old."),
+]
 _CATCH_UP_NS: Final = 1_000_000_000
 _BATCH: Final = 32
 """Cycles whose lateness is added up at once."""
-_POLICIES: Final = ("skip", "catch_up")
 
 
-def check_rate(rate: object, highest: float = MAX_RATE) -> float:
-    """`rate` as a float; ConfigurationError unless it is a number of Hz from MIN_RATE to `highest`."""
-    if isinstance(rate, bool) or not isinstance(rate, int | float):
-        raise ConfigurationError(f"rate = {shown(rate)}: expected a number of Hz from {MIN_RATE} to {highest}")
-    if not MIN_RATE <= rate <= highest:
-        raise ConfigurationError(
-            f"rate = {shown(rate)} Hz: expected {MIN_RATE} to {highest} (max_rate raises the ceiling)"
-        )
+def check_rate(rate: float, highest: float) -> float:
+    """`rate` as a float; ConfigurationError unless it is one, up to `highest`."""
+    if what := expected_number(_RATE._replace(high=highest), (float,), rate):
+        raise ConfigurationError(f"rate = {shown(rate)}: {what} (max_rate raises the ceiling)")
     return float(rate)
-
-
-def _check_ceiling(max_rate: object) -> None:
-    # bool is an int, and with NaN every comparison is false.
-    if (
-        isinstance(max_rate, bool)
-        or not isinstance(max_rate, int | float)
-        or not MIN_RATE <= max_rate <= _HIGHEST_CEILING
-    ):
-        raise ConfigurationError(
-            f"max_rate = {shown(max_rate)}: expected a number of Hz from {MIN_RATE} to {_HIGHEST_CEILING}"
-        )
 
 
 class Schedule:
     """The ticks of one context.
 
     Args:
-        rate: Hz. overrun: "skip" or "catch_up". max_rate: the ceiling for `rate`, Hz.
-
-    Raises:
-        ConfigurationError: rate or policy out of range.
+        rate: Hz. overrun: "skip" or "catch_up".
     """
 
-    def __init__(self, rate: object, overrun: str = "skip", max_rate: float = MAX_RATE) -> None:
-        _check_ceiling(max_rate)
-        if overrun not in _POLICIES:
-            raise ConfigurationError(f"overrun = {overrun!r}: expected {' or '.join(_POLICIES)}")
-        self.max_rate = max_rate
+    def __init__(self, rate: float, overrun: str = "skip") -> None:
         self.overrun = overrun
-        self.rate = check_rate(rate, max_rate)
+        self.rate = rate
         self.due_ns = 0
         """When the next tick is due."""
         self.skipped = self.overruns = 0

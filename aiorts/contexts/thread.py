@@ -13,14 +13,15 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 
 from aiorts.clock import SimulatedClock, SystemClock, clock_of
 from aiorts.contexts.periodic import PeriodicContext
-from aiorts.contexts.schedule import MAX_RATE
+from aiorts.contexts.schedule import MAX_RATE, Ceiling, OverrunPolicy, Rate
 from aiorts.errors import ClosedError, HookAbandoned, StateError
 from aiorts.kernel.declarations import kinds_of
 from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.context import Timing
 from aiorts.kernel.execution.cycle import Batch, Call, Step, Wait
 from aiorts.kernel.execution.hook_timeout import too_late
 from aiorts.kernel.execution.hooks import HookKind, bad_return, coroutine_hooks
@@ -30,6 +31,7 @@ from aiorts.kernel.loop.guarded import KernelLog, guarded
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.kernel.ports.port import give_up_blocking, lock_all, unanswerable
 from aiorts.late import dataclass
+from aiorts.model.declared import Option
 
 if TYPE_CHECKING:
     from aiorts.kernel.execution.cell import ComponentSide, KernelSide
@@ -50,13 +52,9 @@ _LOOK_SECONDS: Final = 0.1
 
 
 class ThreadContext(PeriodicContext):
-    """Runs its members in a thread of its own: `rate` times a second, or again as soon as they return.
+    """Runs its members in a thread of its own: `rate` times a second; without one, again as soon as they return.
 
-    Args:
-        rate: Hz; None begins a cycle as soon as the one before is over, while a member is active.
-        deadline: seconds that a hook may take; one that took longer is in error when it returns: a thread cannot be
-            cancelled.
-        overrun, max_rate, name, timing: see `PeriodicContext`.
+    Without a rate it waits while no member is active.
     """
 
     kind: ClassVar[str] = "thread"
@@ -65,13 +63,21 @@ class ThreadContext(PeriodicContext):
 
     def __init__(
         self,
-        rate: float | None = None,
+        rate: Rate | None = None,
         *,
-        overrun: str = "skip",
-        max_rate: float = MAX_RATE,
+        overrun: OverrunPolicy = "skip",
+        max_rate: Ceiling = MAX_RATE,
         name: str = "",
-        deadline: float | None = None,
-        timing: bool = True,
+        deadline: Annotated[
+            float | None,
+            Option(
+                "The longest that a hook may take; one that took longer is in error when it returns: a thread cannot "
+                "be cancelled.",
+                unit="s",
+                above=0,
+            ),
+        ] = None,
+        timing: Timing = True,
     ) -> None:
         first = 1.0 if rate is None else rate
         super().__init__(first, overrun=overrun, max_rate=max_rate, name=name, deadline=deadline, timing=timing)

@@ -1,13 +1,14 @@
-"""Declarations of options: the values that a field of a frozen dataclass takes, stated once, with its type.
+"""Declarations of options: the values that a field of a frozen dataclass, or a parameter, takes, stated once.
 
-A declaration is metadata of the field. What reads a value, writes a schema, compares or describes asks for it; none of
-them names an option.
+A declaration is metadata of the field, or of the parameter's type: `Annotated[float, Option("Its rate.", unit="Hz")]`.
+What reads a value, writes a schema, compares or describes asks for it; none of them names an option.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import Field, field
 from enum import StrEnum
 from functools import lru_cache
@@ -16,11 +17,13 @@ from typing import Any, Final, Literal, NamedTuple, TypeVar, get_args, get_origi
 
 from aiorts.errors import ConfigurationError
 from aiorts.model.annotations import alternatives
-from aiorts.model.values import truth_of, whole_of
+from aiorts.model.values import shown, truth_of, whole_of
 from aiorts.spelling import meant, suggestion
 
 T = TypeVar("T")
-_NUMBERS: Final[Mapping[str, str]] = MappingProxyType({"s": "seconds", "MB": "MB"})
+_NUMBERS: Final[Mapping[str, str]] = MappingProxyType(
+    {"s": "seconds", "MB": "MB", "Hz": "a number of Hz", "processors": "a share of one processor"}
+)
 """The words for numbers of a unit."""
 
 
@@ -29,11 +32,12 @@ class OptionError(ValueError):
 
 
 class Option(NamedTuple):
-    """The declaration of one field."""
+    """The declaration of one field or parameter."""
 
-    default: Any
     doc: str
     """The description of its values, in whole sentences."""
+    default: Any = None
+    """That of the field; a parameter has its own."""
     unit: str = ""
     """The unit of a number; "" where it has none."""
     low: float | None = None
@@ -59,6 +63,9 @@ class Option(NamedTuple):
     flag: bool | str = False
     """Whether a service's setting is an option of `aiorts run`, and under which word (`aiorts.setting`)."""
 
+    def __hash__(self) -> int:
+        return hash(self.doc)  # a union of types asks for it, and a mapping has none
+
     @property
     def described(self) -> str:
         """The description with the unit."""
@@ -67,7 +74,7 @@ class Option(NamedTuple):
 
 def option(default: T, doc: str, **declared: Any) -> T:
     """A field that users set; `declared` are further fields of `Option`."""
-    metadata = {"option": Option(default, doc, **declared)}
+    metadata = {"option": Option(doc, default, **declared)}
     if isinstance(default, MappingProxyType):  # it can not be changed, which a dataclass does not know
         return field(default_factory=lambda: default, metadata=metadata)
     return field(default=default, metadata=metadata)
@@ -75,21 +82,46 @@ def option(default: T, doc: str, **declared: Any) -> T:
 
 @lru_cache
 def options_of(cls: type) -> Mapping[str, Option]:
-    """The declared options of a class, in the order of its fields; the class is not written for it (see `late`)."""
+    """The declared options of a class, in the order of its fields; of one without fields, those that it is made of.
+
+    A class is not written for it (see `late`).
+    """
+    if not (fields := _fields_of(cls)):
+        return MappingProxyType(dict(_of_parameters(cls)))
+    found = ((name, one.metadata.get("option")) for name, one in fields.items() if isinstance(one, Field))
+    return MappingProxyType({name: one for name, one in found if isinstance(one, Option)})
+
+
+def _fields_of(cls: type) -> dict[str, Any]:
     given: dict[str, Any] = {}
     for base in reversed(cls.__mro__):
         space = vars(base)
         given |= space["__declared__"] if "__declared__" in space else space.get("__dataclass_fields__", {})
-    found = ((name, one.metadata.get("option")) for name, one in given.items() if isinstance(one, Field))
-    return MappingProxyType({name: one for name, one in found if isinstance(one, Option)})
+    return given
+
+
+def _of_parameters(cls: Any) -> Iterator[tuple[str, Option]]:
+    hints = hints_of(cls.__init__, extras=True)
+    for name, one in inspect.signature(cls.__init__).parameters.items() if hints else ():
+        hint = hints.get(name)
+        for part in (hint, *get_args(hint)):  # of `Annotated[float, ...] | None` it is the first argument
+            for declared in getattr(part, "__metadata__", ()):
+                if isinstance(declared, Option):
+                    yield name, declared._replace(default=None if one.default is one.empty else one.default)
+
+
+def hints_of(of: Any, *, extras: bool = False) -> dict[str, Any]:
+    """The annotations as types; none where a name in them is not known."""
+    try:
+        return get_type_hints(of, include_extras=extras)
+    except (NameError, TypeError):
+        return {}
 
 
 @lru_cache
-def _alternatives_of(cls: type) -> Mapping[str, tuple[Any, ...]]:
+def _alternatives_of(cls: Any) -> Mapping[str, tuple[Any, ...]]:
     """The alternatives in the annotation of each declared option, None among them; none where a name is not known."""
-    try:
-        hints = get_type_hints(cls)
-    except (NameError, TypeError):
+    if not (hints := hints_of(cls if _fields_of(cls) else cls.__init__)):
         return {}
     return {name: alternatives(hints[name]) for name in options_of(cls)}
 
@@ -149,8 +181,7 @@ def read_yes(name: str, value: object) -> bool:
 
 def fault_of(cls: type, name: str, value: Any) -> str:
     """The fault of an option's value, in words; "" where there is none. Only numbers and words are looked at."""
-    one = options_of(cls).get(name)
-    if one is None or value is None or not (what := expected_of(cls, name, value)):
+    if value is None or not (what := expected_of(cls, name, value)):
         return ""
     if isinstance(value, str) and (words := words_among(cls, name)):
         return f"unknown {name} {value[:80]!r}; {suggestion(value, words)}"
@@ -160,28 +191,37 @@ def fault_of(cls: type, name: str, value: Any) -> str:
 def expected_of(cls: type, name: str, value: Any) -> str:
     """The expectation that a number or a word misses, in words; "" where the value fits, or the option has other types.
 
-    An option of words takes nothing else, one of numbers nothing else: those with alternatives are for their class to
-    refuse.
+    An option of words takes nothing else, one of numbers takes truth values at the most: those with other alternatives
+    are for their class to refuse.
     """
-    one, kinds = options_of(cls)[name], kinds_of(cls).get(name, ())
-    if not kinds or (value is None and may_be_none(cls, name)):
+    one, kinds = options_of(cls).get(name), kinds_of(cls).get(name, ())
+    if one is None or not kinds or (value is None and may_be_none(cls, name)):
         return ""
     if words := words_among(cls, name):
         return "" if isinstance(value, str) and value in words else f"expected one of {', '.join(words)}"
-    if not {*kinds} <= {int, float}:
+    return expected_number(one, kinds, value)
+
+
+def expected_number(one: Option, kinds: Collection[Any], value: Any) -> str:
+    """The same for an option of numbers, which may take truth values, too; "" for one of other types."""
+    if not {int, float} & {*kinds} or {*kinds} - {bool, int, float} or (isinstance(value, bool) and bool in kinds):
         return ""
-    is_number = isinstance(value, int if float not in kinds else int | float) and not isinstance(value, bool)
+    is_number = isinstance(value, (int, float) if float in kinds else int) and not isinstance(value, bool)
+    if is_number and _is_within(one, value):
+        return ""
     ends = ("from", one.low), ("above", one.above), ("to", one.high)
     bounds = [f"{word} {_shown(end)}" for word, end in ends if end is not None]
     if one.low is not None and one.high is None:
         bounds.append("on")
-    fits = is_number and (not bounds or _is_within(one, value))
     number = _NUMBERS.get(one.unit) or ("a number" if float in kinds else "a whole number")
+    truth = "true, false or " if bool in kinds else ""
     such = f", such as {one.default!r}" if one.default else ""
-    return "" if fits else " ".join(("expected", number, *bounds)) + such
+    return f"expected {truth}{' '.join((number, *bounds))}{such}"
 
 
 def _is_within(one: Option, value: Any) -> bool:
+    if one.low is one.above is one.high is None:
+        return True
     if value == math.inf:
         return one.endless
     low, high = (-math.inf if one.low is None else one.low), (math.inf if one.high is None else one.high)
@@ -199,10 +239,14 @@ def check_declared(made: Any) -> None:
         ConfigurationError: names the first such field.
     """
     cls: type = type(made)
-    for name in options_of(cls):
-        value = getattr(made, name)
+    check_values(cls, {name: getattr(made, name) for name in options_of(cls)})
+
+
+def check_values(cls: type, given: Mapping[str, Any], where: str = "") -> None:
+    """The same for values by name; `where` is what the message begins with."""
+    for name, value in given.items():
         if what := expected_of(cls, name, value):
-            raise ConfigurationError(f"{name} = {value!r:.80}: {what}")
+            raise ConfigurationError(f"{where}{name} = {shown(value)}: {what}")
 
 
 def words_among(cls: type, name: str) -> list[str]:

@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
-import math
 import signal as signals
 
-from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
+from aiorts.model.declared import check_declared, option
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a process may use; None is without a limit."""
+    """What a process may use; None is without a limit.
 
-    memory: int | None = None
-    """Bytes of address space above what the process has when it calls `limit_memory`: after its imports."""
-    cpu: float | None = None
-    """Share of one processor: a bound where cgroup v2 is delegated, else nice, which yields to others only."""
-    processes: int | None = None
-    """Processes and threads, its own included; refused where cgroup v2 is not delegated."""
+    Raises:
+        ConfigurationError: a value is out of range; it is named.
+    """
+
+    memory: int | None = option(
+        None, "The address space above what the process has after its imports.", unit="bytes", low=1
+    )
+    cpu: float | None = option(
+        None,
+        "The share of one processor: a bound where cgroup v2 is delegated, else nice, which yields to others only.",
+        unit="processors",
+        above=0,
+    )
+    processes: int | None = option(
+        None,
+        "The number of processes and threads, its own included; refused where cgroup v2 is not delegated.",
+        low=1,
+    )
 
     def __post_init__(self) -> None:
-        for name in ("memory", "processes"):
-            value = getattr(self, name)
-            if value is not None and (type(value) is not int or value < 1):
-                raise ConfigurationError(f"{name} = {value!r:.80}: expected a whole number from 1")
-        if self.cpu is not None and (type(self.cpu) not in (int, float) or not 0 < self.cpu < math.inf):
-            raise ConfigurationError(f"cpu = {self.cpu!r:.80}: expected a share of one processor above 0, such as 0.5")
+        check_declared(self)
 
 
 @dataclass(frozen=True, slots=True)

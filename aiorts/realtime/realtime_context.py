@@ -6,18 +6,19 @@ How the thread waits and runs hooks is in `realtime_thread.py`, what it asks of 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 
 from aiorts.clock import to_ns
 from aiorts.contexts.periodic import PeriodicContext
-from aiorts.contexts.schedule import MAX_RATE
+from aiorts.contexts.schedule import MAX_RATE, Ceiling, OverrunPolicy, Rate
 from aiorts.errors import ConfigurationError
 from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.context import Timing
 from aiorts.kernel.loop.handed_log import HandedLogger
 from aiorts.kernel.ports.port import UNSUSPENDED
+from aiorts.model.declared import Option
 from aiorts.realtime.lock_free import let_go_all, make_all_lock_free, make_lock_free
 from aiorts.realtime.privileges import Granted, Wanted
 from aiorts.realtime.realtime_thread import RealtimeDriver
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports import Port
 
 _SPIN: Final = 50e-6
-_LONGEST_SPIN: Final = 1e-3
 
 
 class RealtimeContext(PeriodicContext):
@@ -42,18 +42,8 @@ class RealtimeContext(PeriodicContext):
     While one runs the process has a switch interval of 100 us, and garbage is collected in the slack between cycles
     only, in this thread, finalizers included.
 
-    Args:
-        rate, overrun, max_rate, name, timing: see `PeriodicContext`.
-        deadline: seconds after its tick that a cycle has to be done in, else it counts as an overrun; None: a period.
-            How long a single hook may take, a `Supervision` says.
-        priority: of SCHED_FIFO for this thread, 1 (low) to 99; None leaves it an ordinary thread.
-        cpus: numbers of the processors that the thread keeps to; None: any.
-        lock_memory: keep the memory of the process resident.
-        spin: wake up earlier by so many seconds (at most 1 ms; True: 50 us) and look at the clock until the moment has
-            come. The interpreter lock is held meanwhile, for a quarter of a period at the most.
-
     Raises:
-        ConfigurationError: an argument is out of range.
+        ConfigurationError: an option is out of range.
     """
 
     kind: ClassVar[str] = "realtime"
@@ -63,23 +53,50 @@ class RealtimeContext(PeriodicContext):
 
     def __init__(
         self,
-        rate: float = 1000.0,
+        rate: Rate = 1000.0,
         *,
-        overrun: str = "skip",
-        max_rate: float = MAX_RATE,
+        overrun: OverrunPolicy = "skip",
+        max_rate: Ceiling = MAX_RATE,
         name: str = "",
-        deadline: float | None = None,
-        timing: bool = True,
-        priority: int | None = 50,
-        cpus: Iterable[int] | None = None,
-        lock_memory: bool = True,
-        spin: bool | float = False,
+        deadline: Annotated[
+            float | None,
+            Option(
+                "The time after its tick in which a cycle has to be done, else it counts as an overrun; by default a "
+                "period. How long a single hook may take, supervision says.",
+                unit="s",
+                above=0,
+            ),
+        ] = None,
+        timing: Timing = True,
+        priority: Annotated[
+            int | None,
+            Option(
+                "The priority by SCHED_FIFO of its thread, 1 is low; in a program None leaves it an ordinary thread.",
+                low=1,
+                high=99,
+            ),
+        ] = 50,
+        cpus: Annotated[
+            Iterable[int] | None, Option("The numbers of the processors that its thread keeps to; by default any.")
+        ] = None,
+        lock_memory: Annotated[bool, Option("Whether the memory of the process is kept resident.")] = True,
+        spin: Annotated[
+            bool | float,
+            Option(
+                "The time by which its thread wakes up earlier, and looks at the clock until the moment has come; true "
+                "is 50 us. The interpreter lock is held meanwhile, for a quarter of a period at the most.",
+                unit="s",
+                low=0,
+                high=1e-3,
+            ),
+        ] = False,
     ) -> None:
         super().__init__(rate, overrun=overrun, max_rate=max_rate, name=name, deadline=deadline, timing=timing)
+        self._check_options(RealtimeContext, priority=priority, spin=spin)
         if deadline is not None and self._schedule is not None:
             self._schedule.deadline_ns = to_ns(deadline)
-        self._wanted = Wanted(_checked_priority(priority), _checked_cpus(cpus), bool(lock_memory))
-        self._spin_ns = _checked_spin_ns(spin)
+        self._wanted = Wanted(priority, _checked_cpus(cpus), bool(lock_memory))
+        self._spin_ns = round((_SPIN if spin is True else spin) * 1e9)
         self.spin = spin
         """How much earlier it wakes up, as it was asked for."""
         self._granted = Granted()
@@ -153,12 +170,6 @@ def _let_out(component: ComponentSide) -> None:
         let_go_all(port)
 
 
-def _checked_priority(priority: object) -> int | None:
-    if priority is None or (isinstance(priority, int) and not isinstance(priority, bool) and 1 <= priority <= 99):
-        return priority
-    raise ConfigurationError(f"priority = {priority!r}: expected 1 to 99, or None")
-
-
 def _checked_cpus(cpus: Iterable[int] | None) -> frozenset[int] | None:
     if cpus is None:
         return None
@@ -166,11 +177,3 @@ def _checked_cpus(cpus: Iterable[int] | None) -> frozenset[int] | None:
     if not wanted or any(not isinstance(cpu, int) or isinstance(cpu, bool) or cpu < 0 for cpu in wanted):
         raise ConfigurationError(f"cpus = {cpus!r}: expected numbers of processors such as [1], or None")
     return wanted
-
-
-def _checked_spin_ns(spin: object) -> int:
-    if isinstance(spin, bool):
-        return round(_SPIN * 1e9) if spin else 0
-    if isinstance(spin, int | float) and math.isfinite(spin) and 0 <= spin <= _LONGEST_SPIN:
-        return round(spin * 1e9)
-    raise ConfigurationError(f"spin = {spin!r}: expected True, False or seconds up to {_LONGEST_SPIN}")

@@ -23,10 +23,12 @@ from aiorts.planning.component_rows import ROWS
 ROOT = Path(__file__).parents[2]
 KNOB = '    knob: int = option(2, "How far the knob is turned.", low=0, high=10, end="reader")\n'
 LEVER = '    lever: int = option(1, "How far the lever is pulled.", low=0, high=5, changes=True)\n'
+SLACK = '    slack: int | None = option(None, "How slack it is.", unit="mm", low=1, high=7)\n'
 LEVER_ROW = '        "lever": _kept("lever", lambda kernel, _: vars(kernel).setdefault("levers", {})),\n'
 ADDED = {
     "model/profile.py": ("    extra: Mapping[str, str] = field(", KNOB),
     "model/wanted/entries.py": ('    isolation: Literal["", "process"] = option(', LEVER),
+    "processes/values.py": ("    processes: int | None = option(", SLACK),
     "planning/component_rows.py": ('        "isolation": Row(', LEVER_ROW),
 }
 PARTS = """
@@ -200,6 +202,28 @@ def test_the_schema_accepts_and_refuses_the_same(said: Said) -> None:
     assert connection["knob"]["description"] == "How far the knob is turned."
 
 
+# -- limits ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_limit_of_a_process_is_checked_and_described(folder: Path, said: Said) -> None:
+    limited = SYSTEM + '[components.c]\ntype = "parts.py:Sink"\nisolation = "process"\nlimits = {slack = 5}\n'
+    (folder / "limited.toml").write_text(limited)
+    wrong = {
+        "slack = 8": "8: expected a whole number from 1 to 7",
+        "slak = 5": "did you mean 'slack'?",
+    }
+    for number, text in enumerate(wrong):
+        (folder / f"limited{number}.toml").write_text(limited.replace("slack = 5", text))
+    (_, schema), right, *refused = said("schema", "check limited.toml", "check limited0.toml", "check limited1.toml")
+    validator = jsonschema.Draft202012Validator(json.loads(schema))
+    assert right[0] == 0, right
+    assert validator.is_valid(tomllib.loads(limited))
+    for (status, answer), (text, what) in zip(refused, wrong.items(), strict=True):
+        assert status == 2
+        assert what in answer
+        assert not validator.is_valid(tomllib.loads(limited.replace("slack = 5", text)))
+
+
 # -- programs and links ------------------------------------------------------------------------------------------------
 
 
@@ -286,5 +310,6 @@ print(PAGES["system-file"]())
     assert found.returncode == 0, found.stderr
     assert "    knob: int\n" in found.stdout
     assert found.stdout.count("How far the knob is turned.") == 2
+    assert "`slack`: whole number, at least 1, at most 7. How slack it is. Unit: mm." in found.stdout
     for key, high, text in (("knob", 10, "How far the knob is turned."), ("lever", 5, "How far the lever is pulled.")):
         assert re.search(rf"`{key}`.*0.*{high}.*{text}", found.stdout)

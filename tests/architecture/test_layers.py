@@ -22,11 +22,11 @@ ROOT = Path(__file__).parents[2]
 ORDER = """
 aiorts/errors.py aiorts/exits.py aiorts/late.py aiorts/progress.py aiorts/spelling.py aiorts/tiers.py
 aiorts/description.py aiorts/layout
-aiorts/guide aiorts/processes
+aiorts/guide
 aiorts/timer_heap.py
 aiorts/clock.py
 aiorts/model
-aiorts/model/configuration aiorts/model/health aiorts/model/links
+aiorts/model/configuration aiorts/model/health aiorts/model/links aiorts/processes
 aiorts/model/wanted
 aiorts/types
 aiorts/types/ros aiorts/wire aiorts/rings

@@ -217,7 +217,7 @@ def test_an_editor_finds_types_parameters_units_defaults_and_docs() -> None:
         one for one in PLAIN["$defs"]["context"]["oneOf"] if one["properties"]["kind"]["const"] == "periodic"
     )
     assert periodic["required"] == ["kind", "rate", "members"]
-    assert periodic["properties"]["rate"]["description"].startswith("Hz")
+    assert periodic["properties"]["rate"]["description"] == "Cycles per second, up to max_rate. Unit: Hz."
 
 
 # -- what the program takes, the schema takes --------------------------------------------------------------------------

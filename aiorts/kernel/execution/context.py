@@ -8,15 +8,14 @@ A context is a logical thread. It decides when a cycle runs and for whom (`_next
 from __future__ import annotations
 
 import asyncio
-import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final
 
 from aiorts.clock import to_ns
-from aiorts.errors import ConfigurationError, StateError
+from aiorts.errors import StateError
 from aiorts.kernel.execution.apart import check_apart
 from aiorts.kernel.execution.cell import as_group, cell, check_free, flattened, group_among
 from aiorts.kernel.execution.cycle import Action, Wait
@@ -27,6 +26,7 @@ from aiorts.kernel.loop.deadlines import StopBudget
 from aiorts.kernel.ports import InPort
 from aiorts.kernel.ports.in_port import set_open
 from aiorts.kernel.ports.wiring import realtime_fault
+from aiorts.model.declared import Option, check_values
 from aiorts.model.lifecycle import Event as Transition
 from aiorts.model.lifecycle import LifecycleState, OverdueHook
 from aiorts.model.names import check_name
@@ -39,19 +39,27 @@ if TYPE_CHECKING:
 
 _NO_HOOKS: Final[Mapping[str, HookStatistics]] = MappingProxyType({})
 
+Deadline = Annotated[
+    float | None,
+    Option(
+        "The longest that a hook may take by the kernel's clock; by default it is unlimited. A hook over it is "
+        "cancelled and its component goes to error; one that blocks the loop goes there when it returns. The time "
+        "counts even where other code blocks the loop meanwhile. On a simulated clock code that blocks takes no time.",
+        unit="s",
+        above=0,
+    ),
+]
+Timing = Annotated[bool, Option("Whether the execution time of every hook is taken, for statistics.")]
+
 
 class Context:
     """Base of all execution contexts. Given to `Kernel.start`; ends with `stop` or with its kernel.
 
     Args:
         name: unique in its kernel; the kernel gives one ("periodic0") where there is none.
-        deadline: seconds of the kernel's clock that a hook may take; None is unlimited. A hook over it is cancelled and
-            its component goes to error; one that blocks the loop goes there when it returns. The time counts even
-            where other code blocks the loop meanwhile. On a simulated clock code that blocks takes no time.
-        timing: take the execution time of every hook for `statistics`.
 
     Raises:
-        ConfigurationError: the deadline is no number of seconds above 0.
+        ConfigurationError: an option is out of range.
     """
 
     kind: ClassVar[str] = ""
@@ -70,10 +78,10 @@ class Context:
     _ended_by: BaseException | None = None
     """The one that it ends for."""
 
-    def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = False) -> None:
+    def __init__(self, *, name: str = "", deadline: Deadline = None, timing: Timing = False) -> None:
         self.name = check_name(name, "context") if name else ""
-        if deadline is not None and (not isinstance(deadline, int | float) or not 0 < deadline < math.inf):
-            raise ConfigurationError(f"{name or self.kind}: deadline = {deadline!r}: expected seconds above 0, or None")
+        if deadline is not None:
+            self._check_options(Context, deadline=deadline)
         self.deadline = deadline
         self.timing = timing
         self.ticks = 0
@@ -91,6 +99,16 @@ class Context:
         self._began: asyncio.Future[None] | None = None
         self._now_ns: Callable[[], int] = self._no_time
         """The time on the kernel's clock: its own function, since every hook asks it."""
+
+    def _check_options(self, declaring: type[Context], /, **given: object) -> None:
+        """Refuse numbers and words that the signature of a class does not take, by its declarations (`Option`).
+
+        Those of files and command lines are checked in any case.
+
+        Raises:
+            ConfigurationError: names the first such option.
+        """
+        check_values(declaring, given, f"{self.name or self.kind}: ")
 
     # -- what tools see --------------------------------------------------------------------------------------------
 

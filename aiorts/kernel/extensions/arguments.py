@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar
 
 from aiorts.errors import AiortsError
 from aiorts.model.annotations import alternatives
-from aiorts.model.declared import Option, fault_of, options_of, words_of
+from aiorts.model.declared import Option, fault_of, hints_of, options_of, words_of
 from aiorts.model.values import WORDS
 from aiorts.spelling import suggestion
 
@@ -31,7 +31,7 @@ def arguments_of(cls: type) -> dict[str, tuple[type, ...]]:
     The `name` of a context is that of its table; settings of a service may have one.
     """
     init: Any = cls.__init__  # type: ignore[misc] # of this very class, as its signature is
-    hints = _hints(init)
+    hints = hints_of(init)
     given = () if dataclasses.is_dataclass(cls) else ("name",)
     return {name: _kinds(hints.get(name)) for name in inspect.signature(cls).parameters if name not in given}
 
@@ -62,13 +62,13 @@ def settings_faults(cls: type, given: Mapping[str, Any], also: Collection[str] =
     Args:
         also: keys that may have been meant by an unknown one, besides its own.
     """
-    known, is_declared = arguments_of(cls), dataclasses.is_dataclass(cls)
+    known = arguments_of(cls)
     rest = dict(given)
     for key, value in given.items():
         if key not in known:
             hint = suggestion(key, [*known, *also], f"there are {', '.join(known) or 'none'}")
             yield key, f"unknown key {key[:80]!r}; {hint}", True
-        elif what := unfit(value, known[key]) or (fault_of(cls, key, value) if is_declared else ""):
+        elif what := unfit(value, known[key]) or fault_of(cls, key, value):
             yield key, what, False
         else:
             continue
@@ -103,7 +103,7 @@ def flags_of(settings: type) -> dict[str, type | tuple[str, ...] | None]:
 
     `tuple` for one that is repeated, each a text; None for a field that cannot be an option (`OPTION_TYPES`).
     """
-    hints = _hints(settings)
+    hints = hints_of(settings)
     found: dict[str, type | tuple[str, ...] | None] = {}
     for name, one in options_of(settings).items():
         if one.flag is False:
@@ -122,7 +122,7 @@ def flags_of(settings: type) -> dict[str, type | tuple[str, ...] | None]:
 
 def path_settings(settings: type) -> frozenset[str]:
     """The fields of settings that are paths."""
-    return frozenset(name for name, hint in _hints(settings).items() if _parts(hint) == [Path])
+    return frozenset(name for name, hint in hints_of(settings).items() if _parts(hint) == [Path])
 
 
 def option_flag(service: str, name: str, one: Option) -> str:
@@ -132,14 +132,6 @@ def option_flag(service: str, name: str, one: Option) -> str:
         return word
     parts = (service, name if word is True else str(word))
     return f"--{'-'.join(filter(None, parts))}".replace("_", "-")
-
-
-def _hints(of: Any) -> dict[str, Any]:
-    """Its annotations as types; {} where a name in them is not known."""
-    try:
-        return typing.get_type_hints(of)
-    except (NameError, TypeError):
-        return {}
 
 
 def _refused(cls: type, given: Mapping[str, Any]) -> str:

@@ -10,7 +10,7 @@ import os
 import re
 import shlex
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
@@ -55,7 +55,7 @@ __all__ = (
 
 _PLUGINS: Final = 'write plugins.path = ["."], the folders with plugins, counted from this file; [] is none'
 TOP: Final = ("schema", *TOP_KEYS, "plugins", "clock", "components", "composites", "connections", "contexts")
-_LIMITS: Final = tuple(field.name for field in fields(Limits))
+_LIMITS: Final = tuple(options_of(Limits))
 _COMPONENT: Final = ("type", "options", "params", "sets", "active", *options_of(ComponentEntry), IF, REPEAT)
 _COMPOSITE: Final = ("members", *options_of(CompositeEntry), IF, REPEAT)
 _LOOSE: Final[Mapping[str, Mapping[str, Any]]] = {"backoff": {"backoff_max": 1e300}, "backoff_max": {"backoff": 1e-300}}

@@ -13,7 +13,7 @@ import math
 import re
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,7 +25,7 @@ from aiorts.kernel.extensions.arguments import arguments_of, needs_rate
 from aiorts.kernel.extensions.catalogue import Catalogue, Extension
 from aiorts.kernel.service import load_service
 from aiorts.model.configuration.parameters import Constraint, ParameterSpec
-from aiorts.model.declared import options_of, words_among
+from aiorts.model.declared import Option, options_of, words_among
 from aiorts.model.plain import Schema, SchemaForms
 from aiorts.model.wanted.entries import ClockEntry, ContextEntry
 from aiorts.system.file.parse import SCHEMA
@@ -47,8 +47,6 @@ T = typing.TypeVar("T")
 _NAME: Final = "[A-Za-z0-9_][A-Za-z0-9_-]{0,99}"
 _NUMBER: Final = r"^\s*[+-]?([0-9][0-9_]*\.?[0-9_]*([eE][+-]?[0-9_]+)?|\.[0-9_]+([eE][+-]?[0-9_]+)?|[iI][nN][fF]([iI][nN][iI][tT][yY])?|[nN][aA][nN])\s*$"  # noqa: E501
 _BOUNDS: Final = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
-_WORDS: Final = {"overrun": ["skip", "catch_up"]}
-"""Arguments of contexts that take one of some words."""
 _JSON: Final = {bool: "boolean", int: "integer", float: "number", str: "string", list: "array"}
 _ARGUMENT: Final = re.compile(r"^ +(\w+(?:, \w+)*): (.*)")
 
@@ -270,27 +268,34 @@ def _services(catalogue: Catalogue) -> dict[str, Any]:
             continue
         cls = service.settings
         kinds = arguments_of(cls)
-        whole = next((one for one in dataclasses.fields(cls) if one.name == name), None)
-        if whole is not None and kinds[name] == (list,):  # [[NAME]]
-            found[name] = _setting(cls, whole, kinds[name])
-            continue
+        keys = {
+            one.name: _argument(cls, one.name, kinds[one.name], one.default, one.metadata.get("doc", ""))
+            for one in dataclasses.fields(cls)
+        }
         found[name] = {
             "type": "object",
             "description": inspect.cleandoc(cls.__doc__ or name).partition("\n\n")[0],
             "additionalProperties": False,
-            "properties": {one.name: _setting(cls, one, kinds[one.name]) for one in dataclasses.fields(cls)},
+            "properties": keys,
         }
+        if kinds.get(name) == (list,):  # [[NAME]]
+            found[name] = keys[name]
     return found
 
 
-def _setting(cls: type, field: dataclasses.Field[Any], kinds: tuple[type, ...]) -> dict[str, Any]:
-    name, told = field.name, field.metadata
-    one = options_of(cls).get(name)
-    if one is None:  # a field without a declaration
-        return _argument(name, kinds, field.default, {name: told["doc"]} if "doc" in told else {})
-    made = _argument(name, kinds, one.default, {name: one.described})
+def _argument(cls: type, name: str, kinds: tuple[type, ...], default: Any, text: str) -> dict[str, Any]:
+    """A setting of a service, or an option of a context; default and text are those of one without a declaration."""
+    one = options_of(cls).get(name) or Option(text, default)
+    made: dict[str, Any] = {}
     if words := words_among(cls, name):
-        made = {"enum": words} | {key: value for key, value in made.items() if key != "type"}
+        made["enum"] = words
+    elif kinds:
+        types_ = [_JSON[kind] for kind in kinds]
+        made["type"] = types_ if len(types_) > 1 else types_[0]
+    if one.doc:
+        made["description"] = one.described
+    if isinstance(one.default, str | bool | int | float):
+        made["default"] = one.default
     return {**made, **limits_schema(one), **one.schema}
 
 
@@ -320,29 +325,18 @@ def _context(kind: str, cls: type[Context] | None) -> dict[str, Any]:
     texts = _documented(cls)
     defaults = inspect.signature(cls).parameters
     for name, kinds in arguments_of(cls).items():
-        made["properties"][name] = _argument(name, kinds, defaults[name].default, texts)
+        made["properties"][name] = _argument(cls, name, kinds, defaults[name].default, texts.get(name, ""))
     if needs_rate(cls):
         made["required"] = ["kind", "rate", "members"]
         del made["properties"]["rate"]["default"]
     return made
 
 
-def _argument(name: str, kinds: tuple[type, ...], default: Any, texts: Mapping[str, str]) -> dict[str, Any]:
-    made: dict[str, Any] = {"enum": _WORDS[name]} if name in _WORDS else {}
-    if kinds and not made:
-        words = [_JSON[kind] for kind in kinds]
-        made["type"] = words if len(words) > 1 else words[0]
-    if name in texts:
-        made["description"] = texts[name]
-    if isinstance(default, str | bool | int | float):
-        made["default"] = default
-    return made
-
-
 def _documented(cls: type) -> dict[str, str]:
-    """What the classes say of their arguments under `Args:`, the class itself last."""
+    """What the classes say of their arguments in their signature and under `Args:`, the class itself last."""
     texts: dict[str, str] = {}
     for base in reversed(cls.__mro__):
+        texts.update({name: one.described for name, one in options_of(base).items()})
         names: list[str] = []
         for line in inspect.cleandoc(base.__doc__ or "").partition("Args:\n")[2].splitlines():
             if (found := _ARGUMENT.match(line)) is not None:

@@ -10,6 +10,7 @@ from aiorts.model.declared import kinds_of, options_of
 from aiorts.model.lifecycle import CYCLE_HOOKS
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry
 from aiorts.model.wanted.restart_policy import ACTING
+from aiorts.processes import Limits
 from aiorts.supervision import StartRule, Supervision
 from aiorts.system.schemas.option_schema import plain_schema
 from aiorts.system.schemas.template_schema import PART
@@ -18,11 +19,6 @@ _SECONDS: Final = {"type": "number", "exclusiveMinimum": 0}
 _CONDITION: Final = {"type": "string", "pattern": r"^\s*[A-Za-z0-9_-]+(\s+(added|inactive|active|error))?\s*$"}
 _KEYS: Final = options_of(ComponentEntry)
 _TEXTS: Final = {"type": "array", "items": {"type": "string"}}
-_LIMITS: Final = {
-    "memory": {"type": "integer", "minimum": 1, "description": "Bytes above what it has after its imports."},
-    "cpu": {"type": "number", "exclusiveMinimum": 0, "description": "Share of one processor."},
-    "processes": {"type": "integer", "minimum": 1, "description": "Processes and threads, itself included."},
-}
 _OF_COMPOSITE: Final = {
     key: {"anyOf": kinds, "description": options_of(CompositeEntry)[key].doc}
     for key, kinds in (
@@ -52,7 +48,7 @@ def component_schema() -> dict[str, Any]:
     tables = {
         "supervision": {"$ref": "#/$defs/supervision"},
         "start": {"$ref": "#/$defs/start"},
-        "limits": _table(_KEYS["limits"].doc, _LIMITS),
+        "limits": _table(_KEYS["limits"].doc, keys_schema(Limits)),
     }
     return keys_schema(ComponentEntry, tables)
 
