@@ -18,8 +18,9 @@ Read = Callable[[Any], Any]
 
 def alternatives(hint: Any) -> tuple[Any, ...]:
     """The arms of a union, else the annotation itself; None as its type."""
-    arms = typing.get_args(hint) if typing.get_origin(hint) in _UNIONS else (hint,)
-    return tuple(NoneType if one is None else one for one in arms)
+    if typing.get_origin(hint) in _UNIONS:
+        return typing.get_args(hint)
+    return (NoneType if hint is None else hint,)
 
 
 def fields_of_row(hint: Any) -> Mapping[str, Any]:
