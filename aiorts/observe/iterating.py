@@ -1,4 +1,4 @@
-"""What the async iterators of this room have in common: one task waits, `close()` ends them."""
+"""The common part of the async iterators of this room: one task waits, `close()` ends them."""
 
 from __future__ import annotations
 

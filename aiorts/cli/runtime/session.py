@@ -53,7 +53,7 @@ _FILE_FAULTS = (ConfigurationError, DeclarationError, InvalidNameError, PluginEr
 
 
 def _nothing(_error: BaseException) -> None:
-    """Of a refusal that nobody is told of."""
+    """A refusal that is told to no caller."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class Run:
     log: Log
     """The run's log, which its caller has begun."""
     catalogue: Catalogue | None = None
-    """Where the kernel has types from that are asked for by name."""
+    """The types that the kernel is asked for by name."""
     unfed_advice: str = ""
     """For a component alone, what to do when it waits for data that cannot come."""
     streams: tuple[str, ...] = ()

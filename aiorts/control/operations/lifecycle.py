@@ -27,7 +27,7 @@ class Holding:
 
 
 def _requesting(request: Callable[..., Awaitable[None]]) -> Callable[[Session, Member], Awaitable[Done]]:
-    """Has a component of the kernel make a transition."""
+    """The operation that has a component of the kernel make a transition."""
 
     async def run(session: Session, given: Member) -> Done:
         await request(session.kernel, given.component, context=given.context, timeout=given.timeout)

@@ -12,7 +12,7 @@ from aiorts.model.counters import ConnectorCounters
 from aiorts.sessions import Client
 
 Counters = Mapping[str, Any]
-"""What the operation `statistics` says, with its rows by name."""
+"""The answer of the operation `statistics`, with its rows by name."""
 
 
 def counters_in(answer: Mapping[str, Any]) -> Counters:
@@ -52,7 +52,7 @@ def rate_of(now: Counters, before: Counters, name: str) -> float | None:
 
 
 def per_second(more: int, now: Counters, before: Counters) -> float | None:
-    """A count by the kernel's clock; None where another thing has the name, which counts anew, or the clock stood."""
+    """A count by the kernel's clock; None where another thing has the name and counts from 0, or the clock stood."""
     span_ns = now["at_ns"] - before["at_ns"]
     return None if span_ns <= 0 or more < 0 else more * 1e9 / span_ns
 

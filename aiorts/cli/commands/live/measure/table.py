@@ -32,7 +32,7 @@ class Row:
     """One line of a table."""
 
     name: str
-    """What it is of."""
+    """The name of the thing, which is the first column."""
     plain: Mapping[str, Any]
     """As JSON has it."""
     order: Mapping[str, float]
