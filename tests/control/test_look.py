@@ -18,6 +18,7 @@ import pytest
 from aiorts import Component, EventContext, Kernel, PeriodicContext, ThreadContext
 from aiorts.cli.app import run_command
 from aiorts.cli.commands.live.look.ls import ls
+from aiorts.cli.commands.live.measure.readings import counters_in
 from aiorts.cli.commands.live.measure.table import View, tables, text_of
 from aiorts.cli.commands.live.target import complete, complete_changes
 from aiorts.sessions import AsyncClient, Client
@@ -100,7 +101,7 @@ async def test_a_hook_over_its_deadline_is_told_with_the_state_wherever_that_is_
             assert re.search(late.replace("active", "active in own"), text), text
             _, text = await said(capsys, "ls", "--json", "unit/held0")
             assert json.loads(text)["kernels"][0]["components"][0]["overdue"]["own"]["hook"] == "on_execute"
-            counted = await with_client("unit", lambda client: client.call("statistics"))
+            counted = counters_in(await with_client("unit", lambda client: client.call("statistics")))
             (row,) = [line for line in text_of(tables(counted, None, {}), View()) if line.startswith("held0")]
             assert re.search(late, row), row
         finally:
