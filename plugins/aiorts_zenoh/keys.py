@@ -67,12 +67,12 @@ class Keys:
 
     def told(self, peer: Peer) -> str:
         """The key at which this kernel tells another of tokens that the other may not see: + or -, and the token."""
-        return f"{_heard(self.domain, peer)}/{self.own.kernel}"
+        return f"{_at(self.domain, 'heard', peer)}/{self.own.kernel}"
 
     @property
     def heard(self) -> str:
         """The keys at which others tell this kernel of tokens; the last part is who tells."""
-        return f"{_heard(self.domain, self.own)}/*"
+        return f"{_at(self.domain, 'heard', self.own)}/*"
 
     @property
     def tokens(self) -> str:
@@ -82,13 +82,11 @@ class Keys:
     @property
     def questions(self) -> str:
         """What others ask this kernel."""
-        own = self.own
-        return f"{_VERSION}/{self.domain}/svc/{own.host}/{own.kernel}/{own.epoch:016x}/**"
+        return f"{_at(self.domain, 'svc', self.own)}/**"
 
     def question(self, peer: Peer, what: str) -> str:
         """What this kernel asks another; the part before the last is who asks."""
-        whom = f"{peer.host}/{peer.kernel}/{peer.epoch:016x}"
-        return f"{_VERSION}/{self.domain}/svc/{whom}/{self.own.kernel}/{what}"
+        return f"{_at(self.domain, 'svc', peer)}/{self.own.kernel}/{what}"
 
     @property
     def frames(self) -> tuple[str, str]:
@@ -124,8 +122,7 @@ class Keys:
         return f"{self._control(branch)}/{caller}/{operation}"
 
     def _control(self, branch: str) -> str:
-        peer = self.own
-        return f"{_VERSION}/{self.domain}/{branch}/{peer.host}/{peer.kernel}/{peer.epoch:016x}"
+        return _at(self.domain, branch, self.own)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,12 +152,11 @@ class ClientKeys:
 
     def session(self, branch: str, peer: Peer, session: str) -> str:
         """Where a session of this client with a kernel lies."""
-        at = f"{peer.host}/{peer.kernel}/{peer.epoch:016x}"
-        return f"{_VERSION}/{self.domain}/{branch}/{at}/{self.caller}/{session}"
+        return f"{_at(self.domain, branch, peer)}/{self.caller}/{session}"
 
 
-def _heard(domain: str, peer: Peer) -> str:
-    return f"{base_of(domain)}/heard/{peer.host}/{peer.kernel}/{peer.epoch:016x}"
+def _at(domain: str, branch: str, peer: Peer) -> str:
+    return f"{base_of(domain)}/{branch}/{peer.host}/{peer.kernel}/{peer.epoch:016x}"
 
 
 def teller_in(key: str) -> str:
