@@ -38,6 +38,16 @@ def operation_of(name: str, right: Right) -> Operation:
     return operation
 
 
+def asked_in(said: Mapping[str, Any], what: str, right: Right) -> tuple[str, Operation, dict[str, Any]]:
+    """The kernel, the operation and the arguments that a message asks for; AiortsError: clients may not have it."""
+    kernel, name, arguments = said.get("kernel"), said.get("operation"), said.get("arguments", {})
+    if not (isinstance(kernel, str) and isinstance(name, str) and isinstance(arguments, dict)):
+        raise RecordError(f"{what}: expected kernel and operation, and arguments as an object")
+    operation = operation_of(name, right)
+    check_names(operation, arguments)
+    return kernel, operation, arguments
+
+
 def check_names(operation: Operation, arguments: Mapping[str, Any]) -> None:
     """Raise RecordError where an operation has no argument of a name: its description says so, too."""
     known = [one.name for one in fields(operation.arguments)]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import SLOW_READER_BURSTS, SLOW_READER_CURES, AbsentError, AiortsError, RecordError
 from aiorts_studio.kernels import Visitor, entry_of
-from aiorts_studio.offered import check_names, operation_of, patience
+from aiorts_studio.offered import asked_in, patience
 from aiorts_studio.plain.problems import HttpError, problem_of
 from aiorts_studio.plain.values import json_out
 from aiorts_studio.socket import OVER, REFUSED, Sockets, close, said_in, whole
@@ -219,17 +219,13 @@ class _PageSocket:
     async def _ask(self, number: int, said: Mapping[str, Any]) -> None:
         answer: dict[str, Any] = {"t": "answer", "id": number}
         try:
-            kernel, name, arguments = said.get("kernel"), said.get("operation"), said.get("arguments", {})
-            if not (isinstance(kernel, str) and isinstance(name, str) and isinstance(arguments, dict)):
-                raise RecordError("ask: expected kernel and operation, and arguments as an object")
-            operation = operation_of(name, self._api.right)
-            check_names(operation, arguments)
+            kernel, operation, arguments = asked_in(said, "ask", self._api.right)
             if operation.streams:
-                raise RecordError(f"{name}: streams; ask for it at /api/socket")
+                raise RecordError(f"{operation.name}: streams; ask for it at /api/socket")
             entry = await entry_of(kernel)
             with self._api.under_way.one(self._visitor.holder.number, entry.address):
                 client = await self._visitor.session(entry)
-                answer["value"] = await client.call(name, patience(operation, arguments), **arguments)
+                answer["value"] = await client.call(operation.name, patience(operation, arguments), **arguments)
         except AiortsError as error:
             answer["problem"] = {"code": error.code, "text": str(error)}
         self._page.put(answer)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.control import Operation
 from aiorts.errors import AiortsError, RecordError
 from aiorts_studio.kernels import Visitor, entry_of, lines_of
-from aiorts_studio.offered import check_names, operation_of, patience
+from aiorts_studio.offered import asked_in, patience
 from aiorts_studio.plain.problems import HttpError, problem_of
 from aiorts_studio.plain.values import LARGEST, json_in, json_out
 
@@ -141,13 +141,9 @@ class _Carrier:
             number = whole(said, "subscribe")
             if number in self._streams:
                 raise HttpError(409, "E-BUSY", f"a stream has the id {number} already")
-            kernel, name, arguments = said.get("kernel"), said.get("operation"), said.get("arguments", {})
-            if not (isinstance(kernel, str) and isinstance(name, str) and isinstance(arguments, dict)):
-                raise RecordError("subscribe: expected kernel and operation, and arguments as an object")
-            operation = operation_of(name, self._api.right)
-            check_names(operation, arguments)
+            kernel, operation, arguments = asked_in(said, "subscribe", self._api.right)
             if not operation.streams:
-                raise RecordError(f"{name}: does not stream; ask for it with POST")
+                raise RecordError(f"{operation.name}: does not stream; ask for it with POST")
             credit = _Credit(min(whole(said, "credit"), CREDIT))
             running = group.create_task(self._stream(number, kernel, operation, arguments, credit))
             self._streams[number] = running, credit
