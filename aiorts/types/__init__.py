@@ -9,6 +9,10 @@ from aiorts.types import basic as _basic
 from aiorts.types import extended as _extended
 from aiorts.types import extra as _extra
 from aiorts.types import interface as _interface
+from aiorts.types import registry as _registry
+from aiorts.types import samples as _samples
+from aiorts.types import spelling as _spelling
+from aiorts.types import structure as _structure
 from aiorts.types.basic import *
 from aiorts.types.convert import convert
 from aiorts.types.extended import *
@@ -17,32 +21,12 @@ from aiorts.types.interface import *
 from aiorts.types.paths import path_type, read_path
 from aiorts.types.plain import from_plain, to_plain
 from aiorts.types.record import Stamped, field, record, zero
-from aiorts.types.registry import all_types, find_type, full_name, type_name, wire_name, wire_type
+from aiorts.types.registry import *
 from aiorts.types.rows import RecordArray
-from aiorts.types.samples import check_port_type, check_shape, detached, has_tm, is_mutable, snapshot, with_tm
-from aiorts.types.spelling import (
-    EMPTY,
-    Array,
-    Map,
-    NDArray,
-    Rows,
-    Seq,
-    char,
-    f32,
-    f64,
-    i8,
-    i16,
-    i32,
-    i64,
-    u8,
-    u16,
-    u32,
-    u64,
-    wchar,
-    wstr,
-)
+from aiorts.types.samples import *
+from aiorts.types.spelling import *
 from aiorts.types.stamps import Time
-from aiorts.types.structure import Field, Structure, describe, fields_of, units_of
+from aiorts.types.structure import *
 
 __all__ = [
     "convert",
@@ -54,50 +38,17 @@ __all__ = [
     "field",
     "record",
     "zero",
-    "all_types",
-    "find_type",
-    "full_name",
-    "type_name",
-    "wire_name",
-    "wire_type",
     "RecordArray",
-    "check_port_type",
-    "check_shape",
-    "has_tm",
-    "is_mutable",
-    "snapshot",
-    "with_tm",
-    "Array",
-    "EMPTY",
-    "Map",
-    "NDArray",
-    "Rows",
-    "Seq",
-    "char",
-    "f32",
-    "f64",
-    "i8",
-    "i16",
-    "i32",
-    "i64",
-    "u8",
-    "u16",
-    "u32",
-    "u64",
-    "wchar",
-    "wstr",
     "Time",
-    "Field",
-    "Structure",
-    "describe",
-    "detached",
-    "fields_of",
-    "units_of",
 ]
 __all__ += _basic.__all__
 __all__ += _extended.__all__
 __all__ += _extra.__all__
 __all__ += _interface.__all__
+__all__ += _registry.__all__
+__all__ += _samples.__all__
+__all__ += _spelling.__all__
+__all__ += _structure.__all__
 
 
 def _ros(kind: str) -> _Callable[[str], object]:

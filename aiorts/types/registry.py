@@ -18,6 +18,8 @@ from aiorts.spelling import similar
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+__all__ = ("all_types", "find_type", "full_name", "type_name", "wire_name", "wire_type")
+
 T = TypeVar("T", bound=type)
 
 _BUILTIN = "aiorts.types."

@@ -20,6 +20,8 @@ from aiorts.types.kinds import SCALARS, STAMP_LIMIT, IntKind, Kind, StampKind
 from aiorts.types.rows import RecordArray, RowsKind, TupleKind
 from aiorts.types.structure import STRUCTURE, Field, Structure, describe, kind_of
 
+__all__ = ("check_port_type", "check_shape", "detached", "has_tm", "is_mutable", "snapshot", "with_tm")
+
 T = TypeVar("T")
 
 PLAIN_TYPES: tuple[type, ...] = (bool, int, float, str, bytes)

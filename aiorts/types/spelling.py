@@ -18,6 +18,28 @@ if TYPE_CHECKING:
 
     from aiorts.types.rows import RecordArray  # noqa: F401
 
+__all__ = (
+    "EMPTY",
+    "Array",
+    "Map",
+    "NDArray",
+    "Rows",
+    "Seq",
+    "char",
+    "f32",
+    "f64",
+    "i8",
+    "i16",
+    "i32",
+    "i64",
+    "u8",
+    "u16",
+    "u32",
+    "u64",
+    "wchar",
+    "wstr",
+)
+
 T = TypeVar("T")
 Given = TypeVar("Given")
 Taken = TypeVar("Taken")

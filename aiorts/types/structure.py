@@ -28,6 +28,8 @@ from aiorts.types.rows import FixedTupleKind, MapKind, TupleKind
 if typing.TYPE_CHECKING:
     from aiorts.types.nested import RecordKind
 
+__all__ = ("Field", "Structure", "describe", "fields_of", "units_of")
+
 MISSING: Any = dataclasses.MISSING
 NUMBERS = frozenset({*(f"{sign}{bits}" for sign in "iu" for bits in (8, 16, 32, 64)), "f32", "f64", "bool"})
 _FLOATS = ("f32", "f64")

@@ -6,58 +6,20 @@ A module for each package of ROS. They are loaded when this is imported, or when
 
 from __future__ import annotations
 
+from aiorts.types.ros import geometry_msgs as _geometry_msgs
+from aiorts.types.ros import sensor_msgs as _sensor_msgs
 from aiorts.types.ros.builtin_interfaces import Time
-from aiorts.types.ros.geometry_msgs import (
-    Point,
-    Pose,
-    PoseStamped,
-    PoseWithCovariance,
-    Quaternion,
-    Transform,
-    TransformStamped,
-    Twist,
-    TwistStamped,
-    TwistWithCovariance,
-    Vector3,
-)
+from aiorts.types.ros.geometry_msgs import *
 from aiorts.types.ros.headed import Headed
 from aiorts.types.ros.nav_msgs import Odometry
-from aiorts.types.ros.sensor_msgs import (
-    CompressedImage,
-    Image,
-    Imu,
-    JointState,
-    LaserScan,
-    NavSatFix,
-    NavSatStatus,
-    PointCloud2,
-    PointField,
-)
+from aiorts.types.ros.sensor_msgs import *
 from aiorts.types.ros.std_msgs import Header
 
 __all__ = [
-    "CompressedImage",
     "Headed",
     "Header",
-    "Image",
-    "Imu",
-    "JointState",
-    "LaserScan",
-    "NavSatFix",
-    "NavSatStatus",
     "Odometry",
-    "Point",
-    "PointCloud2",
-    "PointField",
-    "Pose",
-    "PoseStamped",
-    "PoseWithCovariance",
-    "Quaternion",
     "Time",
-    "Transform",
-    "TransformStamped",
-    "Twist",
-    "TwistStamped",
-    "TwistWithCovariance",
-    "Vector3",
 ]
+__all__ += _geometry_msgs.__all__
+__all__ += _sensor_msgs.__all__

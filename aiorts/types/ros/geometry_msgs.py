@@ -10,6 +10,20 @@ from aiorts.types.ros.headed import Headed, check_length, zeros
 from aiorts.types.ros.std_msgs import Header
 from aiorts.types.spelling import Array, f64
 
+__all__ = (
+    "Point",
+    "Pose",
+    "PoseStamped",
+    "PoseWithCovariance",
+    "Quaternion",
+    "Transform",
+    "TransformStamped",
+    "Twist",
+    "TwistStamped",
+    "TwistWithCovariance",
+    "Vector3",
+)
+
 
 @record
 class Vector3:

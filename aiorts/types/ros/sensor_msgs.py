@@ -10,6 +10,18 @@ from aiorts.types.ros.headed import Headed, check_length, zeros
 from aiorts.types.ros.std_msgs import Header
 from aiorts.types.spelling import EMPTY, Array, Seq, f32, f64, i8, u8, u16, u32
 
+__all__ = (
+    "CompressedImage",
+    "Image",
+    "Imu",
+    "JointState",
+    "LaserScan",
+    "NavSatFix",
+    "NavSatStatus",
+    "PointCloud2",
+    "PointField",
+)
+
 
 @record
 class Imu(Headed):
