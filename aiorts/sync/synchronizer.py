@@ -51,10 +51,7 @@ class Synchronizer(Generic[M]):
     @overload
     def __init__(
         self: Synchronizer[tuple[A, B]],
-        a: InPort[A],
-        b: InPort[B],
-        /,
-        *,
+        *ports: *tuple[InPort[A], InPort[B]],
         tolerance: float | None = None,
         policy: str = "nearest",
         length: int = 8,
@@ -62,11 +59,7 @@ class Synchronizer(Generic[M]):
     @overload
     def __init__(
         self: Synchronizer[tuple[A, B, C]],
-        a: InPort[A],
-        b: InPort[B],
-        c: InPort[C],
-        /,
-        *,
+        *ports: *tuple[InPort[A], InPort[B], InPort[C]],
         tolerance: float | None = None,
         policy: str = "nearest",
         length: int = 8,
@@ -74,12 +67,7 @@ class Synchronizer(Generic[M]):
     @overload
     def __init__(
         self: Synchronizer[tuple[A, B, C, D]],
-        a: InPort[A],
-        b: InPort[B],
-        c: InPort[C],
-        d: InPort[D],
-        /,
-        *,
+        *ports: *tuple[InPort[A], InPort[B], InPort[C], InPort[D]],
         tolerance: float | None = None,
         policy: str = "nearest",
         length: int = 8,
