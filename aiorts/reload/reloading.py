@@ -20,6 +20,7 @@ from aiorts.kernel.declarations import kinds_of
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of
 from aiorts.kernel.service import stand_in_reason
+from aiorts.late import dataclass
 from aiorts.model.health.verdict import verdict
 from aiorts.reload.fresh_code import FreshCode, find_type, read_anew
 from aiorts.reload.reload_events import Reloaded
@@ -66,7 +67,8 @@ async def reload(
                     f"reload({origin}): called by a hook, or a task, that it would wait for or end; call it from "
                     "outside of the component's contexts"
                 )
-    one = _Reload(kernel, kind, cycles, seconds, timeout, import_timeout, window)
+    trial = Trial(kernel, timeout)
+    one = _Reload(kernel, kind, cycles, seconds, import_timeout, window, trial, Health(kernel))
     task = kernel_task(kernel.loop, one.run(), f"aiorts reload {origin}")
     renewing = kernel.registry.renewing
     renewing.add(task)
@@ -98,28 +100,18 @@ def check_replaceable(component: Component) -> None:
         raise StateError(f"{name}: cannot be reloaded: {why}")
 
 
+@dataclass(slots=True)
 class _Reload:
     """One reload, from the file to the end of the old instances."""
 
-    def __init__(
-        self,
-        kernel: Microkernel,
-        kind: type[Component] | str,
-        cycles: int,
-        seconds: float,
-        timeout: float | None,
-        import_timeout: float,
-        window: float,
-    ) -> None:
-        self._kernel = kernel
-        self._timeout = timeout
-        self._trial = Trial(kernel, timeout)
-        self._kind = kind
-        self._cycles = cycles
-        self._seconds = seconds
-        self._import_timeout = import_timeout
-        self._window = window
-        self._health = Health(kernel)
+    _kernel: Microkernel
+    _kind: type[Component] | str
+    _cycles: int
+    _seconds: float
+    _import_timeout: float
+    _window: float
+    _trial: Trial
+    _health: Health
 
     async def run(self) -> Reloaded:
         """All of it."""
