@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager
 from inspect import iscoroutine
-from typing import TYPE_CHECKING, Any, Self, Unpack
+from typing import TYPE_CHECKING, Any, Self, TypeVar, Unpack
 
 from aiorts.assembly import Kernel
 from aiorts.clock import SimulatedClock, current_clock, to_ns
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports import Port
     from aiorts.model.connect_options import ConnectOptions
     from aiorts.services import ServiceEnd
+
+T = TypeVar("T")
 
 
 class Caught:
@@ -156,22 +158,16 @@ class Rig:
     @property
     def kernel(self) -> Kernel:
         """The rig's own kernel; ClosedError before it was opened."""
-        if self._kernel is None:
-            raise ClosedError("Rig: is not open; use `async with Rig(...) as rig`")
-        return self._kernel
+        return _opened(self._kernel)
 
     @property
     def clock(self) -> SimulatedClock:
         """The simulated clock of the rig; ClosedError before it was opened."""
-        if self._clock is None:
-            raise ClosedError("Rig: is not open; use `async with Rig(...) as rig`")
-        return self._clock
+        return _opened(self._clock)
 
     @property
     def _tools(self) -> Instruments:
-        if self._instruments is None:
-            raise ClosedError("Rig: is not open; use `async with Rig(...) as rig`")
-        return self._instruments
+        return _opened(self._instruments)
 
     @property
     def failures(self) -> tuple[HookFailed, ...]:
@@ -425,3 +421,9 @@ def _in_port(port: Port[Any]) -> InPort[Any]:
     if not isinstance(port, InPort):
         raise WiringError(f"{port.path}: expected an in-port or an out-port, got {port!r}")
     return port
+
+
+def _opened(part: T | None) -> T:
+    if part is None:
+        raise ClosedError("Rig: is not open; use `async with Rig(...) as rig`")
+    return part

@@ -318,16 +318,17 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
         return future
 
     async def subprocess_exec(self, protocol_factory: Callable[[], Any], *args: Any, **options: Any) -> Any:
-        with contextlib.ExitStack() as stack:
-            hold = stack.enter_context(self.aiorts_clock.hold())
-            made = await super().subprocess_exec(_until_exit(protocol_factory, hold), *args, **options)
-            stack.pop_all()
-        return made
+        return await self._spawned(super().subprocess_exec, protocol_factory, *args, **options)
 
     async def subprocess_shell(self, protocol_factory: Callable[[], Any], *args: Any, **options: Any) -> Any:
+        return await self._spawned(super().subprocess_shell, protocol_factory, *args, **options)
+
+    async def _spawned(
+        self, spawn: Callable[..., Awaitable[Any]], protocol_factory: Callable[[], Any], *args: Any, **options: Any
+    ) -> Any:
         with contextlib.ExitStack() as stack:
             hold = stack.enter_context(self.aiorts_clock.hold())
-            made = await super().subprocess_shell(_until_exit(protocol_factory, hold), *args, **options)
+            made = await spawn(_until_exit(protocol_factory, hold), *args, **options)
             stack.pop_all()
         return made
 
