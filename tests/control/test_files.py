@@ -257,3 +257,5 @@ async def test_a_report_says_which_parameters_name_files() -> None:
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"files: .*there is no such folder"):
         Kernel(services={"control": {"name": "it", "files": tmp_path / "none"}})
+    with pytest.raises(ConfigurationError, match=r"files: '': there is no such folder"):
+        Kernel(services={"control": {"name": "it", "files": ""}})

@@ -48,7 +48,7 @@ class ControlSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        if self.files is not None and not self.files.is_dir():
+        if self.files is not None and not (str(self.files) and self.files.is_dir()):
             raise ConfigurationError(f"files: {str(self.files)!r:.80}: there is no such folder")
         if self.name:
             try:
