@@ -75,8 +75,9 @@ class Maker:
         self._sizes: dict[int, int] = {}
         self.made = Counter[Place]()
         """By part of the schema."""
-        self.wrong = Counter[str]()
-        """By key of a file: how often something in it was changed."""
+        self.wrong = Counter[Place]()
+        """By keys that lead to a value, without names and numbers: how often it was changed."""
+        self._keys = {place[-1] for place in parts_of(schema) if place[-2:-1] == ("properties",)}
 
     def file(self) -> dict[str, Any]:
         """A system file."""
@@ -87,22 +88,23 @@ class Maker:
 
     def marred(self, file: dict[str, Any]) -> dict[str, Any]:
         """The file with one thing changed: another value, a key misspelt, unknown or missing."""
-        made, chance, properties = copy.deepcopy(file), self._chance, self._schema["properties"]
+        made, chance = copy.deepcopy(file), self._chance
         usual = {("components", name) for name, one in _COMPONENTS.items() if made["components"][name] == one}
         places = [place for place in _places(made, ()) if place[:2] not in usual]
-        tops = sorted({place[0] for place in places})
-        top = min(tops, key=lambda one: self.wrong[one] / (20 + self._size(properties[one])))
-        self.wrong[top] += 1
-        *above, key = chance.choice([place for place in places if place[0] == top])
+        spots = {place: tuple(key for key in place if key in self._keys) for place in places}
+        *above, key = min(places, key=lambda place: (self.wrong[spots[place]], chance.random()))
+        self.wrong[spots[(*above, key)]] += 1
         holder: Any = made
         for one in above:
             holder = holder[one]
-        if not isinstance(holder, dict) or chance.random() < 0.6:
-            holder[key] = copy.deepcopy(chance.choice((*STRANGE, *TEXTS)))
-        elif chance.random() < 0.5:
+        if type(holder[key]) in (int, float) and chance.random() < 0.5:
+            holder[key] = chance.choice((holder[key] + 1, holder[key] - 1, -1, 10**10))
+        elif not isinstance(holder, dict) or chance.random() < 0.3:
+            holder[key] = copy.deepcopy(chance.choice(chance.choice((STRANGE, TEXTS))))
+        elif chance.random() < 0.6:
             wrong = chance.choice((f"{key}{key[-1:]}", key[:-1] + "q", key.title(), "unknown"))
             holder[wrong] = holder.pop(key)
-        elif chance.random() < 0.5:
+        elif chance.random() < 0.7:
             holder["unknown"] = copy.deepcopy(chance.choice(STRANGE))
         else:
             del holder[key]
@@ -188,8 +190,10 @@ class Maker:
         low, above = node.get("minimum", -math.inf), node.get("exclusiveMinimum", -math.inf)
         high = node.get("maximum", math.inf)
         ends = [end for end in (low, high) if math.isfinite(end)]
-        usual = (*(_WHOLES if whole else _NUMBERS), *ends)
-        return self._chance.choice([one for one in usual if low <= one <= high and one > above])
+        usual = ends if ends and self._chance.random() < 0.5 else _WHOLES if whole else _NUMBERS
+        return self._chance.choice(
+            [one for one in (*usual, *ends) if low <= one <= high and one > above] or [above + 1]
+        )
 
 
 def _places(node: Any, place: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:

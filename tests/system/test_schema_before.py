@@ -17,12 +17,15 @@ from aiorts import Catalogue
 from aiorts.system import schema
 from aiorts.system.file.parse import read
 from aiorts.system.file.survey import survey
+from campaign import CAMPAIGN
 from schema_files import Maker, parts_of, toml
 from system_parts import PARTS
 
 BEFORE = json.loads(gzip.decompress((Path(__file__).parent / "golden" / "schema-before.json.gz").read_bytes()))
 """What `aiorts schema` printed at commit 23b0e4bc, without titles, descriptions and defaults."""
-COUNT = 2_000
+EMPTY = '"isolation" = ""'
+"""What the reader takes for no such line, and the schema refused before, too."""
+COUNT = 20_000 if CAMPAIGN else 2_000
 TAKEN = ("on", "off", "0x10", "0o17", "0b101")
 """Texts, in any case and with blanks round them, of truth values and of whole numbers that one reading takes now."""
 REFUSED = ("4.0", "1e3", "0.25", "1e-3", "_")
@@ -40,7 +43,9 @@ UNSAID = {
         *("would be a member of itself", "cannot wait for itself", "wait for each other", "in no group"),
         *("is less than backoff", "limits are those of a process", "nothing says (what to replay|where to record)"),
         *("known by certificates alone", "in its certificate, and no other", "are one option with two values"),
+        "there are certificates as well",
         *("needs a push_rate", "both ports are in this kernel", "the (reader|writer) is in another kernel"),
+        *("both ends are in other processes", "is never looked at"),
         *("no port is of this system", "(do|does|goes) not go with", "goes not with", "repeat needs a prefix"),
         *("a number only with repeat", "{i} is missing in the name"),
     ),
@@ -53,14 +58,19 @@ UNSAID = {
     "a component's own command line": ("no option ", "expected an option such as"),
     "the ranges of a context's arguments": (
         r"(rate|max_rate|deadline|every|cpus|priority) = .*: expected (a number of Hz|seconds|numbers of|[\d.]+ to)",
+        "spin = .*: expected",
     ),
     "OpenRTM's names": (
         "^(dataflow|stamp|subscription|allow_duplicate|sync_readwrite) = .*: expected",
         *("unknown option '", "is an empty table"),
     ),
     "the contents of a service's tables": ("expected (viewer, operator|host:port|names of components)",),
-    "infinity": ("= inf: expected",),
-    "that 4.0 is no whole number": (r"expected how often, .*, got 4\.0", r"4\.0: (expected a whole|must be an int)"),
+    "infinity": ("inf: expected",),
+    "which whole numbers a float holds, and that 4.0 is none": (
+        "holds this whole number",
+        r"expected how often, .*, got 4\.0",
+        r"\.0: (expected a whole|must be an int)",
+    ),
     "that [plugins] has no condition": ("unknown key 'if'; there are path",),
 }
 """What a schema that takes the same files as before can not say, with the messages of the reader."""
@@ -99,11 +109,12 @@ def makers() -> tuple[Maker, Maker]:
 
 @pytest.fixture(scope="module")
 def files(makers: tuple[Maker, Maker]) -> list[dict[str, Any]]:
-    """Files of which each second one is the one before it, with something changed."""
+    """Right files, each followed by the same with something changed; in the place of each tenth is such a one, too."""
     made = []
     for number in range(COUNT // 2):
-        made.append(makers[number % 2].file())
-        made.append(makers[number % 2].marred(made[-1]))
+        maker = makers[number % 2]
+        right = maker.file()
+        made += [right if number % 10 else maker.marred(right), maker.marred(right)]
     return made
 
 
@@ -221,7 +232,7 @@ def test_what_the_schema_takes_the_reader_takes_and_what_it_refuses_the_reader_r
         if has_template(file):
             continue
         said = refused(file, folder)
-        assert takes or said, file
+        assert takes or said or EMPTY in toml(file), file
         count[takes and not said] += 1
         for text in said if takes else ():
             unexplained += [] if reasons.search(text) else [text]
