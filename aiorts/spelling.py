@@ -10,7 +10,7 @@ __all__ = ("meant", "nearest", "similar", "suggestion")
 _LONGEST = 200
 """Characters that are compared: a longer word is no mistake in spelling, and would take its time."""
 
-_COMPARED = 1000
+_COMPARED = 2000
 """Words that one is compared with."""
 
 _LISTED = 20

@@ -13,13 +13,13 @@ from aiorts.kernel.declarations import declarations
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.model.names import names_kernel
 from aiorts.model.options import connector_profile, link_options
-from aiorts.model.pairs import ConnectedPairs
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted, said_keys
 from aiorts.planning import Canon, service_connection, table, whole
 from aiorts.services import ServicePort, pairs_of
 from aiorts.system.blueprint import Blueprint, prepare
 from aiorts.system.checks.composed_drafts import compositions, leaf_paths
 from aiorts.system.checks.draft import Draft, draft
+from aiorts.system.file.pairs import ConnectedPairs
 from aiorts.system.file.values import SystemFile
 
 

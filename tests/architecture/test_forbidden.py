@@ -65,7 +65,7 @@ BROAD_EXCEPT = {
     "aiorts/links/call_values.py:restored",
     "aiorts/links/reader_link.py:_deliver",
     "aiorts/links/reader_link.py:_deliver_all",
-    "aiorts/links/reader_link.py:_deliver_alone",
+    "aiorts/links/reader_link.py:on_frames",
     # Round a recorded sample, as above: the others are replayed, and the run ends.
     "plugins/aiorts_log/playing/read_ahead.py:_read",
     # Round the answer to another kernel, which must not wait for its time-out because of a fault here.

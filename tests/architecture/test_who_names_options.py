@@ -83,7 +83,7 @@ ACTS = MappingProxyType(
             "sends over a link",
             "full keep_last length lifespan push subscription timeout",
         ),
-        "aiorts/model/pairs.py": ("refuses a second connector of two ports", "allow_duplicate"),
+        "aiorts/system/file/pairs.py": ("refuses a second connector of two ports", "allow_duplicate"),
         "aiorts/observe/html.py": ("marks the edges that send at once", "subscription"),
         "aiorts/observe/introspection.py": ("refuses a length of no samples", "length"),
         "aiorts/observe/listening.py": ("takes writes without a reader", "full out_length"),

@@ -2,10 +2,9 @@
 
 `OutPort` and `InPort` inline the common case (`out_port.py`, `in_port.py`) and come here for everything else.
 
-Only `written` and drops are counted; what was delivered follows from them, so the ledger balances at any moment it is
-read. What an out-port gives to all of its direct connectors alike it counts once, for all of them (`OutPort._sent`),
-and what a full buffer displaces on that way in one number (`displaced`): both are put in their place when somebody
-asks. `model/policy.py` and `model/buffer.py` decide; this file carries out.
+Only `written` and drops are counted; what was delivered follows from them, so the ledger balances at any moment. An
+out-port counts once what it gives to all its direct connectors alike (`OutPort._sent`), and in one number what full
+buffers displace there (`displaced`): a look at the counts puts both in place. `model/` decides; this file carries out.
 
 Across threads the receiver has a lock, and every path here that touches its queues takes it: its fast path is off. A
 method that has waited for the lock asks whether this is still the connector's transport (of a receiver: the port's).
@@ -239,8 +238,7 @@ class Transport:
     def glance(self) -> tuple[int, int, Mapping[str, int]]:
         """Written, buffered, and dropped by reason, from any thread, without a lock and without counting anything.
 
-        For a look into a process that is stuck; torn when the connector is being used at this moment. `statistics` is
-        exact.
+        For a look into a process that is stuck; inexact while the connector is used, other than `statistics`.
         """
         dropped = dict(self.dropped)
         if displaced := self.displaced:

@@ -11,13 +11,13 @@ from aiorts.kernel.ports.wiring import converter_between, pair_faults
 from aiorts.kernel.quality import FEATURES
 from aiorts.model.names import names_kernel
 from aiorts.model.options import doubts, idle, link_options, transport_notice, without_effect
-from aiorts.model.pairs import ConnectedPairs
 from aiorts.model.wanted.entries import ConnectionEntry
 from aiorts.services import ServicePort, fault_of
 from aiorts.spelling import nearest, suggestion
 from aiorts.system.checks.adapt import adaptation
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
+from aiorts.system.file.pairs import ConnectedPairs
 from aiorts.system.file.survey import Survey
 from aiorts.system.text.places import Key
 from aiorts.types import has_tm

@@ -24,7 +24,6 @@ from aiorts.model.declared import OptionError, fault_of, kinds_of, options_of, r
 from aiorts.model.names import Path as PortPath
 from aiorts.model.names import check_name, names_kernel
 from aiorts.model.options import OWN_KEYS, SERVICE_KEYS, connector_profile
-from aiorts.model.pairs import ConnectedPairs
 from aiorts.model.wanted.entries import ClockEntry, ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry
 from aiorts.model.wanted.restart_policy import ACTING
 from aiorts.processes import Limits
@@ -34,6 +33,7 @@ from aiorts.system.expansion.choices import AS_WRITTEN, Choices
 from aiorts.system.expansion.expand import TOP_KEYS, Expanded, expand
 from aiorts.system.expansion.repeating import IF, REPEAT
 from aiorts.system.file.families import misplaced
+from aiorts.system.file.pairs import ConnectedPairs
 from aiorts.system.file.values import Override, SystemFile
 from aiorts.system.text.origins import Source
 from aiorts.system.text.places import Key
