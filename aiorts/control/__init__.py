@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from aiorts.control.operations import OPERATIONS
     from aiorts.control.server.service import Control
     from aiorts.control.session import Session
-    from aiorts.model.counters import ConnectorCounters
     from aiorts.model.lifecycle import state_text
     from aiorts.model.plain import Schemas
+    from aiorts.model.timing import ConnectorCounters
 
 __all__ = (
     "OPERATIONS",

@@ -28,7 +28,7 @@ from aiorts.cli.commands.live.edges import Edge
 from aiorts.cli.commands.live.measure.readings import counters_in, rate_of
 from aiorts.cli.commands.live.measure.screen import keys_in
 from aiorts.cli.commands.live.measure.table import KINDS, View, fitted, screen_of, tables, text_of
-from aiorts.model.counters import ConnectorCounters
+from aiorts.model.timing import ConnectorCounters
 from aiorts.sessions import Client
 from control_parts import WAIT, Counter, Reader, controlled, entry_of, running
 

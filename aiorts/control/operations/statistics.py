@@ -29,11 +29,11 @@ from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.late import dataclass
 from aiorts.model.buffer import MAX_LENGTH
-from aiorts.model.counters import ConnectorCounters, Size
 from aiorts.model.lifecycle import OverdueHook
 from aiorts.model.plain import empty
 from aiorts.model.profile import ThreadWriteStatistics
 from aiorts.model.service_profile import ServiceStatistics
+from aiorts.model.timing import ConnectorCounters, Size
 from aiorts.observe import calls, thread_writes
 from aiorts.wire import MsgpackCodec
 

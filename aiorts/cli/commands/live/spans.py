@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from aiorts.cli.commands.live.ledger import EXACT
-from aiorts.model.counters import SpanFigures
+from aiorts.model.timing import SpanFigures
 
 
 def span_text(ns: float) -> str:

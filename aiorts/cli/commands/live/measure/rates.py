@@ -18,7 +18,7 @@ from aiorts.cli.commands.live.target import Running, kernels
 from aiorts.cli.console.output import say_line, say_now
 from aiorts.cli.console.report import say
 from aiorts.errors import AbsentError, ClosedError
-from aiorts.model.counters import Size, SpanFigures
+from aiorts.model.timing import Size, SpanFigures
 from aiorts.sessions import RightName
 
 Show = Callable[[Counters], bool]

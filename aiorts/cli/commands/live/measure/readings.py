@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from math import sqrt
 from typing import Any
 
-from aiorts.model.counters import ConnectorCounters
+from aiorts.model.timing import ConnectorCounters
 from aiorts.sessions import Client
 
 Counters = Mapping[str, Any]

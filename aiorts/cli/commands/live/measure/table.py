@@ -15,8 +15,8 @@ from aiorts.cli.commands.live.spans import span_plain, span_text
 from aiorts.cli.console.quote import cells_of
 from aiorts.cli.console.report import printed
 from aiorts.late import dataclass
-from aiorts.model.counters import ConnectorCounters
 from aiorts.model.lifecycle import state_text
+from aiorts.model.timing import ConnectorCounters
 
 KINDS: Final = ("connectors", "contexts", "components")
 SORTS: Final = ("name", "rate", "dropped", "buffered", "late")
