@@ -40,7 +40,7 @@ VERSION = sys.version_info[:2]
 BOUNDS: dict[str, dict[tuple[int, int], tuple[int, int]]] = {
     "write_nowait + read_nowait": {(3, 11): (48, 2), (3, 12): (44, 2), (3, 13): (44, 2)},
     "write_nowait to four readers": {(3, 11): (216, 7), (3, 12): (202, 7), (3, 13): (197, 7)},
-    "write that waits for room": {(3, 11): (875, 42), (3, 12): (812, 41), (3, 13): (830, 41)},
+    "write that waits for room": {(3, 11): (885, 42), (3, 12): (822, 42), (3, 13): (840, 42)},
     "event cycle": {(3, 11): (446, 12), (3, 12): (418, 12), (3, 13): (444, 12)},
     "event cycle, async": {(3, 11): (450, 12), (3, 12): (423, 12), (3, 13): (449, 12)},
     "event cycle, 3 members": {(3, 11): (1212, 32), (3, 12): (1139, 32), (3, 13): (1189, 32)},
