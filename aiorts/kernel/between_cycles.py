@@ -1,7 +1,7 @@
-"""When a change of a component takes effect: while no hook of it runs, between two cycles, whole; never in a hook.
+"""Changes of a component take effect whole, between two cycles, while no hook of it runs.
 
-A component that is active nowhere is changed at once. Whoever awaits a change knows afterwards that it is in force; a
-hook that would wait for itself is not made to wait, and what becomes of its change is logged.
+A component that is active nowhere is changed at once. An awaited change is in force when the await returns. A hook
+that would wait for itself does not wait, and the outcome of its change is logged.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 PATIENCE: Final = 5.0
 """Seconds of the kernel's clock until a change of parameters is given up: two hooks may wait for each other's."""
 Change = Callable[[], BaseException | None]
-"""What is to be done; it returns what it was refused for, with nothing changed, and raises nothing."""
+"""A function that carries out a change; it returns why it was refused, with nothing changed, and raises nothing."""
 _WHAT: Final = "change parameters"
 _INACTIVE: Final = LifecycleState.INACTIVE
 

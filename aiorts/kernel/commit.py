@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.loop.bus import Bus
 
 Edit = Callable[[ConfigurationState], ConfigurationState]
-"""What makes the wished state of the present one; raises ConfigurationError."""
+"""A function that makes the wished state of the present one; it raises ConfigurationError."""
 _LOG = KernelLog()
 _LOOP_PATIENCE = 5.0
 """Real seconds that a context's thread waits for the loop to change ports."""
@@ -50,7 +50,7 @@ def commit(component: Configured, edit: Edit, *, old: ConfigurationState | None 
 
 
 def try_out(component: Configured, edit: Edit) -> AiortsError | None:
-    """What would refuse this change now; nothing is changed."""
+    """The error that would refuse this change now, or None; nothing is changed."""
     try:
         _Change(component, edit)
     except AiortsError as error:
@@ -59,7 +59,7 @@ def try_out(component: Configured, edit: Edit) -> AiortsError | None:
 
 
 class _Change:
-    """What is to be put in force, checked by everybody who may say no."""
+    """A change to put in force, checked by all that may refuse it."""
 
     __slots__ = ("_component", "_new", "_old", "_ports", "_use")
 
@@ -241,7 +241,7 @@ def _refuse_result(result: object, expected: str) -> NoReturn:
 
 
 def _text_of(error: BaseException) -> str:
-    """What it says, without its class where that says nothing; its `__str__` may be as bad as what raised it."""
+    """The text of an error, with its class where it says something; its `__str__` may raise as well."""
     text = text_of(error)
     if issubclass(type(error), ValueError):
         return text.partition(": ")[2] or "refused"
@@ -249,7 +249,7 @@ def _text_of(error: BaseException) -> str:
 
 
 def _call_own(component: Configured, what: str, function: Callable[..., Any], *args: Any) -> Any:
-    """What the component's own code says; whatever it raises refuses the change."""
+    """The answer of the component's own code; any exception refuses the change."""
     try:
         return function(*args)
     except ConfigurationError:

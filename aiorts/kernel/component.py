@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 C = TypeVar("C", bound="Component")
 D = TypeVar("D", bound=PortDeclaration)
 Hook = Awaitable[None] | None
-"""What a hook may return: it is `async def` or plain `def`, and the value is None."""
+"""The result of a hook: it is `async def` or plain `def`, and the value is None."""
 
 
 LINK_LOST: Final = ("continue", "deactivate", "error")
@@ -76,10 +76,10 @@ class Component(Configurable):
     False: it holds a device that its replacement needs, and is finalized first.
     """
     on_link_lost: ClassVar[Literal["continue", "deactivate", "error"]] = "continue"
-    """What it does, where it is active, when the link to who operates it is lost: `aiorts check` shows it.
+    """The reaction of an active component to the loss of its operator's link: `aiorts check` shows it.
 
-    Its operator is the control session that has changed it last, while that is open; one that ends in order is not
-    lost.
+    Its operator is the control session that has changed it last, while that is open; a session that ends in order is
+    not lost.
     """
     alone: ClassVar[Mapping[str, object]] = MappingProxyType({})
     """The context that it runs in alone, by `aiorts run` or as a filter, as the table of a system file: {"rate": 50.0}.
@@ -88,7 +88,7 @@ class Component(Configurable):
     second.
     """
     _rt: Cell
-    """What the kernel keeps on it; of a class: its `Declarations`."""
+    """The cell of the component; of a class: its `Declarations`."""
 
     def __init_subclass__(
         cls, *, kind: Kind | None = None, redefines: frozenset[str] = frozenset(), **options: Any
@@ -197,7 +197,7 @@ class Component(Configurable):
 
     @property
     def last_error(self) -> BaseException | None:
-        """What made this component fail last, with its traceback; earlier causes are chained to it."""
+        """The error by which this component failed last, with its traceback; earlier causes are chained to it."""
         return cell(self).last_error
 
     @property
@@ -212,7 +212,7 @@ class Component(Configurable):
 
     @property
     def profile(self) -> ComponentProfile:
-        """What this component is at this moment, frozen."""
+        """A frozen description of this component at this moment."""
         error = cell(self).last_error
         return ComponentProfile(
             self.name,
@@ -357,7 +357,7 @@ class Component(Configurable):
 
 
 def _nothing() -> Hook:
-    """What a hook returns that the class does not define: super().on_x() can be awaited all the same."""
+    """The result of a hook that the class does not define: super().on_x() can be awaited all the same."""
     return _DONE
 
 
@@ -419,4 +419,4 @@ _OURS = frozenset(name for name in (*vars(Component), *vars(Configurable)) if no
     "parks",
     "on_reload",
 }
-"""What a component cannot redefine: the kernel and every tool rely on it."""
+"""The names that a component cannot redefine: the kernel and every tool rely on them."""

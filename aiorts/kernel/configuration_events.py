@@ -26,7 +26,7 @@ class ParameterAdded(Event):
     type: str
     unit: str
     remark: str = ""
-    """What is to be said of its name: that it is no standard name, and which are near."""
+    """A remark on its name: that it is no standard name, and which names are near."""
 
 
 @dataclass(frozen=True, slots=True)

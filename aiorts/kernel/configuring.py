@@ -1,7 +1,7 @@
 """The configuration of a component as its user sees it: sets, which one is active, parameters that come and go.
 
-Every way to a value in force ends here: checked at once, so that who asked is told, and once more when it is put in
-force, between two cycles, whole or not at all.
+Every way to a value in force ends here. A value is checked at once, so that its caller gets the error, and again
+when it is put in force: between two cycles, whole or not at all.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from aiorts.model.configuration.parameters import ParameterSpec
 
 OVERRIDABLE: Final = frozenset({"configurations", "check_configuration", "ports_for"})
-"""What a component class may write for itself."""
+"""The methods of configuration that a component class may override."""
 
 
 class Configuration:
@@ -52,7 +52,7 @@ class Configuration:
 
     @property
     def sets(self) -> Mapping[str, Mapping[str, Any]]:
-        """What each set holds, "default" first."""
+        """The values of each set, "default" first."""
         return self._state.sets
 
     @property
@@ -89,7 +89,7 @@ class Configuration:
         await self._apply(lambda state: state.removed(name, self._component.name))
 
     async def replace(self, sets: Mapping[str, Mapping[str, object]], active: str = DEFAULT) -> None:
-        """Have these sets and no others; what the new "default" does not name is as declared."""
+        """Replace all sets by these; a parameter that the new "default" does not name has its declared value."""
         owner = self._component.name
         checked = self._state.replaced(sets, active, owner).sets
         await self._apply(lambda state: state.replaced(checked, active, owner))
@@ -166,7 +166,7 @@ def _only(held: Mapping[str, Any], named: Mapping[str, object]) -> dict[str, Any
 
 
 class Configurable:
-    """What a component has for its parameters; `Component` derives from this."""
+    """The methods of a component for its parameters; `Component` derives from this."""
 
     configurations: ClassVar[Mapping[str, Mapping[str, object]]] = {}
     """Sets that every instance begins with: name to what it holds, as {"stiff": {"gain": 5.0}}."""
@@ -235,7 +235,7 @@ class Configurable:
         return None
 
     def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[Any] | OutPort[Any]]:
-        """The ports that exist while these values are in force, by name, beside those declared and added.
+        """The ports that exist while these values are in force, by name, besides those declared and added.
 
         Plain `def`, no hook; it changes nothing. It is asked at each change: a port that is asked for again in the
         same words stays, with its connectors and unread samples; the others go, or come, in the same moment.

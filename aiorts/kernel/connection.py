@@ -1,4 +1,4 @@
-"""What `Kernel.connect` returns for three ports or more: their connectors as one handle."""
+"""The result of `Kernel.connect` for three ports or more: their connectors as one handle."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class _Owner(Protocol):
 class Connection(tuple[C, ...]):
     """The connectors of one `Kernel.connect`, in the order in which they were made: a tuple that is ended as one.
 
-    One that ends alone, as when its port is removed, leaves the others in force. What supervision connects anew after a
-    restart is in `Kernel.connectors`, by the same name, and not in here.
+    A connector that ends alone, as when its port is removed, leaves the others in force. A connector that supervision
+    makes after a restart is in `Kernel.connectors`, by the same name, and not in here.
     """
 
     _owner: _Owner

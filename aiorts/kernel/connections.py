@@ -48,18 +48,18 @@ offer(*FEATURES)
 
 
 class Connections:
-    """Which ports are connected with which."""
+    """The connectors of a kernel, and the ways to make, change and end them."""
 
     def __init__(self, kernel: KernelSide) -> None:
         self._kernel = kernel
         self.connectors: dict[str, Connector] = {}
         self.service_connectors: dict[str, Any] = {}
-        """Those that are none of data ports."""
+        """The connectors of service ports, by name."""
         self.losses, self.early = Losses(kernel), Early(kernel)
         self.gaps = Gaps(kernel)
         self.unconverted = Unconverted(kernel)
         self.far: FarPorts | None = None
-        """Who makes what stands for ports of other kernels; None: there are no other kernels."""
+        """The maker of stand-ins for ports of other kernels; None: there are no other kernels."""
         self._numbering = Numbering(self._taken)
         self._idle: set[str] = set()
         """Warnings of options that choose nothing, each given once."""
@@ -180,7 +180,7 @@ class Connections:
             self._kernel.bus.publish(ConnectorChanged(profile, before))
 
     def replace_options(self, connector: Connector, options: Mapping[str, Any]) -> None:
-        """Have these options in force instead of all it has: what waits and what is unread goes over, in order.
+        """Replace all options of a connector by these; waiting and unread samples go over, in order.
 
         Raises:
             WiringError: as `make`; nothing was changed.

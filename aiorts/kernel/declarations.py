@@ -1,4 +1,4 @@
-"""What a component class declares, read from its body once: ports, parameters, hooks and sets; nothing is created."""
+"""The declarations of a component class, read from its body once: ports, parameters, hooks, sets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Kind:
-    """What the kernel needs to know of a kind of component, such as a composite, beside what it knows of every one.
+    """A kind of component, such as a composite: the facts that the kernel needs beyond those of every component.
 
     One object without state for all components of the kind: `class Composite(Component, kind=CompositeKind())`. A class
     may derive from several kinds; each is asked.
@@ -29,7 +29,7 @@ class Kind:
         """It has left the kernel."""
 
     def reports(self, component: Any) -> Mapping[str, Any]:
-        """What its profile says beside what every component's says: fields of a ComponentReport."""
+        """The part of its profile that other components lack: fields of a ComponentReport."""
         return {}
 
     def placed(self, component: Any, context: Any, components: Sequence[Any]) -> Any:
@@ -47,12 +47,12 @@ class Kind:
         """New instances (the values) have the places of others: pass that on to what it keeps of them."""
 
     def heritage(self, component: Any) -> Callable[[Any], None] | None:
-        """What gives a new instance what this one shares with others: made before this goes, called with the new."""
+        """A function that gives a new instance what this one shares with others; it is made before this one goes."""
         return None
 
 
 class Declarations:
-    """What one component class declares, its bases' declarations included.
+    """The declarations of one component class, its bases' included.
 
     It stands in the class under the name under which an instance has its cell. So an instance that has cleared its
     `__dict__` comes here, and is given its cell back.
@@ -75,9 +75,9 @@ class Declarations:
         self.hook_kinds = hook_kinds
         """How each hook is to be run: a `HookKind` by the hook's name."""
         self.configuration = configuration
-        """What instances begin with."""
+        """The configuration with which instances begin."""
         self.overrides = overrides
-        """What it writes for itself of `configurations`, `check_configuration` and `ports_for`."""
+        """The methods that it overrides among `configurations`, `check_configuration` and `ports_for`."""
         self.kinds = kinds
         self.port_maker: Any = None
         """While an instance is constructed that is to take another one's place: what makes its ports."""
@@ -95,7 +95,7 @@ class Declarations:
 
 
 def declarations(cls: type[Any]) -> Declarations:
-    """What this component class declares."""
+    """The declarations of a component class."""
     found: Declarations = getattr(cls, ATTRIBUTE)
     return found
 

@@ -1,4 +1,4 @@
-"""What a kernel does to the loop it runs in: it wraps two things while it runs and leaves both as they were.
+"""The changes that a kernel makes to the loop it runs in: it wraps two things and leaves both as they were.
 
 The task factory is called, never replaced, and each task that a component's hook makes is marked with that component;
 so is what such a task makes in turn. A marked task that fails and whose exception nobody has asked for half a second
@@ -79,7 +79,7 @@ class Guest:
         if task.cancelled() or not getattr(task, "_log_traceback", False):
             return
         if type(getattr(task, "_exception", None)) is _Interrupted:
-            # Whoever sent it waits for the end of the process: it is not kept back for somebody who may ask.
+            # The sender waits for the end of the process: the exception is not kept back for a later question.
             self._blame(task)
         else:
             self._unclaimed[task] = self.loop.call_later(UNCLAIMED_AFTER, self._look_again, task)
@@ -94,7 +94,7 @@ class Guest:
         if task in self._unclaimed:
             self._unclaimed.pop(task).cancel()
         if not getattr(task, "_log_traceback", False):
-            return  # somebody has awaited it, or asked for its exception
+            return  # it was awaited, or asked for its exception
         error = task.exception()
         if type(error) in (_Ended, _Interrupted) and error is not None:
             error = error.__cause__  # the exception that was meant to end more than the task
@@ -103,7 +103,7 @@ class Guest:
             kernel.registry.task_failed(owner, task.get_name(), error)
 
     def settle(self, kernel: KernelSide) -> None:
-        """Nobody of `kernel` will ask any more: what failed is reported now."""
+        """Report what failed: no code of `kernel` will ask for it any more."""
         for task in tuple(self._unclaimed):
             if cell(task._aiorts_component).kernel is kernel:  # type: ignore[attr-defined] # marked by _make_task
                 self._blame(task)
@@ -208,7 +208,7 @@ def last_lines(loop: asyncio.AbstractEventLoop) -> tuple[KernelLine, ...]:
 
 
 def creator_of(task: Any) -> Any:
-    """What made a task: one run of a hook, or a task; so that it is known whether that still runs."""
+    """The creator of a task: one run of a hook, or a task; so that it is known whether the creator still runs."""
     driver = getattr(task, "_aiorts_driver", None)
     return task if driver is None else (driver, driver.run)
 

@@ -1,4 +1,4 @@
-"""Who must not run in one context: the writer and the reader of a connector with `length = 0`.
+"""The check that the writer and the reader of a connector with `length = 0` run in different contexts.
 
 Members of a context run one after the other, so a write that waits for its reader there waits for itself.
 """

@@ -1,6 +1,6 @@
-"""What the kernel keeps on a component: one object, which the component holds in its one private attribute.
+"""The cell: the object with all that the kernel keeps on a component, held in its one private attribute.
 
-Whoever needs something of it asks `cell(component)`. In a reload the new instance gets the old one's cell
+`cell(component)` gives it. In a reload the new instance gets the old one's cell
 (`exchange_cells`), since ports, connectors and members know that very object. A component may stand for others: then
 there is a `Group` in its cell, and who runs in its place is known by that alone.
 """
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from aiorts.model.lifecycle import LifecycleState
 
 ATTRIBUTE: Final = "_rt"
-"""The one attribute of a component that is not its writer's."""
+"""The attribute of a component that belongs to the kernel."""
 _NOTHING: Final[Mapping[Any, Any]] = MappingProxyType({})
 
 
@@ -70,7 +70,7 @@ class ComponentSide(Protocol):
     @property
     def last_error(self) -> BaseException | None: ...
 
-    """What made it fail last."""
+    """The error by which the component failed last."""
 
 
 class Configured(ComponentSide, Protocol):
@@ -99,17 +99,17 @@ class KernelSide(PortKernelSide, Protocol):
     @property
     def components(self) -> Mapping[str, ComponentSide]: ...
 
-    """Those that belong to it, by name."""
+    """The components of the kernel, by name."""
 
     @property
     def contexts(self) -> Mapping[str, Context]: ...
 
-    """Those that run, by name."""
+    """The contexts that run, by name."""
 
     @property
     def services(self) -> Sequence[Any]: ...
 
-    """Those that are attached to it, in the order they were."""
+    """The services of the kernel, in the order in which they were attached."""
 
     def check_thread(self, what: str) -> None:
         """Raise ThreadError unless this is the thread of the kernel's loop."""
@@ -119,7 +119,7 @@ class KernelSide(PortKernelSide, Protocol):
 
     def monitor_deadlines(self, context: Context) -> DeadlineTimer | None: ...
 
-    """Who finds out why a context is late."""
+    """The monitor that finds out why a context is late."""
 
     def call_on_loop(self, callback: Callable[[], object]) -> None:
         """Call on the loop: now if this is its thread, soon otherwise."""
@@ -144,7 +144,7 @@ class MadeByClass:
 
 
 class Cell(PortHost):
-    """What is kept on one component. What few components ever have stands in the class until then: it costs nothing."""
+    """The values that the kernel keeps on one component. A rare value is a class attribute until it is set."""
 
     __slots__ = ("configuration", "entry_lock", "hook_kinds", "judged", "members", "named")
 
@@ -164,13 +164,13 @@ class Cell(PortHost):
     group: Group | None = None
     """The group that it is a member of."""
     stands_for: Group | None = None
-    """Whom it stands for, where it is itself a group."""
+    """The group that the component stands for, if it does."""
     held_for: str = ""
-    """Whose member it is in another kernel."""
+    """The composite of another kernel that the component is a member of."""
     previous_placements: tuple[Any, ...] = ()
-    """Where it ran before it ran with that group, as the group keeps it."""
+    """The contexts in which the component ran before it joined its group, as the group keeps them."""
     own: Mapping[Any, Any] = _NOTHING
-    """What kinds of components keep on it, each under its own class."""
+    """The values that kinds of components keep, each under the class of the kind."""
     port_group: Mapping[str, Port[Any]] = _NOTHING
     """The ports that its `ports_for` returned."""
     port_maker: Any = None
@@ -214,7 +214,7 @@ class Cell(PortHost):
 
     @property
     def standing(self) -> tuple[Any, ...]:
-        """What is known of a component whichever instance it is: its errors, deadlines, group, previous placements."""
+        """The values that outlive an instance: its errors, deadlines, group and previous placements."""
         return self.last_error, self.mended, self.deadlines, self.group, self.previous_placements
 
     @standing.setter
@@ -223,16 +223,16 @@ class Cell(PortHost):
 
 
 _OF_THE_CODE: Final = ("abandoned", "configuration", "failed_in", "hook_kinds", "judged", "log", "own", "port_group")
-"""What an instance takes along when it gets another cell; the rest belongs to the place: contexts, ports, kernel."""
+"""The attributes that go with an instance to another cell; the others belong to the place: contexts, ports, kernel."""
 
 
 def cell(component: ComponentSide) -> Cell:
-    """What the kernel keeps on this component; AttributeError before `Component.__init__` has run."""
+    """The cell of a component; AttributeError before `Component.__init__` has run."""
     return component._rt
 
 
 def standing_error(component: ComponentSide) -> BaseException | None:
-    """What made it fail last; None once it was reset, or activated, after that."""
+    """The error by which the component failed last; None once it was reset, or activated, after that."""
     error = component.last_error
     return None if error is cell(component).mended else error
 
@@ -261,7 +261,7 @@ def has_cell(component: object) -> bool:
 
 
 def log_fields(component: ComponentSide) -> LogFields:
-    """What a record that this component logs now says of kernel, hook and tick."""
+    """The kernel, hook and tick for a log record that the component makes now."""
     here = cell(component)
     kernel = "" if here.kernel is None else here.kernel.name
     if here.failed_in is not None:
@@ -311,7 +311,7 @@ class Group(Protocol):
     @property
     def parts(self) -> tuple[ComponentSide, ...]: ...
 
-    """Who runs in its place, in order of execution."""
+    """The members that run in its place, in order of execution."""
 
     def check_startable(self) -> None:
         """Raise StateError when it runs already."""
@@ -326,7 +326,7 @@ class Group(Protocol):
     """Whether each member has a schedule of its own, so that it is in no context itself."""
 
     async def request(self, what: str, timeout: float | None) -> None:
-        """Have all its members activated, deactivated or reset."""
+        """Activate, deactivate or reset all members."""
 
     async def added(self) -> None:
         """It is being added to the kernel."""
@@ -360,7 +360,7 @@ class Group(Protocol):
 
 
 def as_group(component: ComponentSide) -> Group | None:
-    """Whom the component stands for; None where it stands for itself alone."""
+    """The group that the component stands for; None where it stands for itself alone."""
     return cell(component).stands_for
 
 

@@ -1,4 +1,4 @@
-"""What every execution context is: members in order, the cycle, statistics, a start and an end.
+"""The base of all execution contexts: members in order, the cycle, statistics, a start and an end.
 
 A context is a logical thread. It decides when a cycle runs and for whom (`_next_cause`, `_begin_cycle`,
 `_end_cycle`); what happens in a cycle is the same for all (`cycle.py`), and so are what contains a hook
@@ -76,7 +76,7 @@ class Context:
     _faults = 0
     """Faults of the kernel's own, about no member, that it went on after."""
     _ended_by: BaseException | None = None
-    """The one that it ends for."""
+    """The error that ends the context."""
 
     def __init__(self, *, name: str = "", deadline: Deadline = None, timing: Timing = False) -> None:
         self.name = check_name(name, "context") if name else ""
@@ -90,9 +90,9 @@ class Context:
         self._updating = 0
         """How many members the second pass of a cycle is for."""
         self._actions: deque[Action] | None = None
-        """What is to be done between cycles; None when there is nothing. Taken by `Life.next_action`."""
+        """The actions to carry out between cycles; None when there are none. `Life.next_action` takes them."""
         self.runner = Runner(self, named=bool(name))
-        """What carries it out: for services and for kinds of contexts, not for applications."""
+        """The runner of the context, for services and for kinds of contexts; applications use the context itself."""
         self._last_hooks = _NO_HOOKS
         self._stopping = False
         self._order = 0
@@ -133,7 +133,7 @@ class Context:
 
     @property
     def statistics(self) -> ContextStatistics:
-        """What this context has done so far."""
+        """The cycles, overruns and times of this context so far."""
         return replace(self.counts, hooks=self._hook_statistics())
 
     @property
@@ -142,7 +142,7 @@ class Context:
         return ContextStatistics(self.ticks, at_ns=0 if self._kernel is None else self._now_ns())
 
     def _hook_statistics(self) -> Mapping[str, HookStatistics]:
-        """Of the members there are; once the context has stopped, of those it had then."""
+        """The statistics of the present members; after the end of the context, of its last ones."""
         if self.runner.driver is None:
             return self._last_hooks
         # Copied before they are walked: a thread may run a hook for the first time meanwhile.
@@ -156,7 +156,7 @@ class Context:
 
     @property
     def profile(self) -> ContextProfile:
-        """What this context is, frozen."""
+        """A frozen description of the context at this moment."""
         members = tuple(member.component.name for member in self._members)
         return ContextProfile(self.name, self.kind, self.rate, self.running, members)
 

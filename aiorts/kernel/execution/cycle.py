@@ -1,4 +1,4 @@
-"""What an execution context does next, as a generator of steps; it never waits and never runs user code itself.
+"""The life of an execution context as a generator of steps; it never waits and never runs user code itself.
 
 A driver (a task in `task_driver.py`, a thread in `contexts/thread.py`) carries the steps out and sends back what a hook
 raised. One cycle has three passes (OMG RTC 1.1, 5.2.2.4): transitions, `on_execute` or `on_error` of every member,
@@ -34,7 +34,7 @@ _LOG = KernelLog()
 _FAULTS: Final = 3
 """Faults of the kernel's own, about no member, after each of which a context goes on; at the next it ends in order."""
 _TURNS: Final = 16
-"""What others do takes several turns of the loop one after another: none of them may cost a whole long cycle."""
+"""Work of other tasks takes several turns of the loop in sequence: none of them may cost a whole long cycle."""
 _NEVER: Final = 1 << 63
 """Nanoseconds, later than any time."""
 
@@ -59,11 +59,11 @@ class Batch:
 
     members: Iterator[Member]
     hook_of: Callable[[Member], str]
-    """Which hook to run, decided when the member's turn has come; "" for none."""
+    """The hook to run, chosen when the member's turn has come; "" for none."""
 
     @property
     def hooks(self) -> Iterator[tuple[Member, str]]:
-        """What is left to run."""
+        """The hooks that are left to run."""
         for member in self.members:
             hook = self.hook_of(member)
             if hook:
@@ -110,7 +110,7 @@ Request: TypeAlias = tuple[str, Callable[[Done], Steps]]
 
 
 class Driver(Protocol):
-    """What carries out the steps: a task on the loop (`task_driver.py`) or a thread. It decides nothing."""
+    """The driver that carries out the steps: a task on the loop (`task_driver.py`) or a thread. It decides nothing."""
 
     hooks_run: int
     """Together with the context's ticks and the current member it changes with each hook."""
@@ -194,7 +194,7 @@ class Life:
         self._context = context
 
     def steps(self, *, anew: bool = False) -> Steps:
-        """Everything from the first `on_startup` to the last `on_shutdown`; `anew`: what of it is still to come."""
+        """The steps from the first `on_startup` to the last `on_shutdown`, or those that are still to come."""
         context = self._context
         for member in context._members:
             if not member.started and not (anew and (member.left or context._stopping)):
@@ -526,7 +526,7 @@ class Life:
             self._context.runner.kernel.pass_on_interrupt(error)
 
     def _publish_failure(self, member: Member, hook: str, error: BaseException, before: BaseException | None) -> None:
-        """What fails while a failure is dealt with is chained to that failure, not to each other."""
+        """Publish a failure. Failures during the handling of another are chained to that one, not to each other."""
         component = member.component
         chain(error, before)
         member.cell.last_error = error
@@ -569,7 +569,7 @@ def second_pass(member: Member) -> str:
 
 
 def _mend(member: Member) -> None:
-    """What failed before has been seen to, where the component is in error nowhere, and does not go there."""
+    """Forget the last failure, where the component is in error in no context, and is going there in none."""
     here = member.cell
     if here.last_error is not None and all(one.failure is None for one in here.members):
         here.mended = here.last_error

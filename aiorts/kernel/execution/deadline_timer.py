@@ -1,4 +1,4 @@
-"""What a context with a rate needs from the part that finds out why it is late."""
+"""The interface between a context with a rate and the monitor that finds out why it is late."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class DeadlineTimer(Protocol):
         """Nothing is due."""
 
     def blame(self, now_ns: int, due_ns: int | None = None) -> Blame | None:
-        """Who is to blame that what was due had not begun at `now_ns`; None when it is not late."""
+        """The code that kept a due cycle from beginning by `now_ns`; None when the cycle is not late."""
 
     def close(self) -> None:
         """The context has stopped. In any thread."""

@@ -2,8 +2,8 @@
 
 So is one that serves calls: its hooks and the calls wait for each other.
 
-A component in one context, and never yet in two, has nobody to wait for: its hooks pass by the lock and may leave no
-trace at it. Whoever brings it into a second context, or has others call it, says so (`share`).
+A component that was never in two contexts waits for no other: its hooks pass by the lock and leave no trace at it.
+Code that puts it into a second context, or lets others call it, calls `share`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 
 class Entrant(Protocol):
-    """Who comes in: a member whose hook runs (`member.py`), or other code of the component (`Visit`)."""
+    """An entrant: a member whose hook runs (`member.py`), or other code of the component (`Visit`)."""
 
     component: Any
     hook: str
@@ -34,7 +34,7 @@ class Sharer(Entrant, Protocol):
         ...
 
     def settle(self) -> None:
-        """Lay out anew what a cycle looks at."""
+        """Update the fields that a cycle reads."""
 
     def update_for_sharing(self) -> None:
         """Its hook, which runs now, is to let others in when it ends."""

@@ -15,7 +15,7 @@ LONG_NS: Final = 10_000_000
 _TWICE: Final = 2
 """One long cycle is an event, and over; what is long twice in a row goes on so."""
 _KEPT_FROM_RUNNING: Final = "/proc/thread-self/schedstat"
-"""Of Linux: nanoseconds that this thread ran, that it was ready to run and did not, and how often it ran."""
+"""A file of Linux: nanoseconds that this thread ran, nanoseconds that it was ready and waited, and how often it ran."""
 
 
 class Held:

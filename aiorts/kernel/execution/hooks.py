@@ -1,4 +1,4 @@
-"""What a component class declares as hooks, read and checked once when the class is made.
+"""The hooks that a component class declares, read and checked once when the class is made.
 
 A hook is a coroutine function or a plain function, has no argument beyond `self` (`on_error` and `on_aborting` get
 the error), and returns nothing. Anything else is refused here, with class and hook named, not when it first runs. So

@@ -1,6 +1,6 @@
 """A member: one component in one execution context, with its lifecycle state and everything that hangs on the pair.
 
-A `Visit` is its counterpart for code of a component that runs beside its hooks.
+A `Visit` is its counterpart for code of a component that is no hook, such as the answer to a call.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Member:
         self.component = component
         self.context = context
         self.cell = cell(component)
-        """What is kept on the component; the same object when a reload puts another instance in its place."""
+        """The cell of the component; a reload gives it to the new instance."""
         self.entry_lock = self.cell.entry_lock
         self.order = order
         """Position in the order of addition."""
@@ -88,7 +88,7 @@ class Member:
         self._failure: BaseException | None = None
         self._abandoned = self._left = False
         self.hooks: dict[str, tuple[int, Callable[..., Any]]] = {}
-        """What `hook_of` has found already."""
+        """The hooks that `hook_of` has found already."""
         self.awaits = self.cell.hook_kinds["on_execute"] == HookKind.ASYNC
         self.execute: Callable[..., Any] | None = None
         """`on_execute` where nothing is unusual: it exists, the member is active, the component in no other context."""
@@ -107,7 +107,7 @@ class Member:
         self.in_ports: list[InPort[Any]] = []
         self.times: dict[str, HookTimes] = {}
 
-    # -- what decides whether it is executed: set, each of these lays out anew what a cycle looks at ---------------
+    # -- what decides whether it is executed: setting one of these updates the fields that a cycle reads -----------
 
     @property
     def state(self) -> LifecycleState:
@@ -123,7 +123,7 @@ class Member:
 
     @property
     def failure(self) -> BaseException | None:
-        """What it is in error for, or about to be."""
+        """The error for which the member is in error, or is going there."""
         return self._failure
 
     @failure.setter
@@ -152,7 +152,7 @@ class Member:
         self.settle()
 
     def settle(self) -> None:
-        """Lay out anew what a cycle looks at."""
+        """Update the fields that a cycle reads."""
         self.execute = None
         if self.active and not self._left and not self.entry_lock.shared and self.cell.deadlines is None:
             kind, function = self.hook_of("on_execute")
@@ -160,7 +160,7 @@ class Member:
                 self.execute = function
 
     def settle_updates(self) -> None:
-        """Lay out anew whether the second pass is for it: it wrote an `on_state_update`, or observers hear of hooks."""
+        """Update whether the second pass runs it: it has an `on_state_update`, or hooks have observers."""
         wrote = self.cell.hook_kinds["on_state_update"] != HookKind.ABSENT
         updates = wrote or self.context.runner.kernel.bus.hooks_wanted
         self.context._updating += updates - self.updates
@@ -226,7 +226,7 @@ class Member:
         self.context._port_removed(self, port)
 
     def open_ports(self) -> None:
-        """Have the in-ports take samples while the component is active somewhere, or is in no context at all."""
+        """Open the in-ports while the component is active in a context, or is in none; close them otherwise."""
         self.context._set_ports_open(self)
 
     def finish(self) -> None:
@@ -298,7 +298,7 @@ def _raise(error: BaseException, *_args: Any) -> None:
 def is_open(component: ComponentSide) -> bool:
     """Whether a component's in-ports take samples: it is active somewhere, or in no context at all.
 
-    Once its kernel closes the second does not count: nobody would read, and writers with full = block would wait.
+    Once its kernel closes the second does not count: no reader would come, and writers with full = block would wait.
     """
     here = cell(component)
     if here.held_open:

@@ -1,4 +1,4 @@
-"""What runs one context, for services, contexts and drivers: `context.runner`.
+"""The runner of one context, for services, contexts and drivers: `context.runner`.
 
 It knows the members, queues requests, and starts and stops the context. A request is carried out between two cycles, or
 withdrawn; its caller waits for the outcome. A hook that waited for its own context, or for one that runs its component,
@@ -34,7 +34,7 @@ _LOG = KernelLog()
 
 
 class Runner:
-    """What runs one context. Applications use the context itself."""
+    """The runner of one context. Applications use the context itself."""
 
     __slots__ = ("_context", "_pending", "driver", "life", "named")
 
@@ -44,7 +44,7 @@ class Runner:
         """Whether the context was given its name; else the kernel gives it one."""
         self._pending: dict[_Awaited, None] | None = None
         self.driver: Driver | None = None
-        """What carries out the steps; None while the context does not run."""
+        """The driver of the steps; None while the context does not run."""
         self.life = Life(context)
         """The steps that a driver carries out."""
 
@@ -187,7 +187,7 @@ class Runner:
         kernel.call_on_loop(lambda: kernel.bus.publish(event))
 
     def observers_changed(self) -> None:
-        """Observers of hooks came or went; what a cycle looks at is laid out anew between two, where members change."""
+        """Note that observers of hooks came or went; the fields that a cycle reads are updated between two cycles."""
         if self.driver is not None:
             self.driver.update_fast_path()
             self.submit(Action(self._settle_updates))
@@ -198,12 +198,12 @@ class Runner:
         yield from ()
 
     async def ask(self, requests: Sequence[Request], timeout: float | None) -> None:
-        """Have these carried out between two cycles and wait until they are, at most `timeout` seconds.
+        """Carry out these requests between two cycles and wait for their end, at most `timeout` seconds.
 
-        Asked for by a hook that would wait for itself they are queued, and what fails is logged.
+        For a hook that would wait for itself they are queued, and a failure is logged.
 
         Raises:
-            TransitionTimeout: they were not done in time. What became of the first that was not done.
+            TransitionTimeout: they were not done in time. The error of the first that failed.
         """
         kernel = self.check("request")
         if self.inside():

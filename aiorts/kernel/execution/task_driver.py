@@ -43,7 +43,7 @@ class Abandoned(BaseException):
 
 
 NO_FAULT = (Abandoned, asyncio.CancelledError, GeneratorExit)
-"""What goes out through the kernel's own code without being a fault of it."""
+"""The exceptions that pass through the kernel's code and are no fault of it."""
 
 
 class DriverTask(asyncio.Task[None]):
@@ -59,7 +59,7 @@ class DriverTask(asyncio.Task[None]):
         """By the host, or because the loop is torn down: the context stops in order. Else it is the hook's affair."""
         driver = self._aiorts_driver
         caller = current_task()
-        # A scope entered in the hook is the hook's affair, whoever ends it: anyio says so in the message.
+        # A scope entered in the hook belongs to the hook, also where other code ends it: anyio's message says so.
         by_scope = isinstance(msg, str) and "cancel scope" in msg
         by_host = not driver.loop.is_running() or (caller is not None and owner_of(caller) is None and not by_scope)
         if by_host:
@@ -171,7 +171,7 @@ class TaskDriver:
 
     @property
     def run(self) -> tuple[int, int, Member | None]:
-        """Which run of a hook this is: equal for two moments of one run, and for no others while a hook runs."""
+        """The identity of the present run of a hook: equal at two moments of one run, different for other runs."""
         # In one cycle a member is executed once: what runs quickly need not be counted.
         return self.context.ticks, self.hooks_run, self._member
 
@@ -230,7 +230,7 @@ class TaskDriver:
         self.cancelled_by_others = self._careful = True
 
     def update_fast_path(self) -> None:
-        """Lay out anew whether hooks take the long way; also called when observers of hooks come and go."""
+        """Update whether hooks take the general path; also called when observers of hooks come and go."""
         self._careful = (
             self.deadline is not None
             or self.budget is not None
@@ -297,7 +297,7 @@ class TaskDriver:
                                 await self._run_one(alone, alone.execute)
                             self._batch = None
                             self.context._end_cycle((alone,))
-                            if self._kicked:  # work is left, or somebody wants something
+                            if self._kicked:  # work is left, or a request waits
                                 self._kicked = False
                                 await give_turn()
                 elif isinstance(step, Call):
@@ -444,7 +444,7 @@ class TaskDriver:
     async def _run_one(self, member: Member, execute: Callable[[], Any]) -> None:
         """`_run_quickly` for one member: this stands between a sample and the hook it is for.
 
-        A component that is in several contexts has nobody inside.
+        The entry lock of a component in several contexts is free.
         """
         timing, task, lock = self.context.timing, self.task, member.entry_lock
         begun_ns = self.context._now_ns() if timing else 0
@@ -543,7 +543,7 @@ class TaskDriver:
     async def _outcome(
         self, member: Member, hook: str, error: BaseException | None, result: object
     ) -> BaseException | None:
-        """What became of a hook that did not simply return."""
+        """The outcome of a hook that did not simply return: its error, or None."""
         timer = self._timer
         if timer is not None:
             timer.disarm()
@@ -577,7 +577,7 @@ class TaskDriver:
     def _judge(
         self, member: Member, hook: str, error: BaseException | None, timer: HookTimer | None
     ) -> BaseException | None:
-        """What became of a hook that raised or was cancelled: the component's error, unless the host wanted it."""
+        """The outcome of a hook that raised or was cancelled: the component's error, unless the host cancelled it."""
         if error is not None and issubclass(type(error), GeneratorExit) and asyncio._get_running_loop() is None:
             raise error  # the loop is gone and this task with it
         wanted = self.cancelled_by_others and self._stopped_by_host
