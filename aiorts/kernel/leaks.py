@@ -1,7 +1,7 @@
-"""What a component that was finalised still has: threads, open files, sockets and processes; it only looks.
+"""The threads, open files, sockets and processes that a finalised component still has; nothing is ended.
 
-Python does not note who started a thread or opened a file. Found is what hangs on the component: its attributes and
-what stands directly in a list, tuple, set or dict among them, and threads that run one of its methods.
+Python does not note which code started a thread or opened a file. Found is what hangs on the component: its
+attributes and what stands directly in a list, tuple, set or dict among them, and threads that run one of its methods.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def _named(one: object) -> Iterator[tuple[object, str]]:
 
 
 def _is_pool(one: Any) -> TypeGuard[ThreadPoolExecutor]:
-    loaded = sys.modules.get("concurrent.futures.thread")  # where nobody has loaded it there is none
+    loaded = sys.modules.get("concurrent.futures.thread")  # where it is not loaded there is none
     return loaded is not None and isinstance(one, loaded.ThreadPoolExecutor)
 
 

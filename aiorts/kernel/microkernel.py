@@ -93,12 +93,12 @@ class Microkernel:
         self.debug = debug
         self.bus = Bus(self._hooks_wanted_changed, self.check_thread)
         self.exit_status = 0
-        """What `request_stop` said; 1 instead of 0 once aiorts itself has failed."""
+        """The status that `request_stop` gave; 1 instead of 0 once aiorts itself has failed."""
         self._has_faulted = False
         self.address = ""
         """"host/name", under which other processes reach it; "" as long as no socket or transport is open."""
         self.epoch = 0
-        """64 random bits, others each time it can be reached anew; 0 as long as it cannot."""
+        """64 random bits, other ones each time the kernel becomes reachable; 0 as long as it is not."""
         self.origin = ""
         """The text of the system file that it was built from; "" without one."""
         self.plugins = Catalogue.default() if plugins is None else plugins

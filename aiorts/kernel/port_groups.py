@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class PortPlan:
-    """What becomes of a component's group of ports; until `put` nothing is changed, until `settle` all can be undone.
+    """A change of a component's group of ports; until `put` nothing is changed, until `settle` all can be undone.
 
     On the kernel's loop, while no hook of the component runs.
     """
@@ -63,7 +63,7 @@ class PortPlan:
         self._set(self._group_before, self._before)
 
     def settle(self) -> None:
-        """What was put stays: the ports that went lose their connectors, and everybody hears of it."""
+        """Make the change lasting: the ports that went lose their connectors, and events tell of it."""
         component = self._component
         for live, declared in self._reworded:
             live.doc, live.max_connectors = declared.doc, declared.max_connectors
@@ -92,7 +92,7 @@ class PortPlan:
 
 
 def plan_ports(component: ComponentSide, wanted: Mapping[str, Any]) -> PortPlan:
-    """What to do so that the group is as `wanted`; a port that is to stay is recognised by name and declaration.
+    """The change that makes the group as `wanted`; a port that stays is recognised by name and declaration.
 
     Raises:
         ConfigurationError: a port cannot be made.

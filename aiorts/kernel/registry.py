@@ -1,7 +1,7 @@
 """The components of one kernel: how they come in, what they leave behind, how they go; never two at once for one.
 
-Coming in is all or nothing. Going is a task of the kernel's own, so that whoever asked may be cancelled, be a hook of
-the component itself, or ask twice.
+Coming in is all or nothing. Going is a task of the kernel's own, so that the caller may be cancelled, be a hook of the
+component itself, or ask twice.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _LOG = KernelLog()
 
 
 class Registry:
-    """Who belongs to a kernel, by name, in the order they came."""
+    """The components of a kernel, by name, in the order they came."""
 
     def __init__(self, kernel: Microkernel) -> None:
         self._kernel = kernel
@@ -68,7 +68,7 @@ class Registry:
         self.taken_back: set[Component] = set()
         """Instances whose code was taken back, and that stay in their place until a hook of theirs returns."""
         self.parked: set[Component] = set()
-        """Those that are out of their places, and may come back."""
+        """The components that are out of their places, and may come back."""
         self.on_link_lost: dict[str, str] = {}
         """By the component's name: what a system file says of it where its class may say otherwise; "" is nothing."""
         self.assembled: bool | None = None
@@ -295,7 +295,7 @@ class Registry:
         self.parked.add(old)
 
     def stranger(self, component: object, name: str, where: str) -> str:
-        """What is said of one that is not of this kernel, or whose place another instance has."""
+        """The text of an error about a component of another kernel, or whose place another instance has."""
         if (
             name in self.components
             and isinstance(component, Component)

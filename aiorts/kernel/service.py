@@ -79,7 +79,7 @@ class KernelService:
     name: ClassVar[str] = ""
     """The name it is offered under; "" for one that is found by its class alone."""
     settings: ClassVar[type[Any]] = _NoSettings
-    """What can be set: a frozen dataclass whose fields all have a default (`setting`). Its `__post_init__` raises
+    """The settings: a frozen dataclass whose fields all have a default (`setting`). Its `__post_init__` raises
     ConfigurationError for a value that is wrong, "KEY: expected ..., got ..."."""
 
     encodes: ClassVar[bool] = False
@@ -92,12 +92,11 @@ class KernelService:
     """Whether its table says only where the system came from: two systems that differ in it alone are the same."""
 
     patience: float | None = None
-    """Once the sources of a run have ended, the real seconds for which it waits for slow readers at the most; None: for
-    as long as they read."""
+    """The most real seconds for which a run whose sources have ended waits for slow readers; None: as long as they
+    read."""
 
     table: Mapping[str, Any] | None = None
-    """What the system itself says of it: its table of the system file, or in `Kernel(services=...)`; None where it has
-    none."""
+    """Its table in the system file, or in `Kernel(services=...)`; None where it has none."""
 
     def __init__(self, kernel: Microkernel) -> None:
         self.kernel = kernel
@@ -131,7 +130,7 @@ class KernelService:
         return ""
 
     def started(self) -> None:
-        """What a system file, or a plan, has made runs: its contexts are started, their members activated."""
+        """The system of a file, or of a plan, runs now: its contexts are started, their members activated."""
 
     def owns(self, connector: Connector) -> bool:
         """Whether a connector of data ports is its own work: not saved, and nothing that a plan looks at."""
@@ -146,7 +145,7 @@ class KernelService:
 
     @property
     def notice(self) -> str:
-        """What `aiorts ls` shows of it at once, such as that the kernel is not secured; "" for nothing."""
+        """A notice for `aiorts ls`, such as that the kernel is not secured; "" for none."""
         return ""
 
     @property
@@ -208,7 +207,7 @@ class ServicePlan(NamedTuple):
     kind: type[KernelService]
     settings: Any
     table: Mapping[str, Any] | None = None
-    """Of the settings, what the system itself says, not a command line."""
+    """The settings that the system itself gives, without those of a command line."""
 
     def attach(self, kernel: Microkernel) -> None:
         """Attach it to an open kernel."""
@@ -260,7 +259,7 @@ Hook = Literal[
 ]
 TimedHook = Literal["closing", "ending", "leaving"]
 HOOKS: Final[tuple[Hook, ...]] = get_args(Hook)
-"""The methods that notify a service at once; beside them `closing`, `ending` and `leaving` may take time."""
+"""The methods that notify a service at once; besides, `closing`, `ending` and `leaving` may take time."""
 
 
 def notify(services: Iterable[KernelService], hook: Hook, *args: object) -> None:
@@ -289,7 +288,7 @@ def report_fault(service: KernelService, hook: str, error: BaseException) -> Non
 
 
 def reports(services: Iterable[KernelService]) -> Mapping[str, Mapping[str, Any]]:
-    """What each service that has a name says of itself, by that name; of one whose `report` raises, why."""
+    """The report of each service that has a name, by that name; of one whose `report` raises, the error."""
     found: dict[str, Mapping[str, Any]] = {}
     for service in services:
         try:

@@ -1,6 +1,6 @@
-"""What concerns a component and its contexts together, and who would wait for himself if he waited for it.
+"""The requests that concern a component and its contexts together, and the check that no hook waits for itself.
 
-A hook that starts a context with its own component is in the way of what it asks for: it is not made to wait.
+A hook that starts a context with its own component would wait for itself: it does not wait.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ async def request(
 
 
 def _context(kernel: Microkernel, what: str, component: Component) -> Context:
-    """The one in which it is."""
+    """The only context of a component."""
     contexts = component.contexts
     if len(contexts) == 1:
         return contexts[0]

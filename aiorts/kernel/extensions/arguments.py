@@ -1,4 +1,4 @@
-"""What the class of a context, or of a service's settings, takes, read from its signature; it makes none.
+"""The arguments of the class of a context, or of a service's settings, read from its signature; no instance is made.
 
 Values that are given by name, in a system file or to `Kernel(services=...)`, are checked here one by one.
 """
@@ -21,7 +21,7 @@ from aiorts.spelling import suggestion
 
 T = TypeVar("T")
 OPTION_TYPES: Final = "bool, int, float, str, Path or a Literal of texts, each also with None, or tuple[str, ...]"
-"""What a field of settings that is an option may be."""
+"""The types of a field of settings that is an option."""
 _PLAIN: Final = (bool, int, float, str, Path)
 
 
@@ -39,14 +39,14 @@ def arguments_of(cls: type) -> dict[str, tuple[type, ...]]:
 def needs_rate(cls: type) -> bool:
     """Whether it has a rate with a number as default.
 
-    In a program a default is seen by whoever completes the call; in a file nobody sees what does not stand there.
+    In a program an editor shows the default of a call; in a file a default that does not stand there is not seen.
     """
     rate = inspect.signature(cls).parameters.get("rate")
     return rate is not None and isinstance(rate.default, float)
 
 
 def unfit(value: Any, kinds: tuple[type, ...]) -> str:
-    """What was expected in place of a value; "" when it fits."""
+    """The expectation that a value misses; "" when it fits."""
     kind = list if type(value) is tuple else str if isinstance(value, Path) else type(value)
     if not kinds or kind in kinds or (kind is int and float in kinds):
         return ""
@@ -54,7 +54,7 @@ def unfit(value: Any, kinds: tuple[type, ...]) -> str:
 
 
 def settings_faults(cls: type, given: Mapping[str, Any], also: Collection[str] = ()) -> Iterator[tuple[str, str, bool]]:
-    """What keeps `cls(**given)` from being made: the key ("" is all of them), what is wrong, whether the key itself is.
+    """The faults of `cls(**given)`: the key ("" is all of them), what is wrong, whether the key itself is.
 
     All are tried together first. An error is about the key that it begins with, "KEY: ", or that fails alike alone;
     that one is left out, and the others are tried again, so that each that is wrong is named.
@@ -84,7 +84,7 @@ def settings_faults(cls: type, given: Mapping[str, Any], also: Collection[str] =
 
 
 def settings_of(cls: type[T], given: Mapping[str, Any]) -> T:
-    """What `cls` makes of values that were found right.
+    """The settings that `cls` makes of values that were found right.
 
     Lists, as a system file has them, become tuples, and texts paths where the settings have a path.
     """
@@ -152,7 +152,7 @@ def _kinds(hint: Any) -> tuple[type, ...]:
 
 
 def _parts(hint: Any) -> list[Any]:
-    """What a value may be but None."""
+    """The types of a value, without None."""
     return [part for part in alternatives(hint) if part is not types.NoneType]
 
 

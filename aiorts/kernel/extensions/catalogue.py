@@ -1,4 +1,4 @@
-"""What installed packages and folders offer, by kind and name: found without importing anything.
+"""The extensions of installed packages and folders, by kind and name: found without importing anything.
 
 An extension is declared as an entry point of the group `aiorts.<kind>`: by an installed package, or in the
 `pyproject.toml` of a folder (or of a folder below it) that was named. Of a folder without one each Python file offers
@@ -34,7 +34,7 @@ KINDS: Final = (
     *("components", "contexts", "services", "codecs", "converters", "describers", "transports", "commands"),
     *("benches", "types"),
 )
-"""What a plugin can offer."""
+"""The kinds of extensions."""
 _LARGEST: Final = 1 << 20
 """Bytes of a file that is looked into."""
 _MOST_FILES: Final = 1000
@@ -54,9 +54,9 @@ class Extension:
     target: str
     """"module:attribute", or "file.py:Class" of a single file."""
     source: str
-    """Who offers it: "package NAME VERSION" or "folder PATH"; "" for a target that a user typed."""
+    """The origin: "package NAME VERSION" or "folder PATH"; "" for a target that a user typed."""
     folder: Path | None = None
-    """Where its modules are, for one that is not installed."""
+    """The folder of its modules, for an extension that is not installed."""
     project: str = ""
     """The name of the project that offers it, in the form that compares; "" for a single file."""
 
@@ -87,7 +87,7 @@ class Problem:
 
 
 class Catalogue:
-    """What installed packages and plugin folders offer, listed at the first use without importing it.
+    """The extensions of installed packages and plugin folders, listed at the first use without importing them.
 
     Args:
         folders: plugins that are not installed: a folder, or one with such folders in it.
@@ -114,7 +114,7 @@ class Catalogue:
 
     @property
     def problems(self) -> tuple[Problem, ...]:
-        """What could not be read."""
+        """The declarations that could not be read."""
         return tuple(self._problems) if self._offers else ()
 
     @cached_property
@@ -139,11 +139,11 @@ class Catalogue:
         return found
 
     def extensions(self, kind: str) -> Mapping[str, tuple[Extension, ...]]:
-        """What is offered under `kind`, by name; a name that several offer has several."""
+        """The extensions of a kind, by name; a name that several plugins offer has several."""
         return {name: tuple(offers) for name, offers in sorted(self._offers[kind].items())}
 
     def find(self, kind: str, name: str) -> Extension:
-        """The one extension of that name.
+        """The only extension of that name.
 
         Raises:
             PluginError: no plugin offers it (near names are given), or several do (all are named).
@@ -165,7 +165,7 @@ class Catalogue:
         return found[0]
 
     def _installed(self) -> Iterator[Extension]:
-        """What packages offer; one whose metadata is broken is a problem and hides nothing."""
+        """The extensions of packages; a package with broken metadata is a problem and hides no other."""
         seen = set()
         for name, version, entries in packages(self._problem):
             if (project := _project(name)) in seen:
@@ -240,7 +240,7 @@ class Catalogue:
         """Classes that derive from Component, or from one of the same file that does; functions made components."""
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # about its text: whoever imports it will see them
+                warnings.simplefilter("ignore")  # about its text: its import will show them
                 tree = ast.parse(self._content(path), str(path))
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             line = getattr(error, "lineno", None)

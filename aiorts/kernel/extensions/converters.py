@@ -30,7 +30,7 @@ def converter_extension(
     places: Iterable[Path] = (Path(),),
     allow: Callable[[Path], object] | None = None,
 ) -> Extension:
-    """What the text names, to be loaded. The arguments are those of `extension_of`.
+    """The extension that a text names, to be loaded. The arguments are those of `extension_of`.
 
     Raises:
         PluginError: there is no such file, module or offer (near names are given), or it is none of the three forms.

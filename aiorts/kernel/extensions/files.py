@@ -1,7 +1,7 @@
 """Loads a Python file once, whether it was named as a file or as a module, so that each class in it exists once.
 
 A file that lies in a package is that module of it. Any other one has a name of its own: two folders may have an
-`odometry.py` each. What lies beside it can be imported.
+`odometry.py` each. Modules in its folder can be imported.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _FILES: Final[dict[str, str]] = {}
 _MADE: Final[set[str]] = set()
 """Folders that were made importable here."""
 _ALONE: Final = "aiorts_system."
-"""What the name of a module begins with that is a file by itself."""
+"""The beginning of the name of a module that is a file by itself."""
 _LOCK: Final = threading.Lock()
 _LOCKS: Final[dict[str, threading.RLock]] = {}
-"""One for each file: an import that never ends holds up nobody else's."""
+"""A lock for each file: an import that never ends holds up no other."""
 
 
 def load_file(path: Path, root: Path | None = None) -> ModuleType:
@@ -40,8 +40,8 @@ def load_file(path: Path, root: Path | None = None) -> ModuleType:
         root: the folder that may be made importable for it, and none above; its own by default.
 
     Raises:
-        PluginError: what it took for a module beside it is one of another folder. BaseException: whatever its import
-            does.
+        PluginError: a module that it took for one of its folder is one of another folder. BaseException: as its
+            import.
     """
     path = path.resolve()
     with _lock_of(str(path)):  # one that is being imported by another thread is waited for, not taken half done
@@ -97,7 +97,7 @@ def is_found_by_python(module: ModuleType) -> bool:
 
 
 def make_importable(folder: Path) -> None:
-    """Have Python look for modules there, too, and there last: a plugin's `json.py` must not take Python's place."""
+    """Add a folder to the end of Python's path: a plugin's `json.py` must not take the place of Python's."""
     for place in (folder.absolute() / "src", folder.absolute()):
         if place.is_dir() and str(place) not in sys.path:
             sys.path.append(str(place))
@@ -169,7 +169,7 @@ def _executed(name: str, path: Path) -> ModuleType:
 
 
 def _check_beside(module: ModuleType, folder: Path) -> None:
-    """Refuse what it took of a module of another such folder, when one of that name lies beside it."""
+    """Refuse a module of another such folder, where one of that name lies in the folder of the file."""
     taken = [value for value in vars(module).values() if isinstance(value, ModuleType | FunctionType | type)]
     names = {value.__name__ if isinstance(value, ModuleType) else value.__module__ for value in taken}
     for name in names:

@@ -1,9 +1,9 @@
 """Record types and codecs that plugins offer, found by name where the layers below ask; imported on first use alone.
 
 An entry point of the group `aiorts.types` declares a record (`Depth = "acme.records:Depth"`), which is imported when
-somebody asks for that name, or when a frame or a file has a sample of exactly `acme.records.Depth`. One that names a
-whole module (`acme = "acme.records"`) is imported when somebody asks for a name that nothing else has, and for no file.
-What could not be imported is not tried again.
+that name is asked for, or when a frame or a file has a sample of exactly `acme.records.Depth`. One that names a
+whole module (`acme = "acme.records"`) is imported for a name that nothing else has, and for no file.
+A module that could not be imported is not tried again.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _declared: tuple[Catalogue, Mapping[str, Extension]] | None = None
 _done: set[Extension] = set()
 _broken: dict[Extension, str] = {}
 _refused: dict[str, DeclarationError | None] = {}
-"""Why a dataclass of a module that somebody named is no type, by its name; None for one that is."""
+"""The reason why a dataclass of a named module is no type, by its name; None for one that is."""
 _local = threading.local()
 
 
@@ -193,4 +193,4 @@ def _changed_ns(place: str) -> int:
 
 
 FINDERS: Final = {"types": _find_type, "declared types": _import_declared, "codecs": _find_codec}
-"""What finds a name that is not loaded, by kind."""
+"""The finders of names that are not loaded, by kind."""

@@ -1,4 +1,4 @@
-"""What installed packages declare as entry points of aiorts, read from where they lie on the path.
+"""The entry points of aiorts that installed packages declare, read from where they lie on the path.
 
 `importlib.metadata` says the same; importing it takes 25 ms, which was a quarter of `aiorts --help`.
 """
@@ -52,7 +52,7 @@ def _is_info(name: str) -> bool:
 
 
 def _text(info: Any, name: str) -> str:
-    """What stands in a file of it; empty when there is none."""
+    """The text of a file of a package; empty when there is none."""
     with suppress(FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError, KeyError):
         if not isinstance(info, str):
             return str((info / name).read_text(encoding="utf-8"))

@@ -32,15 +32,15 @@ T = TypeVar("T")
 
 
 API: Final = 1
-"""What aiorts offers to plugins; a module of one that sets `AIORTS_API` says which it was written for."""
+"""The version of aiorts' interface to plugins; a plugin's module names in `AIORTS_API` the one it was written for."""
 _OURS: Final = os.path.abspath(f"{__file__}/../../..") + os.sep
-"""Where aiorts itself lies."""
+"""The folder of aiorts itself."""
 _LONGEST: Final = 30.0
 """Seconds that an import may take."""
 
 
 class Offer(Protocol):
-    """What is to be loaded, as `catalogue.py` has found it."""
+    """An extension to be loaded, as `catalogue.py` has found it."""
 
     @property
     def kind(self) -> str: ...
@@ -56,12 +56,12 @@ class Offer(Protocol):
     @property
     def source(self) -> str: ...
 
-    """Who offers it; "" for a target that a user typed."""
+    """The package or folder that offers it; "" for a target that a user typed."""
 
     @property
     def folder(self) -> Path | None: ...
 
-    """Where its modules are, for one that is not installed."""
+    """The folder of its modules, for an extension that is not installed."""
 
     @property
     def described(self) -> str: ...
@@ -118,7 +118,7 @@ _SYNTAX: Final = (SyntaxError, IndentationError, TabError)
 
 
 def cause_of(error: BaseException) -> str:
-    """What an import raised, with the file and line of the plugin that it came from: none of aiorts itself."""
+    """The text of an import's exception, with the file and line of the plugin that it came from."""
     if type(error) in _SYNTAX:
         assert isinstance(error, SyntaxError)  # noqa: S101 - one of these
         text, file, line = error.msg, error.filename, error.lineno
@@ -152,7 +152,7 @@ def _line_of_field(text: str, file: str, line: int) -> int:
 
 
 def _text(thing: object) -> str:
-    """What a plugin's object says of itself, as far as it does."""
+    """The text of a plugin's object, as far as it has one."""
     try:
         return str(thing)
     except BaseException:  # noqa: BLE001 - a plugin's border
@@ -160,7 +160,7 @@ def _text(thing: object) -> str:
 
 
 def load_in_time(extension: Offer, limit: float, prepare: Callable[[], None] | None = None) -> Any:
-    """The object itself, loaded in a thread for which the caller waits, `limit` seconds of real time at the most.
+    """The object itself, loaded in a thread for which the caller waits, at most `limit` seconds of real time.
 
     Args:
         prepare: called in that thread before.
@@ -187,7 +187,7 @@ def load_in_time(extension: Offer, limit: float, prepare: Callable[[], None] | N
 
 
 def _answer(extension: Offer) -> tuple[Any, PluginError | None]:
-    """What was loaded, or why not; for a thread, in which nothing may be raised."""
+    """The loaded object, or the error; for a thread, in which nothing may be raised."""
     try:
         return load(extension), None
     except PluginError as error:
@@ -222,14 +222,14 @@ async def load_object_aside(extension: Offer, clock: Clock, limit: float = _LONG
             done.set_result(found)
 
     def report_from_thread(error: BaseException | None, found: Any) -> None:
-        with suppress(RuntimeError):  # the loop has been closed meanwhile: nobody wants to know any more
+        with suppress(RuntimeError):  # the loop has been closed meanwhile: no caller waits any more
             loop.call_soon_threadsafe(deliver, error, found)
 
     def work() -> None:
         found, error = _answer(extension)
         report_from_thread(error, found)
 
-    # A thread that nobody waits for: an import that never ends must not keep the interpreter from ending.
+    # A daemon thread: an import that never ends must not keep the interpreter from ending.
     threading.Thread(target=work, name=f"aiorts import {extension.name}", daemon=True).start()
     alarm = threading.Timer(limit, lambda: report_from_thread(_too_slow(extension, limit), None))
     alarm.daemon = True
@@ -245,7 +245,7 @@ async def load_object_aside(extension: Offer, clock: Clock, limit: float = _LONG
 
 
 def class_of(extension: Offer, found: Any, base: type[T]) -> type[T]:
-    """What was loaded, which has to be a class derived from `base`; else PluginError."""
+    """The loaded object, which has to be a class derived from `base`; else PluginError."""
     if not (isinstance(found, type) and issubclass(found, base)):
         kind = getattr(found, "__qualname__", None) or f"an object of {type(found).__qualname__}"
         derived = "class" if base is object else f"class derived from {base.__name__}"
@@ -283,7 +283,7 @@ def _imported(extension: Offer) -> Any:
 
 
 def _near_name(kind: str, wanted: str, found: Any) -> str:
-    """What may have been meant among the classes of a module, or of a class; functions where they are offered."""
+    """The name that may have been meant among the classes of a module or class; functions where they are offered."""
 
     held = getattr(found, "__dict__", {})
     meant, word = (FunctionType, "function") if kind in ("converters", "describers") else (type, "class")

@@ -1,4 +1,4 @@
-"""Where the text of what a plugin offers stands, found without importing: one class may be offered in several ways."""
+"""The source text of an extension, found without importing: one class may be offered in several ways."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def without_doubles(offers: Iterable[T]) -> list[T]:
 
 
 def told_apart(offers: Iterable[_Offer]) -> str:
-    """Who offers one name, and what to do: of components what may be written in place of the name."""
+    """The offers of one name, and what to do: for components the text that may be written in place of the name."""
     several = list(offers)
     sources = " and ".join(f"{one.target} ({one.source})" for one in several)
     texts = [f'"{text}"' for one in several if one.kind == "components" and (text := _as_text(one))]
@@ -51,7 +51,7 @@ def told_apart(offers: Iterable[_Offer]) -> str:
 
 
 def _as_text(offer: _Offer) -> str:
-    """What names this offer alone, wherever it is written; "" for a module of a folder, which may be in several."""
+    """A text that names this offer alone, anywhere; "" for a module of a folder, which may be in several."""
     if offer.folder is None:
         return offer.target.partition(" ")[0]
     if not offer.target.partition(":")[0].endswith(".py"):

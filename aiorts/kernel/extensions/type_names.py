@@ -1,6 +1,6 @@
-"""The one grammar for a type as text: `FILE.py:Class`, `package.module:Class`, or a name that a plugin offers.
+"""The grammar of a type as text: `FILE.py:Class`, `package.module:Class`, or a name that a plugin offers.
 
-System files, the command line, `Kernel.create` and `reload` all ask here. It finds what is meant and imports nothing;
+System files, the command line, `Kernel.create` and `reload` all ask here. It finds the extension and imports nothing;
 `loading.py` loads it.
 """
 
@@ -22,7 +22,7 @@ _LONGEST: Final = 4096
 
 
 def split_type(text: str) -> tuple[str, str]:
-    """Where the class is, a file or a module ("" for an installed name), and its name.
+    """The file or module of a class ("" for an installed name), and its name.
 
     Raises:
         PluginError: it is none of the three forms.
@@ -43,7 +43,7 @@ def extension_of(
     allow: Callable[[Path], object] | None = None,
     kind: str = "components",
 ) -> Extension:
-    """What the text names, to be loaded.
+    """The extension that a text names, to be loaded.
 
     Args:
         places: folders that a relative file is counted from, one after the other, and where modules are that Python

@@ -68,7 +68,7 @@ def _is(extension: Extension, thing: Any) -> bool:
 
 
 def _stands_for(found: Any, thing: Any) -> bool:
-    """Whether it is this object, or the same class of the same file, which was read anew for another class of it."""
+    """Whether it is this object, or the same class of the same file, which was read again for another class of it."""
     if found is thing:
         return True
     both_are_classes = isinstance(found, type) and isinstance(thing, type)

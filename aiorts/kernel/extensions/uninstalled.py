@@ -1,4 +1,4 @@
-"""What a project offers and is not installed: its `pyproject.toml` was changed since, or it never was."""
+"""The extensions of a project that are not installed: its `pyproject.toml` was changed since, or it never was."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from aiorts.kernel.extensions.catalogue import KINDS, Catalogue
 
 
 def named_in_project(name: str, *kinds: str) -> str:
-    """What to do where the project of the current folder, or of one above, offers this name; "" where none does.
+    """A remedy where the project of the current folder, or of one above, offers this name; "" where none does.
 
     Args:
         kinds: kinds of extensions to look for; all by default. Upper and lower case are the same.

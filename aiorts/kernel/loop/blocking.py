@@ -1,8 +1,8 @@
-"""How a thread of its own waits, for a port, for its next tick, for a request: it blocks, and so may simulated time.
+"""The waits of a thread, for a port, for its next tick, for a request: it blocks, and so may simulated time.
 
 A simulated clock stands still while such a thread works. Before the thread blocks it lets go of the clock, once the
-timer that would wake it is set; whoever wakes it holds the clock again on its behalf, in the same step. So nothing
-moves between the wake-up and what the thread does then.
+timer that would wake it is set; the code that wakes it holds the clock again on its behalf, in the same step. So the
+clock stands still between the wake-up and the next act of the thread.
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ class ConversionFailed(Event):
 
     connector: str
     error: str
-    """What was raised or made, and where."""
+    """The exception or fault, and its place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,9 +232,9 @@ class Overrun(Event):
     skipped: int
     late_ns: int
     policy: str = "skip"
-    """What is done about it: "skip" leaves the missed ticks out, "catch_up" runs them."""
+    """The policy: "skip" leaves the missed ticks out, "catch_up" runs them."""
     blame: Blame | None = field(default=None, compare=False)
-    """Who made it late: a finding about the event, and no part of what makes two of them the same."""
+    """The code that made it late: a finding about the event; two events are compared without it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +269,7 @@ class ServiceCalled(Event):
     elapsed_ns: int
     """From asking to the answer."""
     error: BaseException | None
-    """What the caller got."""
+    """The error that the caller got."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,7 +280,7 @@ class CallFailed(Event):
     provider: str
     method: str
     error: BaseException
-    """What the caller got; the provider's own exception is its cause."""
+    """The error that the caller got; the provider's own exception is its cause."""
 
 
 E = TypeVar("E", bound=Event)

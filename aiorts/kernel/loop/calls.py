@@ -42,7 +42,7 @@ def call_from_thread(kernel: Called, function: Callable[..., Any], args: tuple[A
 
 
 class _Call:
-    """What one thread waits for."""
+    """A call for which one thread waits."""
 
     def __init__(self, kernel: Called, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
         self.kernel, self.function, self.args = kernel, function, args

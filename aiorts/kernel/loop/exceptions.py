@@ -40,7 +40,7 @@ def chain(error: BaseException, cause: BaseException | None) -> None:
 
 
 def behind(error: BaseException) -> BaseException | None:
-    """What an exception followed from."""
+    """The exception that another followed from."""
     cause: BaseException | None = _CAUSE.__get__(error)
     if cause is None:
         cause = _CONTEXT.__get__(error)
@@ -66,7 +66,7 @@ def presentable(error: Any) -> BaseException:
         looked_at = error.__class__, error.__traceback__, error.__cause__, bool(error), str(error), repr(error)
         traceback_of = traceback.TracebackException(type(error), error, None, limit=0, lookup_lines=False)
         "".join((looked_at[4], looked_at[5], *traceback_of.format())).encode("utf-8", "replace")
-    except BaseException:  # noqa: BLE001 - what somebody else's exception says of itself may raise in its turn
+    except BaseException:  # noqa: BLE001 - the text of an application's exception may raise in its turn
         return NotShowable(format_error(error)).with_traceback(trace_of(error))
     return error  # type: ignore[no-any-return]
 

@@ -1,8 +1,8 @@
-"""Records what is not ours, an exception, a log line, an event, and cannot fail while it does.
+"""Records objects of the application, an exception, a log line, an event, and cannot fail while it does.
 
 An application's exception, logging handler, filter or observer may raise whatever it likes when it is touched. That
-ends here, as one plain line on standard error, and who recorded it goes on: a context, a thread, supervision, the end
-of a kernel. A KeyboardInterrupt is the user's: it goes on to whoever runs the loop.
+ends here, as one plain line on standard error, and the code that recorded it goes on: a context, a thread,
+supervision, the end of a kernel. A KeyboardInterrupt is the user's: it goes on to the code that runs the loop.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def contain(what: str, error: BaseException) -> None:
     try:
         if not interrupts(error):
             _LAST_RESORT.write(f"aiorts: E-LOG: {what}: {format_error(error)}")
-    except BaseException:  # noqa: BLE001, S110 - standard error is closed or full, and nobody is left to tell
+    except BaseException:  # noqa: BLE001, S110 - standard error is closed or full, and there is no other place to write to
         pass
 
 
@@ -164,7 +164,7 @@ def error_of(exc_info: object) -> BaseException | None:
 def safe_exc_info(
     error: BaseException | None,
 ) -> tuple[type[BaseException], BaseException, TracebackType | None] | None:
-    """What a handler is given for `exc_info`: nothing that raises when it is looked at."""
+    """The `exc_info` for a handler: its text raises nothing."""
     if error is None:
         return None
     error = presentable(error)
@@ -176,5 +176,5 @@ def line_of(msg: object, args: tuple[object, ...]) -> str:
     try:
         text = str(msg)
         return text % args if args else text
-    except BaseException:  # noqa: BLE001 - the texts of somebody else's objects
+    except BaseException:  # noqa: BLE001 - the texts of the application's objects
         return f"a line of {type(msg).__name__}" if type(msg) is not str else msg

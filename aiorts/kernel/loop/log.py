@@ -1,4 +1,4 @@
-"""What `self.log` of a component is: this file counts and thins out lines, standard `logging` does the rest.
+"""The log of a component, `self.log`: this file counts and thins out lines, standard `logging` does the rest.
 
 Every record carries `kernel`, `component`, `hook`, `tick`, `repeated` and `folded` as attributes. A line with the same
 level and template as one of the last second is counted instead of emitted (`repeated`), and the count comes with the
@@ -33,7 +33,7 @@ LOGGER_NAME: Final = "aiorts.component"
 BYTES_PER_SECOND: Final = 200_000
 SHARED_BYTES_PER_SECOND: Final = 700_000
 SHARED_LINES_PER_SECOND: Final = 900
-"""What all components of one kernel may log together: bytes, and lines of tracebacks."""
+"""The budget of all components of one kernel together: bytes, and lines of tracebacks."""
 _SECOND_NS: Final = 1_000_000_000
 # What a formatter adds to a line (time, level, names), and what one frame of a traceback takes.
 _LINE_BYTES: Final = 100
@@ -49,7 +49,7 @@ _ARGS: Final[Any] = BaseException.__dict__["args"]
 
 
 class LogFields(NamedTuple):
-    """Where a component stands at the moment a line is logged."""
+    """The place of a component at the moment a line is logged: kernel, hook and tick."""
 
     kernel: str
     component: str
@@ -67,7 +67,7 @@ class _Folded:
     def __init__(self, emitted_ns: int, template: str) -> None:
         self.emitted_ns = emitted_ns
         self.text = template[:_TEMPLATE_SHOWN]
-        """Of the last line that is known: it is filled in outside of the lock, what is logged is the user's."""
+        """The text of the last known line: it is formatted outside of the lock, since its objects are the user's."""
         self.count = 0
         self._alike = self._known = True
         self._hash: int | None = None
@@ -82,13 +82,13 @@ class _Folded:
         self._hash, self.text = hash(line), line[:_TEMPLATE_SHOWN]
 
     def before(self, line: str) -> str:
-        """What the next line that is emitted says of those that were not."""
+        """The remark of the next emitted line on those that were not."""
         return (
             _times(self.count) if self._alike and self._hash == hash(line) else f" ({self.count} more like this before)"
         )
 
     def alone(self) -> str:
-        """What is emitted where no next line came."""
+        """The line that is emitted where no next line came."""
         if self._alike:
             return f"{self.text}{_times(self.count)}"
         if not self._known:

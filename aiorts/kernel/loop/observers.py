@@ -30,7 +30,7 @@ class ObserverStatistics:
     """The counts of one subscription to the bus."""
 
     name: str
-    """Of the observer's function."""
+    """The name of the observer's function."""
     kind: str
     """The class of events."""
     calls: int = 0
@@ -89,7 +89,7 @@ class Observer:
             self._max_ns = duration_ns
         if duration_ns > _SLOW_NS:
             self._slow += 1
-            # Simulated time waited for it: nobody was late, and two runs log the same.
+            # Simulated time waited for it: no cycle was late, and two runs log the same.
             if current_clock() is None and self._may_report("slow"):
                 what_failed = (self._name, duration_ns / 1e6, type(event).__name__)
                 _LOG.info("observer %s held the loop for %.0f ms at a %s; make it async def", *what_failed)

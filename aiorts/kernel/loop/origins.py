@@ -15,7 +15,7 @@ from aiorts.kernel.loop.exceptions import trace_of
 
 _OWN: Final = os.path.abspath(f"{__file__}/../../..") + os.sep
 _DELIVERED: Final = os.path.join(os.path.dirname(_OWN[:-1]), "plugins", "aiorts_")
-"""Where the plugins that come with aiorts lie, when it runs from its sources."""
+"""The beginning of the paths of aiorts' own plugins, when it runs from its sources."""
 _STANDARD: Final = os.path.dirname(os.path.abspath(os.__file__)) + os.sep
 _INSTALLED: Final = (f"{os.sep}site-packages{os.sep}", f"{os.sep}dist-packages{os.sep}")
 _TYPED: Final = ("<stdin", "<ipython", "<python-input", "<console")

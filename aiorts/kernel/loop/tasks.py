@@ -1,6 +1,6 @@
 """Tasks the kernel makes for itself, and how any task is waited for or given up; no user code is run here.
 
-They are made without the host's task factory and belong to no component, whoever's hook asked for them.
+They are made without the host's task factory and belong to no component, also where a hook asked for them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def kernel_task(
 
 
 async def see_through(task: asyncio.Future[T]) -> T:
-    """What `task` returns, waited for to its end even when the caller is cancelled; then the cancellation goes on."""
+    """The result of a task, waited for to its end even when the caller is cancelled; then the cancellation goes on."""
     from anyio import CancelScope  # late: 5 ms
 
     cancelled: asyncio.CancelledError | None = None

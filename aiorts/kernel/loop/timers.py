@@ -199,7 +199,7 @@ class _Alarm(Protocol):
 
 
 def _open_alarm(loop: asyncio.AbstractEventLoop, fire: Callable[[], None], own: LoopClock | None) -> _Alarm:
-    # What descriptors are to a loop that keeps its own time nobody knows; timers every loop has.
+    # A loop that keeps its own time may not watch descriptors; timers every loop has.
     timerfd = None if isinstance(clock_of(loop), LoopClock) else find_timerfd()
     if timerfd is not None:
         try:
@@ -211,7 +211,7 @@ def _open_alarm(loop: asyncio.AbstractEventLoop, fire: Callable[[], None], own: 
 
 
 class _LoopAlarm:
-    """The loop's own timer, with its own precision. It may ring early: the queue then arms it once more."""
+    """The loop's own timer, with its own precision. It may ring early: the queue then arms it again."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, fire: Callable[[], None], own: LoopClock | None) -> None:
         self._loop = weakref.ref(loop)
@@ -314,7 +314,7 @@ class _LibcTimerfd:
         return fd
 
     def set(self, fd: int, deadline_ns: int) -> None:
-        # Made anew each time: a buffer that is kept may be filled by two threads at once.
+        # A buffer for each call: one that is kept may be filled by two threads at once.
         spec = _ITIMERSPEC(0, 0, *divmod(deadline_ns, 1_000_000_000))
         if self._settime(fd, 1, spec, None) != 0:  # 1: TFD_TIMER_ABSTIME
             raise OSError(self._errno(), "timerfd_settime failed")

@@ -1,4 +1,4 @@
-"""What a connector promises of its samples beside how many it holds: the table of features, by option."""
+"""The table of features, by option: what a connector promises of its samples beyond their number."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ class _Conversion:
 
 
 class _Writers(FeaturedTransport):
-    """What is buffered here is not what the writer wrote: its last sample is kept by the out-port alone."""
+    """The writers of converted samples: the buffer holds no sample of the writer, whose last one the out-port keeps."""
 
     __slots__ = ()
 

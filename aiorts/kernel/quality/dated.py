@@ -1,5 +1,4 @@
-"""When the samples of a connector were written, beside its queue: what samples that expire and samples that are
-measured have in common."""
+"""The times at which the samples of a connector were written, for samples that expire and samples that are measured."""
 
 from __future__ import annotations
 
@@ -26,13 +25,13 @@ class Moments:
         self.now_ns: Callable[[], int] = transport.clock.monotonic_ns
         # What came while a real-time thread was at the connector has no other moment.
         self.queue: deque[int] = deque(repeat(self.now_ns(), len(transport.queue)))
-        """Of each sample in the reader's queue; of those that have left it in front, until somebody looks."""
+        """The time of each sample in the reader's queue, and of those that have left it since the last look."""
         self.backlog: deque[int] = deque(repeat(self.now_ns(), transport.buffered - len(transport.queue)))
-        """Of each sample in the backlog, as above."""
+        """The time of each sample in the backlog, likewise."""
         self.left_ns = 0
-        """Of the sample that left the backlog last."""
+        """The time of the sample that left the backlog last."""
         self.given_ns: int | None = None
-        """Of the sample that comes next, where it was written in another kernel before; None: it is written now."""
+        """The time of the next sample, where it was written in another kernel before; None: it is written now."""
 
 
 class Dated(FeaturedTransport):

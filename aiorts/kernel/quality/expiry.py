@@ -1,7 +1,7 @@
 """Samples expire: `lifespan` seconds after the write into the connector, on the kernel's clock, they may not be read.
 
-Nobody is called when that happens. Whoever looks at a queue drops first what is too old; the oldest is in front, so a
-look that finds nothing costs one look at the clock. Only while a writer waits for room a timer looks for it.
+Nothing runs at that moment. A reader drops first what is too old; the oldest is in front, so a look that finds nothing
+costs one reading of the clock. Only while a writer waits for room, a timer looks.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class Expiring(Dated):
             self.on_loop(_tend)
 
     def tend(self) -> None:
-        """Have a timer exactly while a writer waits for room; on the loop."""
+        """Set a timer while a writer waits for room, and none otherwise; on the loop."""
         with self.guard():
             life = self.life
             if not self.waiting:

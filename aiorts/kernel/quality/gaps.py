@@ -1,9 +1,8 @@
 """Connectors with `max_gap`: an event when the writer has not written for longer, one when it writes again.
 
 One timer for each such connector compares how much was written with what it saw before, so a write costs nothing and a
-miss is found one to two gaps after the last write. It runs while both ends are active and the writer is not silent. A
-silent writer is noticed at its next write, which chooses its path anew: nothing is left that would keep a simulation
-going.
+miss is found one to two gaps after the last write. It runs while both ends are active and the writer is not silent. The
+next write of a silent writer is noticed, since it has to choose its path again: no timer keeps a simulation going.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ class WriterBack(Event):
 
 
 class _Watch:
-    """What is known of one connector."""
+    """The watch over one connector."""
 
     __slots__ = ("active", "connector", "gap_ns", "logged_ns", "missed", "seen", "silent", "timer", "unlogged")
 
@@ -67,14 +66,14 @@ class _Watch:
         self.gap_ns = gap_ns + 1
         self.active = self.silent = False
         self.seen = 0
-        """What had been written at the last look."""
+        """The number of samples written at the last look."""
         self.missed = self.unlogged = 0
         self.logged_ns: int | None = None
         self.timer: Any = None
 
     @property
     def written(self) -> int:
-        """What was written so far, and what waits for room."""
+        """The number of samples written so far, and of those that wait for room."""
         transport, out = transport_of(self.connector), self.connector.out
         held = out.held() if isinstance(out, FarOutPort) else 0
         return transport.total() + sum(not entry.done for entry in transport.waiting or ()) + held
@@ -88,7 +87,7 @@ class Gaps:
         self._watches: dict[Connector, _Watch] = {}
         self._removers: list[Callable[[], None]] = []
         self._awaited: set[OutPort[Any]] = set()
-        """Whose next write is waited for."""
+        """The ports whose next write is waited for."""
 
     def add(self, connector: Connector) -> None:
         """Watch it, if it has `max_gap`."""
@@ -123,7 +122,7 @@ class Gaps:
         return watch is not None and watch.silent
 
     def writes(self, out: OutPort[Any]) -> None:
-        """Somebody writes at this port, in this thread, for the first time since it was refreshed."""
+        """Note the first write at this port, in this thread, since it was refreshed."""
         if out in self._awaited:
             self._awaited.discard(out)
             self._kernel.loop.call_soon_threadsafe(self._look_at, out)

@@ -122,7 +122,7 @@ class Rendezvous(FeaturedTransport):
         self.waiting = deque(_Offered(self.connector, sample, None, done=True) for sample in self.queue)
 
     def discard_all(self, reason: str) -> None:
-        """What still waits is counted where its writer is let go on."""
+        """Discard nothing: a sample that waits is counted where its writer is let go on."""
         waiting = self.waiting
         while waiting and waiting[0].done:
             waiting.popleft()
