@@ -36,7 +36,7 @@ class Glance(NamedTuple):
 
     at_ns: int
     ran: Blame | None
-    """What ran, or what the context waits in; None for nothing."""
+    """The code that ran, or in which the context waits; None for none."""
     waits: Blame | None = None
     """The context's own hook that waited."""
     absent_ns: int = 0
@@ -135,7 +135,7 @@ def _overlap(pause: Pause, since_ns: int, now_ns: int) -> int:
 
 
 def _seen_longest(since_ns: int, now_ns: int, glances: Sequence[Glance], books: Sequence[Entry]) -> Blame | None:
-    """What was sampled for the longest part of the delay; each sample counts from the one before to the next."""
+    """The code that was sampled for the longest part of the delay; a sample counts from the one before to the next."""
     late = now_ns - since_ns
     weights: dict[Blame, int] = {}
     for index, glance in enumerate(glances):

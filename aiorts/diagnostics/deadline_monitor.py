@@ -43,7 +43,7 @@ _SHORT_NS: Final = 200_000
 _REST: Final = 20
 """After reading the times of all hooks for longer than the first, it rests for the second times as long."""
 _SOON_NS: Final = 1_000_000_000
-"""With so many contexts the times of all hooks are read once in a second at the most."""
+"""With so many contexts the times of all hooks are read at most once a second."""
 _MOST_TIMERS: Final = 64
 """Descriptors are scarce: contexts beyond this number are judged by the times of hooks alone."""
 _NONE: Final[list[Glance]] = []  # of a context without a timer: it never gets one

@@ -69,12 +69,12 @@ class LoopStalls:
     max_ns: int = 0
     """The longest stall."""
     last: Blame | None = None
-    """What held the loop last."""
+    """The code that held the loop last."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoopLimit:
-    """What aiorts run does when something keeps the event loop from turning."""
+    """The settings of `aiorts run` for code that keeps the event loop from turning."""
 
     limit: float = setting(5.0, "Time until policy comes into force.", unit="s", above=0)
     policy: Literal["warn", "exit"] = setting("warn", "warn: say so; exit: end the process at once with status 70.")

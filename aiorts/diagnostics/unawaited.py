@@ -1,4 +1,4 @@
-"""Finds the await that is missing: a coroutine that a component made and nobody awaits did nothing."""
+"""Finds the await that is missing: a coroutine that a component made and did not await did nothing."""
 
 from __future__ import annotations
 

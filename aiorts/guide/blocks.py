@@ -19,7 +19,7 @@ class Block(NamedTuple):
     title: str
     """The name of the file that it is; "" for one that is no file."""
     marks: frozenset[str]
-    """The other words behind its language."""
+    """The words that follow its language."""
     text: str
     line: int
     """The number of its first line in the page."""

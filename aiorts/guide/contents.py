@@ -1,4 +1,4 @@
-"""Which pages there are, in which order, and where they lie."""
+"""The pages of the guide, their order, and their places."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Page(NamedTuple):
     """A page of the guide."""
 
     name: str
-    """What `aiorts help` finds it by; no other page and no command has the same."""
+    """The name by which `aiorts help` finds it; no other page and no command has the same."""
     section: str
     path: Path
 
@@ -117,9 +117,9 @@ def headings(text: str) -> dict[str, str]:
 
 
 def entries(text: str, words: str) -> list[str]:
-    """What stands below the headings of a page that are these words, or the name that they end with.
+    """The texts below the headings of a page that are these words, or the name that they end with.
 
-    One in the same case comes first, then any case; a heading that is no name is also found by a part of it.
+    A heading in the same case comes first, then any case; a heading that is no name is also found by a part of it.
     """
     found = headings(text)
     ways: tuple[Callable[[str], bool], ...] = (

@@ -18,7 +18,7 @@ _NO_PROSE: Final = re.compile(r"^```.*?^```$|^\|.*?$|^<!--.*?-->$", re.DOTALL | 
 _NEXT_PARAGRAPH: Final = re.compile(r"\n(?:\s*\n|(?=\s*(?:[-*]|\d+\.) ))")
 _NEXT_SENTENCE: Final = re.compile(r"(?<=[.?!])\s+(?=[A-Z`\[*])")
 _DOUBLED: Final = re.compile(r"([bgmnprt])\1$")
-"""What an ending doubled: dropped, running."""
+"""A consonant that an ending doubled: dropped, running."""
 _COMMON: Final = frozenset(
     (
         *(

@@ -76,7 +76,7 @@ def serve(port: int, say: Callable[[str], None]) -> int:
 
 
 def renderer() -> Callable[[str], str]:
-    """What makes HTML of Markdown; HTML in the Markdown is shown as text.
+    """A function that makes HTML of Markdown; HTML in the Markdown is shown as text.
 
     Raises:
         MissingExtra: markdown-it-py is not installed.

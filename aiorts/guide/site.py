@@ -1,4 +1,4 @@
-"""What the site has besides the pages: a first page, the navigation of `contents`, the API from the docstrings."""
+"""The parts of the site besides the pages: a first page, the navigation of `contents`, the API from the docstrings."""
 
 from __future__ import annotations
 

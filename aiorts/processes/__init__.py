@@ -1,7 +1,7 @@
 """Starts the processes of kernels, says how each of them ended, and leaves nothing of them.
 
-They are started below one small helper process, which is no kernel and runs nobody's code: it keeps the children's
-limits and output within bounds and kills what has lost its parent. A child's program begins with `prepare`.
+They are started below one small helper process, which is no kernel and runs no user's code. It keeps the children's
+limits and output within bounds and kills processes that have lost their parent. A child begins with `prepare`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the program of a child does first: see to it that it and its descendants end with the helper process.
+"""The first act of a child's program: a thread that ends it and its descendants with the helper process.
 
 The helper holds the only writing end of a pipe. When that reports end-of-file, a thread kills all that descends from
 this process, then the process itself.

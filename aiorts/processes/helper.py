@@ -1,7 +1,7 @@
 """The helper process: starts children, keeps what they write within bounds, reports their end, and kills what is left.
 
 It belongs to one process, whose end it notices by the end-of-file of its socket and, where the system has them, by a
-pidfd, which copies of the socket in forked processes do not hold up. It runs nobody's code and never waits for
+pidfd, which copies of the socket in forked processes do not hold up. It runs no user's code and never waits for
 anything but its descriptors. Requests and reports are JSON, one a line.
 
 All children are started by its one thread, and it adopts the descendants of those that have ended. Adopting is

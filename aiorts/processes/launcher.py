@@ -31,7 +31,7 @@ _NO_LIMITS: Final = Limits()
 
 @dataclass(slots=True)
 class _Report:
-    """Where the reports of one child go."""
+    """The receiver of the reports of one child."""
 
     name: str
     on_line: Callable[[str, str], None]
@@ -68,7 +68,7 @@ class Child:
             self._launcher._request({"kill": self._number})
 
     def _lose(self) -> None:
-        """The helper is gone, so nobody waits for this process any more."""
+        """Report the process as lost: the helper, which waited for its end, is gone."""
         if started(self.pid) == self._began:
             kill_trees([self.pid])
         self._end(Ending(None, None))

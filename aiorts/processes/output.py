@@ -59,7 +59,7 @@ class Output:
         self.due = self._until
 
     def due_at(self, now: float) -> Iterator[tuple[str, str]]:
-        """What was left out in the second that is over, if any."""
+        """The remark on lines that were left out in the second that is over, if any were."""
         if now < self._until:
             return
         self._until = now + 1.0

@@ -1,4 +1,4 @@
-"""Which processes descend from one, and what Linux does with those that lose their parent.
+"""The processes that descend from one, and the settings of Linux for those that lose their parent.
 
 Where there is no /proc, as on macOS, only the group of a process is known: what has left it is not found.
 """
@@ -66,8 +66,8 @@ def kill(pid: int, number: int = signal.SIGKILL) -> None:
 def kill_trees(roots: Iterable[int]) -> None:
     """Kill processes and all that descend from them.
 
-    All are stopped before the first is killed: 400 processes that started one another anew were never caught up with by
-    killing alone. What is stopped starts none, and leaves the processor to this one.
+    All are stopped before the first is killed: killing alone never caught up with 400 processes that started one
+    another. A stopped process starts none, and leaves the processor to this one.
     """
     found: dict[int, None] = {}  # in the order in which they were found
     roots = new = before = [*roots]

@@ -55,7 +55,7 @@ class Rings:
         """Answers that could not be sent yet."""
 
     def trust(self) -> None:
-        """The other end has shown that it is of this program: readers look into its memory, and copy nothing."""
+        """Let readers look into the other end's memory and copy nothing: it has shown that it is of this program."""
         self._receiving.trusts = True
 
     def put(self, parts: Sequence[memoryview]) -> Put | None:
@@ -63,7 +63,7 @@ class Rings:
         return self._sending.put(parts)
 
     def take_back(self, places: Sequence[Place]) -> None:
-        """What `put` said last was not sent."""
+        """Take back the last `put`, which was not sent."""
         self._sending.take_back(places)
 
     def frame(self, places: Sequence[Place], head: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""Which bytes of a ring are taken. This file decides; it has no descriptor and no memory."""
+"""The bytes of a ring that are taken. This file decides; it has no descriptor and no memory."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Extents:
         self._free: list[tuple[int, int]] = [(0, size)]
         """(start, end) of what is free, in order; neighbours are one."""
         self._taken: dict[int, int] = {}
-        """Where each extent ends, by where it starts."""
+        """The end of each extent, by its start."""
 
     @property
     def count(self) -> int:
@@ -32,7 +32,7 @@ class Extents:
         return len(self._taken)
 
     def take(self, length: int) -> int | None:
-        """Where so many bytes are free, which are taken now; None: nowhere."""
+        """Take so many free bytes; their start, or None where there is no room."""
         room = max(length + -length % STEP, STEP)
         for place, (start, end) in enumerate(self._free):
             if end - start >= room:

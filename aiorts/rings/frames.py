@@ -1,4 +1,4 @@
-"""What the two ends of a ring say to each other, and where the parts of a frame are. Pure: bytes and numbers."""
+"""The messages between the two ends of a ring, and the places of the parts of a frame. Pure: bytes and numbers."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ OFFERED: Final = bytes((OFFER,))
 REFUSAL: Final = bytes((CANNOT,))
 _FREED: Final = struct.Struct("<BI")
 PLACES: Final = 255
-"""Parts of one frame at the most."""
+"""The most parts of one frame."""
 
 Place: TypeAlias = tuple[int, int]
-"""(start, length) of a part in the ring; the length is 0 where it travels beside the frame."""
+"""(start, length) of a part in the ring; the length is 0 where it travels with the frame, outside the ring."""
 
 
 class Put(NamedTuple):
@@ -32,13 +32,13 @@ class Put(NamedTuple):
 
 
 def places_bytes(places: Sequence[Place]) -> bytes:
-    """What stands in front of a frame: where each of its parts is."""
+    """The head of a frame: the place of each of its parts."""
     numbers = [number for start, length in places for number in (start // STEP, length)]
     return struct.pack(f"<B{len(numbers)}I", len(places), *numbers)
 
 
 def places_of(body: memoryview) -> tuple[list[Place], memoryview]:
-    """Where each part of a frame is, and the frame itself. LinkError: it is no such frame."""
+    """The place of each part of a frame, and the frame itself. LinkError: it is no such frame."""
     count = body[0] if body else 0
     end = 1 + 8 * count
     if not count or len(body) < end:

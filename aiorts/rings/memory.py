@@ -16,9 +16,9 @@ from typing import Final
 AVAILABLE: Final = hasattr(os, "memfd_create")
 """Whether this system has such memory."""
 _FUTURE_WRITE: Final = 0x0010
-"""F_SEAL_FUTURE_WRITE, which `fcntl` does not name: nobody maps it to write from now on, or punches holes in it."""
+"""F_SEAL_FUTURE_WRITE, which `fcntl` does not name: from now on no process can map it to write, or punch holes."""
 LARGEST: Final = 64 << 20
-"""Bytes of one ring at the most: ten pictures of 1080p. They are committed while the connection is there; a
+"""The most bytes of one ring: ten pictures of 1080p. They are committed while the connection is there; a
 ring that was replaced is given back when nothing looks into it."""
 
 
@@ -48,7 +48,7 @@ class Making:
 
         if self._done < self.size:
             length = min(self._STEP, self.size - self._done)
-            # Not ftruncate: without room it is an error here, and would be a SIGBUS at whoever touches it later.
+            # Not ftruncate: without room it is an error here, and would be a SIGBUS in the code that touches it later.
             os.posix_fallocate(self.descriptor, self._done, length)
             self._done += length
             return None

@@ -12,7 +12,7 @@ _HEAD: Final = struct.Struct("<Q")
 
 
 def proof(program: bytes, prover: bytes, verifier: bytes) -> bytes:
-    """What shows `verifier` that this process, as `prover`, knows `program`.
+    """A proof for `verifier` that this process, as `prover`, knows `program`.
 
     The secret itself is never sent: a greeting goes to every kernel of the user, and one of another program could say
     it after us. The number of the process is in the proof for the same reason: the system says whose socket it is.
@@ -24,7 +24,7 @@ def proof(program: bytes, prover: bytes, verifier: bytes) -> bytes:
 def proves(program: bytes, said: bytes, prover: bytes, verifier: bytes, process: int) -> bool:
     """Whether `said` was made by `prover`, which the system says to be `process`, with the same secret.
 
-    A socket pair that this process made says this process of both ends, whoever has inherited one of them.
+    For a socket pair the system names the process that made it at both ends, also where another has inherited one.
     """
     head = said[: _HEAD.size]
     if not program or len(head) < _HEAD.size or process not in (*_HEAD.unpack(head), os.getpid()):

@@ -1,4 +1,4 @@
-"""The receiver's end of a ring: looks into it, and gives back what nobody looks at any more."""
+"""The receiver's end of a ring: looks into it, and gives back the parts that have no reader any more."""
 
 from __future__ import annotations
 

@@ -38,8 +38,8 @@ class _Ring:
 class Sending:
     """Copies large parts into memory that the other end reads.
 
-    The first large part has a ring made, and one that finds no room a larger one. Large parts wait for it, a second at
-    the most; where there is none then, they travel beside their frames.
+    The first large part has a ring made, and one that finds no room a larger one. Large parts wait for it, at most
+    a second; where there is none then, they travel with their frames, outside the ring.
 
     Args:
         say: sends a message, with a descriptor or without; False: the connection takes none any more.
@@ -60,9 +60,9 @@ class Sending:
         self._used: _Ring | None = None
         self._making: Making | None = None
         self._memory: mmap.mmap | None = None
-        """Of `_making`, when it is complete."""
+        """The memory of the ring in `_making`, once it is complete."""
         self._awaits = 0
-        """What the other end is to say next."""
+        """The kind of the next message from the other end."""
         self._made = 0
         self._holding: asyncio.TimerHandle | None = None
         """Until when large parts wait for the ring that is being made; None: none do."""
@@ -70,7 +70,7 @@ class Sending:
 
     def put(self, parts: Sequence[memoryview]) -> Put | None:
         """The places of the parts of a frame; None: there is none yet, and the frame has to wait for `room`."""
-        # Between the descriptor and its answer nobody knows which ring the other end means.
+        # Between the descriptor and its answer it is not known which ring the other end means.
         ring = None if self._awaits == MAPPED else self._used
         places, beside, wanted = list[Place](), list[memoryview](), 0
         for part in parts:
@@ -92,7 +92,7 @@ class Sending:
         return Put([] if len(beside) == len(parts) else places, beside)
 
     def take_back(self, places: Sequence[Place]) -> None:
-        """What `put` said last was not sent."""
+        """Take back the last `put`, which was not sent."""
         for start, length in places:
             if length and self._used is not None:
                 self._used.extents.give(start)
@@ -149,7 +149,7 @@ class Sending:
         self._let_go()
 
     def heard(self, what: int, body: bytes) -> None:
-        """The other end has said something of our rings.
+        """Take a message of the other end about our rings.
 
         Raises:
             LinkError: it was not its turn.
@@ -172,7 +172,7 @@ class Sending:
             raise LinkError("it speaks of a ring that there is not")
 
     def freed(self, body: bytes) -> None:
-        """The other end gives extents back.
+        """Take back the extents that the other end frees.
 
         Raises:
             LinkError: they were not taken.

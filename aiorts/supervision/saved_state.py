@@ -42,7 +42,7 @@ class SavedState:
     """Connectors that its ports had before the composite exported them."""
     previous_placements: tuple[PreviousPlacement, ...]
     heritages: tuple[Callable[[Component], None], ...]
-    """What its kinds hand over, such as the machines it takes part in."""
+    """The functions by which its kinds hand over, such as the machines it takes part in."""
 
     def configure(self, new: Component) -> None:
         """Give an instance, before it is added to a kernel, the sets, the active set and the parameters of the old one.

@@ -34,7 +34,7 @@ _SETTLES: Final = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Readiness:
-    """What systemd is notified of, where the environment names its socket."""
+    """The notices to systemd, where the environment names its socket."""
 
     ready: tuple[str, ...] = setting(
         (), "Components that are active once the system is ready; by default all it activates."
@@ -56,7 +56,7 @@ class Supervising(KernelService):
         self._supervisor: Supervisor | None = None
         self._systemd: SystemdLink | None = None
         self._started: list[str] = []
-        """What was started in order, for the end."""
+        """The components that were started in order, for the end."""
         self.rules: dict[str, StartRule] = {}
         """The rules by which components were started, by the component's name."""
 
@@ -65,7 +65,7 @@ class Supervising(KernelService):
             unsubscribe()
             self.notify_systemd(settings.ready, os.environ)
 
-        # Of nobody it cannot be said when they are ready: then it is all that are in a context, once one runs.
+        # Without components named, all that are in a context have to be ready, once one runs.
         unsubscribe = self.kernel.bus.subscribe(ContextStarted, notify_ready)
         if isinstance(self.kernel.clock, SimulatedClock):
             unsubscribe()

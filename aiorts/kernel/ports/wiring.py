@@ -37,7 +37,7 @@ T = TypeVar("T")
 def plan(
     kernel: KernelSide, ports: Sequence[Port[Any]], options: Mapping[str, Any]
 ) -> list[tuple[OutPort[Any], InPort[Any], ConnectorProfile]]:
-    """What to connect, fully checked: each out-port with each in-port.
+    """The connectors to make, fully checked: each out-port with each in-port.
 
     Raises:
         WiringError: says which ports do not go together and why.
@@ -132,7 +132,7 @@ def unwire(connector: Connector) -> None:
 
 
 def park(connector: Connector) -> None:
-    """Have nothing more written to a connector; what is unread in it can be read, and who waits for room is let in."""
+    """Stop all writes to a connector; unread samples can be read, and writers that wait for room are let in."""
     out, in_, transport = connector.out, connector.in_, connector._transport
     with transport.guard():
         transport.admit_all()
@@ -187,7 +187,7 @@ def renewed_profile(connector: Connector, options: Mapping[str, Any]) -> Connect
 
 
 def renew(kernel: KernelSide, connector: Connector, profile: ConnectorProfile) -> None:
-    """Have other options in force, whatever they are: what waits and what is unread goes over, in order.
+    """Put other options in force, whatever they are: waiting and unread samples go over, in order.
 
     No real-time thread is at the connector.
     """
@@ -227,7 +227,7 @@ def keep_newest(transport: Transport) -> None:
 
 
 def measure(connector: Connector, count: int) -> None:
-    """Time the last `count` sends and reads from now on, 0 none; what is unread stays, and whoever waits waits on.
+    """Time the last `count` sends and reads from now on, 0 none; unread samples stay, and waiting tasks wait on.
 
     No real-time thread is at the connector.
     """
@@ -254,7 +254,7 @@ def _after(shown: tuple[Connector, ...], one: Connector, those: tuple[Connector,
 
 
 def _without(those: tuple[T, ...], one: T) -> tuple[T, ...]:
-    """Of ten thousand the first or the last goes mostly: they end in the order they came, or in reverse."""
+    """The connectors without one. Ten thousand end in their order, or in reverse: mostly the first or the last goes."""
     if those[-1] == one:
         return those[:-1]
     index = those.index(one)
