@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Generator
 from time import perf_counter
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.clock import SimulatedClock
 from aiorts.kernel.loop.turns import HOLD_SECONDS, in_turns
@@ -35,9 +35,17 @@ def answer_in_turns(
             found: T = end.value
             return found
         if perf_counter() >= until and not simulated:
-            return _rest(steps, hold)
+            return _Rest(steps, hold)
 
 
-async def _rest(steps: Generator[object, None, T], hold: float) -> T:
-    await asyncio.sleep(0)
-    return await in_turns(steps, hold)
+class _Rest(Awaitable[T]):
+    """The steps that are left. It is no coroutine: one that is cancelled before it begins would warn of that."""
+
+    __slots__ = ("_hold", "_steps")
+
+    def __init__(self, steps: Generator[object, None, T], hold: float) -> None:
+        self._steps, self._hold = steps, hold
+
+    def __await__(self) -> Generator[Any, None, T]:
+        yield from asyncio.sleep(0).__await__()
+        return (yield from in_turns(self._steps, self._hold).__await__())

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from replay_timing import measure_replay
 
 import aiorts
 from aiorts.cli.app import run_command
 from aiorts.system import check, parse_options
 from aiorts.types import TimedDouble
-from aiorts_bench.cases.replay import measure_replay
 from aiorts_flexi.recordings.logger import FlexiLogger
 from aiorts_log import RecordingReader
 from campaign import CAMPAIGN
