@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from aiorts.model.declared import options_of
+
 TESTS = Path(__file__).parents[1]
 
 GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
@@ -96,7 +98,7 @@ GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
     (
         "aiorts.kernel.embedding",
         "",
-        "it wraps two things while it runs and leaves both as they were",
+        "it wraps two things and leaves both as they were",
         ("kernel/test_embedding.py::test_loop_and_process_are_as_found_when_the_last_kernel_closes",),
     ),
     (
@@ -186,7 +188,8 @@ def test_promise_stands_where_users_read_it_and_tests_hold_it(
     found: object = import_module(module)
     for part in name.split(".") if name else ():
         found = getattr(found, part)
-    assert one_line(promise) in one_line(inspect.getdoc(found))
+    declared = options_of(found).values() if isinstance(found, type) else ()
+    assert one_line(promise) in one_line(" ".join([inspect.getdoc(found) or "", *(one.doc for one in declared)]))
     for test in tests:
         file, function = test.split("::")
         tree = ast.parse((TESTS / file).read_text(encoding="utf-8"))
