@@ -1,6 +1,6 @@
-"""Sessions with running kernels: the protocol, where kernels are found, and the client's end.
+"""Sessions with running kernels: the protocol, the folder of their sockets, and the client's end.
 
-It stands below links and is imported by short-lived commands: it does not know the kernel, and only `AsyncClient`,
+This room stands below links. Short-lived commands import it, so it does not import the kernel, and only `AsyncClient`,
 which is imported late, uses asyncio. The kernel's end is `aiorts.control`.
 """
 

@@ -32,13 +32,13 @@ _RETRY: Final = 0.005
 class AsyncClient(BaseClient):
     """A session with one kernel on the running loop. `connect` or `open` makes it.
 
-    Its surface is `connect`, `open`, `call`, `stream`, `close`, `aclose`, and `hello`, `right`, `entry`, `is_open`,
+    Its members are `connect`, `open`, `call`, `stream`, `close`, `aclose`, and `hello`, `right`, `entry`, `is_open`,
     `silence`, `lost`. A stream has `async for`, `async with`, `open`, `next`, `close`, and the attributes of
     `AsyncStream`.
 
-    Any number of calls and streams go on at once. A call that is cancelled, and a stream that is left, end in the
-    kernel, too. A stream that is not read is held up, and nothing else is. When the kernel ends, all calls and streams
-    raise ClosedError, once what had come before is taken; `CutOff` where the kernel runs on.
+    Any number of calls and streams run at once. A call that is cancelled, and a stream that is left, end in the
+    kernel, too. A stream that is not read holds up itself alone. When the kernel ends, all calls and streams raise
+    ClosedError, once the earlier answers are taken; `CutOff` where the kernel runs on.
 
     Attributes:
         entry: the kernel's entry; its epoch is that of the session.
@@ -46,7 +46,7 @@ class AsyncClient(BaseClient):
 
     Args:
         entry, who, right: as `open`.
-        longest: bytes of a frame that are taken.
+        longest: bytes of the longest frame that is accepted.
     """
 
     def __init__(self, entry: Entry, who: str = "", *, right: RightName = "", longest: int = ANSWERS) -> None:
@@ -55,14 +55,14 @@ class AsyncClient(BaseClient):
         self._session.credit = ITEMS
         self._wire = _Wire(self._heard, self._hung_up)
         self._awaited: dict[Call | None, Callable[[], object]] = {}
-        """By call, the function to call when something comes for it, or the session ends; None: the kernel's hello."""
+        """By call, the function to call when an answer comes or the session ends; None: the kernel's hello."""
 
     @classmethod
     @asynccontextmanager
     async def connect(
         cls, target: Entry | str = "", *, timeout: float = TIMEOUT, who: str = "", right: RightName = ""
     ) -> AsyncIterator[Self]:
-        """A session for as long as the block takes; arguments and errors as `open`."""
+        """Open a session until the end of the block; arguments and errors as `open`."""
         client = await cls.open(target, timeout=timeout, who=who, right=right)
         try:
             yield client
@@ -73,21 +73,21 @@ class AsyncClient(BaseClient):
     async def open(
         cls, target: Entry | str = "", *, timeout: float = TIMEOUT, who: str = "", right: RightName = ""
     ) -> Self:
-        """A session that is ready for calls; `aclose` ends it.
+        """Open a session that is ready for calls; `aclose` ends it.
 
         Args:
             target: the kernel's entry, name, address ("host/kernel") or the path of its socket; "" is the only one
                 that runs.
-            timeout: seconds within which it answers.
+            timeout: seconds within which the kernel answers.
             who: this end, for the kernel's log; the command by default.
-            right: the most that it may do: "view", "operate" or "code"; by default all that the kernel allows. `right`
-                of the session is what the kernel gave.
+            right: the highest right wanted: "view", "operate" or "code"; by default all that the kernel allows. `right`
+                of the session is the one that the kernel gave.
 
         Raises:
             NoAnswerError: the kernel does not answer within `timeout` seconds.
-            AbsentError: nothing that runs has this name, or it is gone.
-            AmbiguousError: several have it; says which.
-            ControlError: it refuses the session, or speaks another protocol.
+            AbsentError: no running kernel has this name, or the kernel is gone.
+            AmbiguousError: several kernels have this name; the text lists them.
+            ControlError: the kernel refuses the session, or speaks another protocol.
         """
         loop = asyncio.get_running_loop()
         until = loop.time() + timeout
@@ -96,7 +96,7 @@ class AsyncClient(BaseClient):
         return await cls(entry, who, right=right).begin(connected, until - loop.time())
 
     async def begin(self, connected: socket.socket, timeout: float) -> Self:
-        """Begin over a connected socket, which it owns from then on; errors as `open`."""
+        """Begin the session over a connected socket, which the client owns from then on; errors as `open`."""
         loop = asyncio.get_running_loop()
         try:
             await loop.create_unix_connection(lambda: self._wire, sock=connected)
@@ -113,23 +113,23 @@ class AsyncClient(BaseClient):
 
     @property
     def is_open(self) -> bool:
-        """Whether it can be asked."""
+        """Whether the session accepts calls."""
         return self._session.error is None
 
     # -- calls -----------------------------------------------------------------------------------------------------
 
     async def call(self, operation: str, wait: float | None = TIMEOUT, /, **arguments: object) -> Any:
-        """The result of an operation, as plain data.
+        """Call an operation; returns its result as plain data.
 
         Args:
-            operation: its name in the table.
-            wait: seconds; None waits forever. Given by position, since an argument may have this name.
-            arguments: of the operation.
+            operation: the name of the operation in the table.
+            wait: seconds; None waits without limit. By position only, since an argument may have this name.
+            arguments: the arguments of the operation.
 
         Raises:
-            NoAnswerError: there was none in time; the kernel carries the call out all the same.
+            NoAnswerError: no answer came in time; the kernel carries the call out all the same.
             ClosedError: the session has ended.
-            AiortsError: what the operation raised, by its code.
+            AiortsError: the error that the operation raised, as the class of its code.
         """
         call = await self._begin(operation, wait, arguments)
         try:
@@ -142,13 +142,13 @@ class AsyncClient(BaseClient):
         return answer.result()
 
     def stream(self, operation: str, wait: float | None = TIMEOUT, /, **arguments: object) -> AsyncStream:
-        """An operation that streams; it begins where it is first waited for. Arguments as `call`."""
+        """The stream of an operation, which begins at the first wait for an item. Arguments as `call`."""
         return AsyncStream(self, operation, wait, arguments)
 
     async def follow(self, operation: str, take: Callable[[Any], object], /, **arguments: object) -> None:
-        """Begin an operation that streams, and have `take` called with each item as it comes, until the session ends.
+        """Begin an operation that streams and call `take` with each item as it comes, until the session ends.
 
-        Raises as `call`. The session ends where `take` raises LookupError, TypeError or ValueError: it is no item.
+        Raises as `call`. A LookupError, TypeError or ValueError of `take` means a malformed item and ends the session.
         """
         call = await self._begin(operation, TIMEOUT, arguments, streams=True)
         try:
@@ -184,7 +184,7 @@ class AsyncClient(BaseClient):
         return call
 
     async def _next(self, call: Call, wait: float | None) -> Answer:
-        """The next answer of a call; answers from before the session's end come before its error.
+        """Wait for the next answer of a call; answers from before the session's end come before its error.
 
         Raises:
             ClosedError: the call was given up meanwhile, or the session has ended.
@@ -213,7 +213,7 @@ class AsyncClient(BaseClient):
                 self._awaited.pop(call, None)
 
     async def _in_time(self, awaited: Awaitable[object], wait: float | None, why: str = "") -> None:
-        """Wait for something, `wait` seconds at most; NoAnswerError: it did not come, with `why` or `silence`."""
+        """Wait for an awaitable, at most `wait` seconds; then NoAnswerError with the text `why` or `silence`."""
         limit = asyncio.timeout(wait)
         try:
             async with limit:
@@ -230,7 +230,7 @@ class AsyncClient(BaseClient):
     # -- the socket ------------------------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """End the session in order, and do not wait: what it began in the kernel ends with it. Idempotent."""
+        """End the session in order, without waiting: its calls in the kernel end, too. Idempotent."""
         self.lost = _nothing
         if self.is_open:
             bye = self._session.bye()
@@ -238,7 +238,7 @@ class AsyncClient(BaseClient):
         self._end()
 
     async def aclose(self) -> None:
-        """End the session in order; its socket is closed afterwards. Idempotent."""
+        """End the session in order and wait until its socket is closed. Idempotent."""
         self.close()
         await self._wire.wait_closed()
 
@@ -264,7 +264,7 @@ class AsyncClient(BaseClient):
     def _hung_up(self, error: Exception | None) -> None:
         """End the session of a socket that the other end has closed.
 
-        A kernel that still listens is looked at again: a process that is killed closes its sockets one after the other.
+        A kernel that still listens is checked again: a process that is killed closes its sockets one after the other.
         """
         if self.is_open and error is None and self.hello and is_listed(self.entry):
             asyncio.get_running_loop().call_later(CLOSING_SECONDS, self._look_again)
@@ -275,7 +275,7 @@ class AsyncClient(BaseClient):
         self._end(self._ended(served=is_listed(self.entry)))
 
     def _end(self, error: AiortsError | None = None) -> None:
-        """End what waits; the first error says why."""
+        """Wake all waiting calls, which raise; the first error of the session stays."""
         if error is not None:
             self._session.end(error)
         self._wire.close()
@@ -289,14 +289,14 @@ class AsyncClient(BaseClient):
 class AsyncStream:
     """The items of an operation that streams, in order; `async for` waits for the next.
 
-    It ends in the kernel by `close()`, at the end of `async with`, and where nothing refers to it any more: as after
-    `break`, or an exception, in `async for item in client.stream(...)`.
+    The operation ends in the kernel by `close()`, at the end of `async with`, and when the stream is no longer
+    referenced: as after `break`, or an exception, in `async for item in client.stream(...)`.
 
     Attributes:
-        began: what the operation said when it began.
+        began: the first answer of the operation, from before its items.
         missed: items that were dropped so far, in the kernel or here, since this end was too slow.
         ended: whether it is over: no item comes any more.
-        result: what it said when it ended.
+        result: the last answer of the operation.
     """
 
     def __init__(
@@ -312,7 +312,7 @@ class AsyncStream:
         self._loop = asyncio.get_running_loop()
 
     async def open(self) -> Self:
-        """Begin it, if it has not begun; errors as `AsyncClient.call`."""
+        """Begin the operation, if it has not begun; errors as `AsyncClient.call`."""
         await self._open()
         return self
 
@@ -348,10 +348,10 @@ class AsyncStream:
         return item
 
     async def next(self, timeout: float | None = None) -> Any:
-        """The next item; END when there are no more. It may be cancelled and asked for again: no item is lost by that.
+        """Wait for the next item; END when there are no more. A wait that is cancelled loses no item.
 
         Raises:
-            NoAnswerError: none came within `timeout` seconds.
+            NoAnswerError: no item came within `timeout` seconds.
             ClosedError: the session has ended.
         """
         if self.ended:
@@ -387,7 +387,7 @@ class AsyncStream:
             here = False
         if here:
             self.close()
-        else:  # another thread has collected it
+        else:  # collected in another thread
             self._loop.call_soon_threadsafe(self.client._cancel, self._call)
 
 
@@ -396,26 +396,26 @@ class _Wire(asyncio.Protocol):
 
     Args:
         heard: takes the bytes that come.
-        over: called once when nothing comes any more, with why.
+        over: called once with the reason, when the connection is lost.
     """
 
     def __init__(self, heard: Callable[[bytes], None], over: Callable[[Exception | None], None]) -> None:
         self.transport: asyncio.WriteTransport
         self.takes = asyncio.Event()
-        """Whether the other end takes what is sent."""
+        """Set while the other end reads; cleared while sent bytes pile up."""
         self.takes.set()
         self._heard, self._over = heard, over
         self._closed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._abort: asyncio.TimerHandle | None = None
 
     def close(self) -> None:
-        """Close it once all is sent, in `_LAST` seconds at the latest."""
+        """Close the socket once all is sent, after `_LAST` seconds at the latest."""
         if self._abort is None and not self._closed.done():
             self._abort = self._closed.get_loop().call_later(_LAST, self.transport.abort)
             self.transport.close()
 
     async def wait_closed(self) -> None:
-        """Wait until it is closed; where the wait is cancelled, it is closed at once."""
+        """Wait until the socket is closed; a cancelled wait closes it at once."""
         try:
             if not self._closed.done():
                 await asyncio.wait([self._closed])
@@ -444,7 +444,7 @@ class _Wire(asyncio.Protocol):
 
 
 async def _connected(entry: Entry, until: float) -> socket.socket:
-    """A connection with the kernel of an entry; errors as `AsyncClient.open`."""
+    """Connect a socket to the kernel of an entry; errors as `AsyncClient.open`."""
     loop = asyncio.get_running_loop()
     connected = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     connected.setblocking(False)
@@ -453,7 +453,7 @@ async def _connected(entry: Entry, until: float) -> socket.socket:
             try:
                 connected.connect(entry.path)
                 return connected
-            except BlockingIOError:  # more wait to be let in than the system keeps
+            except BlockingIOError:  # the listener's backlog is full
                 if loop.time() >= until:
                     raise NoAnswerError(f"{entry.address}: no answer") from None
                 await asyncio.sleep(_RETRY)

@@ -1,4 +1,4 @@
-"""The base of the clients, of the blocking one and of that on a loop: a kernel's entry, and the session with it."""
+"""The base of the blocking client and of the client on a loop: a kernel's entry, and the session with it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ END: Final = object()
 
 
 class CutOff(ClosedError):
-    """The kernel runs on, and has ended the session of a client that took nothing."""
+    """The error of a client that took nothing: the kernel ended its session and runs on."""
 
 
 class BaseClient:
-    """A session with one kernel, whatever drives it.
+    """A session with one kernel, driven by blocking calls or by a loop.
 
     Attributes:
         entry: the kernel's entry; its epoch is that of the session.
@@ -37,7 +37,7 @@ class BaseClient:
 
     @property
     def hello(self) -> Mapping[str, Any]:
-        """The name, address and pid that the kernel has said; empty before its hello."""
+        """The kernel's hello, with its name, address and pid; empty before it comes."""
         return self._session.hello
 
     @property
@@ -55,7 +55,7 @@ class BaseClient:
         return self._session.greeting(self._who, self._wanted, carried=self.entry.carried)
 
     def _hear(self, heard: Heard) -> list[Call]:
-        """The calls with answers to be taken; with its hello the kernel's entry is known."""
+        """Take frames; returns the calls with new answers. The kernel's hello completes `entry`."""
         greets = self._session.state == "greeting"
         came = self._session.hear(heard)
         if greets and self.hello:
@@ -65,7 +65,7 @@ class BaseClient:
         return came
 
     def _ended(self, *, served: bool) -> ClosedError:
-        """The error for a session in which nothing comes any more.
+        """The error for a session that the other end has closed.
 
         Args:
             served: whether the kernel still listens.

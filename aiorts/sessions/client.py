@@ -26,7 +26,7 @@ from aiorts.sessions.session import ITEMS, Answer, Call
 
 _CHUNK: Final = 1 << 18
 _JOIN: Final = 1.0
-"""Seconds that the thread has which reads ahead, once the socket is shut down."""
+"""Seconds to wait for the end of the thread that reads ahead, once the socket is shut down."""
 
 
 class Client(BaseClient):
@@ -34,7 +34,7 @@ class Client(BaseClient):
 
     Args:
         right: as `open`.
-        later: whether the session is to begin with the first call.
+        later: whether the session begins with the first call, not at once.
     """
 
     def __init__(
@@ -42,11 +42,11 @@ class Client(BaseClient):
     ) -> None:
         super().__init__(entry, who, right)
         self._news = Condition()
-        """Held while something is done with the session; notified when something has come."""
+        """Held during each access to the session; notified when an answer has come."""
         self._thread: Thread | None = None
-        """The thread that reads ahead; None: none does."""
+        """The thread that reads ahead, or None."""
         self._deaf = False
-        """Whether the kernel takes nothing any more; what it said last may still be read."""
+        """Whether sending failed; the kernel's last frames may still be read."""
         self._socket: socket.socket
         self.begun = False
         """Whether there is a session."""
@@ -61,7 +61,7 @@ class Client(BaseClient):
         try:
             self._socket.settimeout(TIMEOUT)
             self._connect(self.entry, time.monotonic() + patience)
-            with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it has said why, which is read
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # the kernel's reason is still to be read
                 self._socket.sendall(self._greeting())
         except BaseException:
             self._socket.close()
@@ -70,15 +70,15 @@ class Client(BaseClient):
 
     @classmethod
     def open(cls, entry: Entry, *, timeout: float = TIMEOUT, who: str = "", right: RightName = "") -> Self:
-        """A session that is ready for calls.
+        """Open a session that is ready for calls.
 
         Args:
-            right: the most that it may do: "view", "operate" or "code"; by default all that the kernel allows.
+            right: the highest right wanted: "view", "operate" or "code"; by default all that the kernel allows.
 
         Raises:
             NoAnswerError: the kernel does not answer within `timeout` seconds.
-            AbsentError: it is gone.
-            ControlError: it refuses the session, or speaks another protocol.
+            AbsentError: the kernel is gone.
+            ControlError: the kernel refuses the session, or speaks another protocol.
         """
         until = time.monotonic() + timeout
         client = cls(entry, who, right=right, patience=timeout)
@@ -95,7 +95,7 @@ class Client(BaseClient):
             try:
                 self._socket.connect(entry.path)
                 return
-            except BlockingIOError:  # more wait to be let in than the system keeps
+            except BlockingIOError:  # the listener's backlog is full
                 if time.monotonic() >= until:
                     raise NoAnswerError(f"{entry.address}: no answer") from None
                 time.sleep(0.005)
@@ -108,11 +108,11 @@ class Client(BaseClient):
                 raise why from None
 
     def close(self) -> None:
-        """End the session in order: what it began in the kernel ends with it. Idempotent."""
+        """End the session in order: its calls in the kernel end, too. Idempotent."""
         with self._news:
             bye = self._session.bye()
         if self.begun and self._session.last:
-            with contextlib.suppress(OSError):  # it has ended, or takes nothing
+            with contextlib.suppress(OSError):  # the kernel has ended, or does not read
                 if self._thread is None:
                     self._socket.settimeout(0.0)
                 self._socket.send(bye, socket.MSG_DONTWAIT)
@@ -124,10 +124,10 @@ class Client(BaseClient):
             self._socket.close()
 
     def read_ahead(self) -> None:
-        """From now on a thread takes what comes: this process may be held back, and the kernel does not notice.
+        """Start a thread that reads the socket, so that a pause of this program does not hold up the kernel.
 
-        A stream keeps `session.ITEMS` items for who does not take them; the others are `missed`. `read` and `fileno`
-        are not for who calls this. Idempotent.
+        A stream keeps `session.ITEMS` items that are not taken; the others are `missed`. Afterwards `read` and `fileno`
+        must not be called. Idempotent.
         """
         if self._thread is None:
             self._start()
@@ -159,21 +159,21 @@ class Client(BaseClient):
     # -- calls -----------------------------------------------------------------------------------------------------
 
     def call(self, operation: str, wait: float | None = TIMEOUT, /, **arguments: object) -> Any:
-        """The result of an operation, as plain data.
+        """Call an operation; returns its result as plain data.
 
         Args:
-            operation: its name in the table.
-            wait: seconds; None waits forever. Given by position, since an argument may have this name.
-            arguments: of the operation.
+            operation: the name of the operation in the table.
+            wait: seconds; None waits without limit. By position only, since an argument may have this name.
+            arguments: the arguments of the operation.
 
         Raises:
-            NoAnswerError: there was none in time.
-            AiortsError: what the operation raised, by its code.
+            NoAnswerError: no answer came in time.
+            AiortsError: the error that the operation raised, as the class of its code.
         """
         return self.result(self.begin(operation, **arguments), wait)
 
     def begin(self, operation: str, /, **arguments: object) -> int:
-        """Send a call and do not wait; `result` gives its result by the number that is returned."""
+        """Send a call without waiting; returns the number by which `result` gives its result."""
         return self._begin(operation, arguments).number
 
     def _begin(self, operation: str, arguments: Mapping[str, object], *, streams: bool = False) -> Call:
@@ -192,12 +192,12 @@ class Client(BaseClient):
             self._leave(call)
 
     def stream(self, operation: str, wait: float | None = TIMEOUT, /, **arguments: object) -> Stream:
-        """Begin an operation that streams; the stream's items come as they are made. Arguments and errors as `call`."""
+        """Begin an operation that streams; items come as they are made. Arguments and errors as `call`."""
         call = self._begin(operation, arguments, streams=True)
         try:
             began = self._next(call, wait).result()
         except BaseException:
-            self._cancel(call)  # one that is left runs on in the kernel
+            self._cancel(call)  # a call that is only left runs on in the kernel
             raise
         return Stream(self, call, began)
 
@@ -205,7 +205,7 @@ class Client(BaseClient):
         """Wait until the kernel's process, or the session, has ended.
 
         Raises:
-            NoAnswerError: it runs on after so many seconds.
+            NoAnswerError: neither has ended after `seconds`.
         """
         until = time.monotonic() + seconds
         with self._news:
@@ -213,13 +213,13 @@ class Client(BaseClient):
                 self._receive(until)
 
     def answered(self, number: int) -> bool:
-        """Whether something has come for a call, after `read`."""
+        """Whether an answer has come for a call, after `read`."""
         return bool(self._session.calls.get(number))
 
     # -- the socket ------------------------------------------------------------------------------------------------
 
     def read(self) -> None:
-        """Take what has come.
+        """Read the socket and take the answers in it.
 
         Raises:
             ClosedError: the kernel has ended the session, or its process has ended.
@@ -232,7 +232,7 @@ class Client(BaseClient):
             self._socket.settimeout(TIMEOUT)
             self._socket.sendall(data)
         except TimeoutError:
-            self._end(NoAnswerError(f"{self.entry.address}: does not take what is sent"))  # a part of it may be sent
+            self._end(NoAnswerError(f"{self.entry.address}: does not take what is sent"))  # it may be half sent
             self._session.check()
         except OSError:
             self._deaf = True
@@ -247,7 +247,7 @@ class Client(BaseClient):
         self._send(frame)
 
     def _next(self, call: Call, timeout: float | None) -> Answer:
-        """The next that comes for a call."""
+        """Wait for the next answer of a call."""
         until = None if timeout is None else time.monotonic() + timeout
         if not call:
             with self._news:
@@ -256,7 +256,7 @@ class Client(BaseClient):
         return call.take()
 
     def _receive(self, until: float | None) -> None:
-        """Wait until something comes; `_news` is held. Raises what has ended the session."""
+        """Wait until an answer comes; `_news` is held. Raises the error that has ended the session."""
         self._session.check()
         left = None if until is None else until - time.monotonic()
         if left is not None and left <= 0:
@@ -268,7 +268,7 @@ class Client(BaseClient):
             self._take()
 
     def _take(self) -> None:
-        """Take what comes within the socket's timeout; at its end, the session ends."""
+        """Take the bytes that come within the socket's timeout; where the socket is closed, the session ends."""
         try:
             data = self._socket.recv(_CHUNK)
         except (TimeoutError, BlockingIOError):
@@ -296,10 +296,10 @@ class Stream:
     """The items of an operation that streams, in order; iterating waits for the next.
 
     Attributes:
-        began: what the operation said when it began.
+        began: the first answer of the operation, from before its items.
         missed: items that were dropped so far, in the kernel or here, since this end was too slow.
         ended: whether it is over: no item comes any more.
-        result: what it said when it ended.
+        result: the last answer of the operation.
     """
 
     def __init__(self, client: Client, call: Call, began: Any) -> None:
@@ -315,7 +315,7 @@ class Stream:
             yield item
 
     def until(self, end: float | None) -> Iterator[Any]:
-        """The items that come before `end`, a time of `time.monotonic()`; None is without an end."""
+        """The items that come before `end`, a time of `time.monotonic()`; None: no limit."""
         while end is None or time.monotonic() < end:
             try:
                 item = self.next(None if end is None else end - time.monotonic())
@@ -326,10 +326,10 @@ class Stream:
             yield item
 
     def next(self, timeout: float | None = None) -> Any:
-        """The next item; END when there are no more.
+        """Wait for the next item; END when there are no more.
 
         Raises:
-            NoAnswerError: none came within `timeout` seconds.
+            NoAnswerError: no item came within `timeout` seconds.
         """
         if self.ended:
             return END
@@ -347,7 +347,7 @@ class Stream:
         return END
 
     def take(self, timeout: float) -> list[Any]:
-        """The items that have come: at least one, or none at all within `timeout` seconds; END is the last."""
+        """Wait for items; returns all that have come, or none after `timeout` seconds. END is the stream's last."""
         try:
             found = [self.next(timeout)]
         except NoAnswerError:
@@ -385,16 +385,16 @@ def open_all(
 ) -> tuple[list[tuple[Client, Any]], list[Silent]]:
     """Open a session with each kernel and make one call in each, all at the same time.
 
-    A kernel that says nothing, not even hello, delays the others by `grace` seconds at the most; one whose loop is busy
-    by `timeout`.
+    A kernel that does not even send hello delays the others by at most `grace` seconds; a kernel whose loop is busy, by
+    at most `timeout`.
 
     Args:
-        timeout: seconds to wait when none has answered, and for those that have said hello.
+        timeout: seconds to wait while no kernel has answered, and for kernels that have said hello.
         grace: seconds to wait for the others once one has answered.
-        right: of `Client.open`.
+        right: as `Client.open`.
 
     Returns:
-        The sessions with the result of the call, in the order given; and who did not answer.
+        The sessions with the result of the call, in the order given; and the kernels that did not answer.
     """
     pending: dict[int, tuple[Client, int]] = {}
     silent: list[Silent] = []
@@ -417,7 +417,7 @@ def open_all(
         answer = answers.get(client, client.silence)
         if client in answers and not isinstance(answer, AiortsError):
             opened.append((client, answer))
-        elif isinstance(answer, AbsentError):  # it went meanwhile
+        elif isinstance(answer, AbsentError):  # the kernel ended meanwhile
             client.close()
         else:
             client.close()
@@ -430,11 +430,11 @@ def _why(entry: Entry, answer: object) -> str:
 
 
 def _wait_all(pending: Mapping[int, tuple[Client, int]], *, timeout: float, grace: float) -> dict[Client, Any]:
-    """The results of calls that were begun, by client, as far as they come in time; an error in place of one.
+    """Wait for the results of calls that were begun; returns those that come in time, or their errors, by client.
 
     Args:
         pending: by descriptor, the client and the number of its call.
-        timeout: seconds to wait when none has answered, and for those that have said hello.
+        timeout: seconds to wait while no kernel has answered, and for kernels that have said hello.
         grace: seconds to wait for the others once one has answered.
     """
     left = dict(pending)
@@ -445,7 +445,7 @@ def _wait_all(pending: Mapping[int, tuple[Client, int]], *, timeout: float, grac
     latest = time.monotonic() + timeout
     patient_until = latest
     while left:
-        busy = any(client.hello for client, _ in left.values())  # their processes run: only their loops take long
+        busy = any(client.hello for client, _ in left.values())  # their processes run: only their loops are slow
         wait = (latest if busy else patient_until) - time.monotonic()
         if wait <= 0:
             break

@@ -1,10 +1,10 @@
-"""Where the sockets of running kernels are: one folder of the user's own, in which each kernel has an entry.
+"""The folder with the sockets of running kernels: it belongs to one user, and each kernel has an entry in it.
 
-An entry is a socket, named by a hash of the kernel's address, and a small file beside it that says whose it is. The
-folder is refused when it is a link, belongs to another user, or lets others in. An entry without a listener was left
-by a process that is gone: the next reader removes it. The variable AIORTS_FOLDERS names further folders of that kind,
-with ":" between them: what carries sessions to other hosts has one socket there for all of them, and its file is a
-list (`Carrier`).
+An entry is a socket, named by a hash of the kernel's address, and a small file next to it that names the kernel. The
+folder is refused when it is a link, belongs to another user, or gives others access. An entry without a listener was
+left by a process that is gone: the next reader removes it. The variable AIORTS_FOLDERS names further folders of that
+kind, with ":" between them. A process that carries sessions to other hosts has one socket there for all of their
+kernels, and its file is a list (`Carrier`).
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from aiorts.errors import ConfigurationError, ControlError
 from aiorts.late import dataclass
 
 LONGEST_PATH: Final = 107
-"""Bytes of a socket's path that the system takes."""
+"""Bytes of the longest socket path that the system takes."""
 FURTHER: Final = "AIORTS_FOLDERS"
 CLOSING_SECONDS: Final = 0.1
-"""Seconds in which a process that is killed closes its sockets, one after the other."""
+"""Seconds in which a killed process closes its sockets, one after the other."""
 _PRIVATE: Final = 0o700
 _LARGEST_FILE: Final = 16 << 20
 _SUFFIXES: Final = (".json", ".part", ".sock")
@@ -43,11 +43,11 @@ class Entry:
     """"host/kernel"."""
     pid: int
     epoch: str
-    """16 hexadecimal digits, others each time a kernel opens its socket."""
+    """16 hexadecimal digits, new each time that a kernel opens its socket."""
     path: str
-    """Of the socket."""
+    """The path of the socket."""
     carried: bool = False
-    """Whether the socket carries sessions with several kernels; who begins one names which."""
+    """Whether the socket carries sessions with several kernels; a hello on it names its kernel."""
 
     @property
     def name(self) -> str:
@@ -56,12 +56,12 @@ class Entry:
 
 
 def is_supported() -> bool:
-    """Whether this system has sockets in folders, and users to whom they belong."""
+    """Whether this system has Unix sockets, and users who own them."""
     return hasattr(socket, "AF_UNIX") and hasattr(os, "geteuid")
 
 
 def place() -> Path:
-    """The folder's path; it need not be there. ControlError: this system has no such sockets."""
+    """The folder's path, whether or not it exists. ControlError: this system has no Unix sockets."""
     if not is_supported():
         raise ControlError("this system has no Unix sockets: what runs on it cannot be reached from other terminals")
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
@@ -71,10 +71,10 @@ def place() -> Path:
 
 
 def private_folder() -> Path:
-    """The folder for sockets of this user's kernels, made where it is not there.
+    """The folder for sockets of this user's kernels, made if it does not exist.
 
     Raises:
-        ControlError: it cannot be made, or is a link, of another user, or open to others.
+        ControlError: it cannot be made, is a link, belongs to another user, or is open to others.
     """
     folder = place()
     try:
@@ -88,7 +88,7 @@ def private_folder() -> Path:
 
 
 def check(folder: Path) -> None:
-    """ControlError unless it is a folder of this user alone; FileNotFoundError when there is none."""
+    """Check a folder: ControlError unless it is this user's alone, FileNotFoundError when it does not exist."""
     found = folder.lstat()
     why = ""
     if stat.S_ISLNK(found.st_mode):
@@ -104,7 +104,7 @@ def check(folder: Path) -> None:
 
 
 def entries() -> tuple[Entry, ...]:
-    """The kernels that have an entry, by address; one may be gone (`discard`). What one left half made is removed.
+    """The kernels that have an entry, sorted by address; some may be gone (`discard`). Incomplete entries are removed.
 
     Raises:
         ControlError: the folder is not safe.
@@ -130,7 +130,7 @@ def _entries(folder: Path) -> list[Entry]:
 
 
 def entry_at(path: str) -> Entry:
-    """The entry of the kernel at a socket; without a file next to it that lists one kernel, hello says which it is."""
+    """The entry of the kernel at a socket. Unless the file next to it lists exactly one kernel, hello names it."""
     found = _read(Path(path).with_suffix(".json")) or ()
     return found[0] if len(found) == 1 else Entry(path, 0, "", path)
 
@@ -143,7 +143,7 @@ def discard(entry: Entry) -> None:
 
 
 def is_served(entry: Entry) -> bool:
-    """Whether the kernel of an entry, and no other, still listens at it."""
+    """Whether the kernel of an entry, and no other, still listens; two looks, since a killed one closes late."""
     if not is_listed(entry):
         return False
     time.sleep(CLOSING_SECONDS)
@@ -151,7 +151,7 @@ def is_served(entry: Entry) -> bool:
 
 
 def is_listed(entry: Entry) -> bool:
-    """Whether the kernel of an entry listens at it, by one look: of a kernel that is ending, this may be wrong."""
+    """Whether the kernel of an entry listens, by one look: for a kernel that is ending, this may be wrong."""
     if not entry.path:
         return False
     said = {(one.address, one.epoch) for one in _read(Path(entry.path).with_suffix(".json")) or ()}
@@ -159,7 +159,7 @@ def is_listed(entry: Entry) -> bool:
 
 
 def _read(file: Path) -> tuple[Entry, ...] | None:
-    """What is reached by the socket beside a file: one kernel, or those of a list; None: it does not say."""
+    """The kernels reached by the socket next to a file: one, or a list; None: the file is missing or malformed."""
     path = str(file.with_suffix(".sock"))
     try:
         with file.open("rb") as opened:
@@ -190,11 +190,11 @@ def _remove(path: str) -> None:
 
 @contextlib.contextmanager
 def _locked(folder: Path, waits: tuple[float, ...] = (0.001, 0.01, 0.1, 0.5, 0.5, 0.0)) -> Iterator[None]:
-    """Hold the folder: one process at a time adds or removes entries. ControlError: another holds it all the time."""
+    """Lock the folder: one process at a time adds or removes entries. ControlError: another one keeps the lock."""
     try:
         import fcntl  # late: not every system has it
     except ImportError:
-        yield  # of two that begin at once with one name, one may take the other's entry
+        yield  # without a lock: of two kernels that start at once with one name, one may take the other's entry
         return
     opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -215,10 +215,10 @@ class Claim:
     """An entry of this process: a listening socket under an address, until it is withdrawn and closed.
 
     Args:
-        folder: where; the user's own by default.
+        folder: the folder of the entry; the user's own by default.
 
     Raises:
-        ControlError: the folder is not safe, the address is taken (says by whom), or its path is too long.
+        ControlError: the folder is not safe, the address is taken (the text says by whom), or its path is too long.
         OSError: the socket cannot be made.
     """
 
@@ -257,10 +257,10 @@ class Claim:
 
 
 class Carrier:
-    """The entries of kernels with which one socket of this process carries sessions.
+    """The entries of the kernels to which one socket of this process carries sessions.
 
     Args:
-        folder: for it alone, and of this user alone.
+        folder: a folder for this carrier alone, of this user alone.
 
     Raises:
         ControlError: the path of the socket is too long.
@@ -268,15 +268,15 @@ class Carrier:
 
     def __init__(self, folder: Path) -> None:
         self.path = _socket_path(folder, "carrier")
-        """Of the socket, which is its owner's to open."""
+        """The path of the socket, which the owner of the carrier opens."""
 
     def write(self, kernels: Iterable[tuple[str, str]]) -> None:
-        """These can be reached from now on, by address and epoch, and no others; the socket listens already."""
+        """Replace the list of kernels that can be reached, by address and epoch; the socket listens already."""
         _write(Path(self.path).with_suffix(".json"), {"pid": os.getpid(), "carried": list(kernels)})
 
 
 def remove_left(prefix: str) -> None:
-    """Remove this user's temporary folders of that prefix whose carriers are gone: killed, one leaves its folder."""
+    """Remove this user's temporary folders of that prefix whose carriers are gone: a killed one leaves its folder."""
     for folder in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
         with contextlib.suppress(OSError, ControlError):
             check(folder)
@@ -294,7 +294,7 @@ def _socket_path(folder: Path, name: str) -> str:
 
 
 class TakenError(ControlError, ConfigurationError):
-    """Another process has this address: no other may be taken for it."""
+    """Another process has this address, which has to be unique."""
 
 
 def _write(file: Path, data: dict[str, object]) -> None:
@@ -305,7 +305,7 @@ def _write(file: Path, data: dict[str, object]) -> None:
 
 
 def _started() -> int:
-    """When this process began, in ticks since the machine started; 0 where the system does not say."""
+    """The start time of this process, in ticks since the machine started; 0 where the system does not tell."""
     try:
         after_name = Path("/proc/self/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2]
         return int(after_name.split()[19])

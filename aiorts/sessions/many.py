@@ -1,7 +1,7 @@
-"""What many kernels say to one call, where one socket carries the sessions with them: one question, and no session.
+"""One call to many kernels whose sessions one socket carries: one question, without opening a session.
 
-The frame `{"every": "names"}` asks; `{"said": [["host/kernel", epoch, value], ...]}` has those that answered in time.
-A few kernels are not asked so: sessions with them begin at once, and are wanted next.
+The frame `{"every": "names"}` asks; `{"said": [["host/kernel", epoch, value], ...]}` has the answers that came in time.
+A few kernels are not asked so: sessions with them begin at once, since they are needed next.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from aiorts.sessions.folder import Entry
 from aiorts.sessions.protocol import ANSWERS, answer_in, framed, frames
 
 FEW: Final = 16
-"""So many kernels of one socket have sessions at once."""
+"""Kernels of one socket up to which sessions begin at once."""
 _SECONDS: Final = 5.0
-"""Within which the socket's process answers, which waits for kernels less long."""
+"""Seconds within which the socket's process answers; it waits a shorter time for its kernels."""
 _CHUNK: Final = 1 << 18
 
 Answers = Mapping[tuple[str, str], Any]
-"""What was said, by address and epoch."""
+"""The kernels' answers, by address and epoch."""
 
 
 def said_by_many(wanted: Iterable[Entry], operation: str) -> Answers:
-    """What kernels say to a call, of those sockets that carry sessions with more than a few of these.
+    """The answers of kernels to a call, from sockets that carry sessions with more than `FEW` of the wanted kernels.
 
-    Who does not answer is not in it: that says nothing of it.
+    A kernel without an answer is missing; it may run all the same.
     """
     by_path: dict[str, int] = {}
     for entry in wanted:
@@ -44,7 +44,7 @@ def said_by_many(wanted: Iterable[Entry], operation: str) -> Answers:
 
 
 def _asked(path: str, operation: str, until: float) -> Answers:
-    """Raises what a socket raises, and AiortsError, ValueError or TypeError for an answer that is none."""
+    """Ask one socket. Raises OSError, and AiortsError, ValueError or TypeError for a malformed answer."""
     buffer = bytearray()
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.settimeout(max(0.001, until - time.monotonic()))

@@ -1,17 +1,17 @@
 """The frames between a client and a kernel: four bytes of length, then one msgpack map.
 
 A client begins with hello: `{"hello": {"oldest": 1, "newest": 1, "who": "aiorts ls", "right": "view"}}`, where `right`
-is the most that it wants to do ("view", "operate", "code"; all that the kernel allows where it says nothing); the
-kernel answers with the protocol that both speak, its address, its epoch, and the right that it gives: what is wanted,
-as far as it allows that. Then calls go `{"id": 1, "op": "profile", "epoch": "...", "args": {...}}`, answered by one
+is the highest right that it wants ("view", "operate", "code"; without the key, all that the kernel allows). The kernel
+answers with the protocol that both speak, its address, its epoch, and the right that it gives: the wanted one, or the
+highest that it allows. A call is `{"id": 1, "op": "profile", "epoch": "...", "args": {...}}`; its answer is one
 `{"id": 1, "ok": value}` or `{"id": 1, "error": {"code": ..., "text": ...}}`. An operation that streams goes on after
 its "ok" with `{"id": 1, "item": value, "missed": 0}` until `{"id": 1, "end": value}`, or until the client sends
-`{"id": 1, "cancel": true}`. Its call may have `"credit": 256`: so many items are sent before the client says `{"id":
-1, "credit": 128}` for so many more, which a kernel takes whose hello has `"credits": true`; other items are missed.
-Each call has one answer that is its last: an "error", an "end", or the "ok" of an operation that does not stream; one
-that is cancelled too. While the kernel's event loop is held up, `{"busy": seconds}` says so, before its hello, too. A
-client that ends its session in order says `{"bye": true}` before it closes. Keys that are not known are passed over,
-and so are answers to calls that have ended.
+`{"id": 1, "cancel": true}`. Its call may have `"credit": 256`, the number of items that the kernel sends until the
+client grants more with `{"id": 1, "credit": 128}`; further items are missed. A kernel that takes such grants has
+`"credits": true` in its hello. Each call has one last answer, a cancelled call too: an "error", an "end", or the "ok"
+of an operation that does not stream. While the kernel's event loop is held up, the kernel sends `{"busy": seconds}`,
+also before its hello. A client that ends its session in order sends `{"bye": true}` before it closes. Unknown keys are
+ignored, and so are answers to calls that have ended.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from aiorts.wire.limits import KIB, MIB, Limits
 from aiorts.wire.scan import count_values
 
 OLDEST: Final = 1
-"""The oldest protocol that is spoken here."""
+"""The oldest protocol that this release speaks."""
 NEWEST: Final = 1
 REQUESTS: Final = Limits(frame=512 * KIB, string=65_536, values=8_192, length=8_192)
-"""Of what clients send: the worst frame takes less than 10 ms to decode."""
+"""Limits of the frames of clients: the worst one takes less than 10 ms to decode."""
 ANSWERS: Final = 512 * MIB
 """Bytes of the longest frame that a client takes from a kernel."""
 WAITING: Final = 256
 """Calls of one client that may wait or run at a time, and items of a stream that wait to be sent."""
 STALL_SECONDS: Final = 30.0
-"""After which a client that does not read what was sent, or does not end what it began to say, is cut off."""
+"""Seconds after which a client is cut off that does not read, or does not complete a frame that it began."""
 RightName = Literal["", "view", "operate", "code"]
-"""The most that a client wants to do, as hello says it; "": all that the kernel allows."""
+"""The highest right that a client wants, as in hello; "": all that the kernel allows."""
 _LENGTH: Final = 4
 _BYTES: Final = "surrogateescape"
-"""How texts are encoded and decoded: as Python has paths, whose bytes may be no UTF-8."""
+"""The error handler of texts, as for Python's paths, whose bytes may be no UTF-8."""
 
 
 class Made:
-    """Base of what is made into plain data where it is sent, in the thread of the socket, and not on the loop."""
+    """Base of values that are made into plain data when they are sent: in the thread of the socket, not on the loop."""
 
     __slots__ = ()
 
@@ -59,7 +59,7 @@ def agreed(oldest: object, newest: object, who: str) -> int:
     """The newest protocol that both ends speak.
 
     Raises:
-        ControlError: there is none; says what each speaks.
+        ControlError: there is none; the text says what each speaks.
     """
     if type(oldest) is not int or type(newest) is not int:
         raise ControlError(f"{who}: hello without the protocols it speaks; it is no client of aiorts")
@@ -77,21 +77,21 @@ def framed(message: Mapping[str, Any]) -> bytes:
 
 
 def packed(message: Mapping[str, Any]) -> bytes:
-    """A message as msgpack; what that does not know is made plain first.
+    """A message as msgpack; values of other types are made plain first.
 
     A path that is not UTF-8 goes as the bytes that it has on disk, and is the same path at the other end.
     """
     try:
         return cast("bytes", msgpack.packb(message, default=_plain, unicode_errors=_BYTES))
-    except (OverflowError, ValueError):  # what msgpack cannot say
+    except (OverflowError, ValueError):  # a value that msgpack cannot express
         return cast("bytes", msgpack.packb(_shortened(plain(message), 0), unicode_errors=_BYTES))
 
 
 def frames(buffer: bytearray, longest: int) -> Iterator[bytes]:
-    """Take whole frames from the beginning of a buffer; what is left is the beginning of the next.
+    """Take whole frames from the beginning of a buffer; the beginning of the next frame stays in it.
 
     Raises:
-        LimitError: a frame says that it is longer than `longest`.
+        LimitError: a frame's length exceeds `longest`.
     """
     while has_frame(buffer, longest):
         length = int.from_bytes(buffer[:_LENGTH], "big")
@@ -101,7 +101,7 @@ def frames(buffer: bytearray, longest: int) -> Iterator[bytes]:
 
 
 def has_frame(buffer: bytearray, longest: int) -> bool:
-    """Whether a whole frame is at the beginning of a buffer; LimitError when it says that it is longer than allowed."""
+    """Whether a whole frame is at the beginning of a buffer; LimitError when its length exceeds `longest`."""
     length = int.from_bytes(buffer[:_LENGTH], "big")
     if length > longest and len(buffer) >= _LENGTH:
         raise LimitError(f"a frame of {length} bytes; at most {longest} are allowed")
@@ -109,17 +109,17 @@ def has_frame(buffer: bytearray, longest: int) -> bool:
 
 
 def request_in(frame: bytes) -> dict[Any, Any]:
-    """What a client says in a frame.
+    """The message of a client in a frame.
 
     Raises:
-        WireError: it is no map, or not whole, or has more in it than `REQUESTS` allow.
+        WireError: it is no map, is not whole, or exceeds the limits of `REQUESTS`.
     """
     count_values(frame, REQUESTS)
     return answer_in(frame)
 
 
 def answer_in(frame: bytes) -> dict[Any, Any]:
-    """What a kernel says in a frame; WireError when it is no map."""
+    """The message of a kernel in a frame; WireError when it is no map."""
     try:
         value = msgpack.unpackb(frame, strict_map_key=False, raw=False, unicode_errors=_BYTES)
     except (ValueError, TypeError) as error:  # TypeError: a list or map as a key
@@ -137,7 +137,7 @@ def error_in(found: object, address: str) -> AiortsError:
     if (known := error_of_code(code, text)) is not None:
         return known
     error = ControlError(text)
-    error.code = code or ControlError.code  # type: ignore[misc] # of a newer kernel
+    error.code = code or ControlError.code  # type: ignore[misc] # a code of a newer kernel
     return error
 
 
@@ -152,7 +152,7 @@ _HALF: Final = re.compile("[\ud800-\udc7f\udd00-\udfff]")
 
 
 def _shortened(value: Any, depth: int) -> Any:
-    """The value without what msgpack cannot carry: integers of more than 64 bits, deep nests, halves of characters."""
+    """The value with text for all that msgpack cannot carry: integers over 64 bits, deep nests, lone surrogates."""
     if depth > _DEEPEST:
         return _sayable(str(value)[:200])
     if isinstance(value, dict):
@@ -165,7 +165,7 @@ def _shortened(value: Any, depth: int) -> Any:
 
 
 def _sayable(text: str) -> str:
-    """The text without lone surrogates, which JSON can escape and no UTF-8 has; those that stand for bytes stay."""
+    """The text without lone surrogates, which UTF-8 cannot encode; surrogates that stand for bytes stay."""
     return _HALF.sub("\ufffd", text)
 
 

@@ -1,7 +1,7 @@
-"""A client's session with a kernel, without its socket: bytes in; answers, and bytes out.
+"""A client's session with a kernel, without its socket: bytes in; answers and bytes out.
 
-It has no socket, thread, loop or time: the blocking `Client` and the `AsyncClient` of an event loop drive the same one.
-Two tables say what it does: `SESSION` with each frame that comes, `CALL` with each answer to a call.
+The session has no socket, thread, loop or clock: the blocking `Client` and the `AsyncClient` of a loop both drive it.
+Two tables define it: `SESSION` for each frame that comes, `CALL` for each answer to a call.
 """
 
 from __future__ import annotations
@@ -28,31 +28,31 @@ from aiorts.sessions.protocol import (
 )
 
 ITEMS: Final = 4_096
-"""Items of a stream that are kept for a taker that is behind, where its credit is limited."""
+"""Items of a stream that are kept for a taker that is behind, where `credit` is limited."""
 WINDOW: Final = 1_024
-"""Items of a stream that a kernel may send to a taker on a loop before more are taken. New credit is given after half
-of them: in time, even where the kernel holds calls back for half a second."""
+"""Items of a stream that a kernel may send to a taker on a loop before some are taken. New credit is given after half
+of them: early enough even where the kernel holds calls back for half a second."""
 BYTES: Final = 32 << 20
-"""Bytes of them, as they came; one alone may be larger."""
+"""Bytes of the frames of kept items; a single item may be larger."""
 
 SessionState = Literal["greeting", "open", "ended"]
-"""While it is "greeting", the kernel has not said hello; calls may be on their way all the same."""
+"""The state of a session. In "greeting" the kernel has not said hello; calls may be sent all the same."""
 Frame = Literal["hello", "answer", "refusal", "busy", "other"]
-"""The kinds of frames: a "refusal" is an error without a number; "other" is what a newer kernel may say."""
+"""The kinds of frames: a "refusal" is an error without a call's number; "other" may come from a newer kernel."""
 CallState = Literal["opening", "open", "ending", "ended"]
-"""A call is "open" when it streams and has begun; "ending" when this end has given it up and its last answer is still
-to come; "ended" when that has come, taken or not."""
+"""The state of a call: "open" when it streams and has begun; "ending" when this end has given it up and its last answer
+is still to come; "ended" when its last answer has come, taken or not."""
 Said = Literal["ok", "began", "item", "end", "error", "cancel", "leave"]
-"""The answers of a kernel ("began": the "ok" of a stream), and the ways in which this end gives a call up: "cancel" has
-the kernel end it, with "leave" the kernel carries it out."""
+"""The answers of a kernel ("began": the "ok" of a stream), and the ways in which this end gives a call up: by "cancel"
+the kernel ends the call, by "leave" it carries the call out."""
 Do = Literal["take", "skip", "send", "forget", "fault"]
-"""The effect: it is taken, or passed over; the kernel is to hear of it; the call's number is forgotten; the session
-ends, since it is no answer."""
+"""The effect: the frame or answer is taken, or skipped; the kernel is sent the cancellation; the call's number is
+forgotten; the session ends with a fault."""
 Table = Mapping[Any, Mapping[Any, tuple[Any, Do]]]
 
 
 def _table(text: str) -> Table:
-    """A table as it is written: a line for each state; in each column the next state, and the effect."""
+    """Read a table from its text: a line for each state; in each column the next state and the effect."""
     head, *lines = (line.split() for line in text.strip().splitlines())
     rows: dict[str, Any] = {}
     for state, *cells in lines:
@@ -85,14 +85,14 @@ class Answer:
 
     said: Said
     value: Any
-    """The exception that an "error" carries."""
+    """The plain value; of an "error", the exception."""
     missed: int
-    """Items that are missing before it, dropped in the kernel or here."""
+    """Items that are missing before this answer, dropped in the kernel or here."""
     size: int
-    """Bytes of its frame."""
+    """Bytes of the answer's frame."""
 
     def result(self) -> Any:
-        """The value; raises the error that it is."""
+        """The value; an "error" is raised."""
         if self.said == "error":
             raise self.value
         return self.value
@@ -100,27 +100,27 @@ class Answer:
 
 @dataclass(slots=True)
 class Heard:
-    """Frames that came, each with its bytes, and what is wrong after them."""
+    """Decoded frames, each with its size in bytes, and the fault that comes after them."""
 
     frames: list[tuple[dict[Any, Any], int]]
     fault: WireError | None = None
 
 
 class Call:
-    """One call: its state, and its answers that are not taken yet. One thread may take while another keeps."""
+    """One call: its state, and its answers that are not taken yet. One thread may `take` while another calls `keep`."""
 
     __slots__ = ("_came", "_kept", "_missed", "_taken", "due", "given_up", "number", "state", "streams", "window")
 
     def __init__(self, number: int, *, streams: bool, window: int = 0) -> None:
         self.number, self.streams, self.window = number, streams, window
         self.given_up = False
-        """Whether this end has cancelled or left it."""
+        """Whether this end has cancelled or left the call."""
         self.due = 0
-        """Items that were taken, and for which the kernel has got no new credit yet."""
+        """Items that were taken and for which the kernel has no new credit yet."""
         self.state: CallState = "opening"
         self._kept: deque[Answer] = deque()
         self._came = self._taken = 0
-        """Bytes."""
+        """Bytes of the answers that came, and of those that were taken."""
         self._missed = 0
         """Items that are missing before the next answer."""
 
@@ -130,7 +130,7 @@ class Call:
     def keep(self, answer: Answer, credit: int | None) -> bool:
         """Keep an answer; returns whether there was room.
 
-        An item without credit is missing, and the next answer says so.
+        An item without room is dropped, and the next answer counts it as missed.
         """
         answer.missed += self._missed
         kept = len(self._kept)
@@ -144,13 +144,13 @@ class Call:
         return True
 
     def take(self) -> Answer:
-        """The next answer, whose credit is free again; IndexError where there is none."""
+        """Take the next answer, which makes room for another; IndexError where there is none."""
         answer = self._kept.popleft()
         self._taken += answer.size
         return answer
 
     def missed_last(self) -> int:
-        """Items that are missing after the last answer; each is counted once."""
+        """The number of items that are missing after the last answer; each is counted once."""
         missed, self._missed = self._missed, 0
         return missed
 
@@ -164,16 +164,16 @@ class ClientSession:
     """The client's end of one session: its state, its calls, and the bytes of both ways.
 
     Attributes:
-        state: how far it is.
-        hello: what the kernel says of itself; empty before.
-        epoch: the kernel's, which goes with each call.
-        error: why it has ended; None before.
-        busy: seconds for which the kernel's loop is held up, as said since the last answer; 0.0 where it is not.
-        credit: items that are kept of each stream for a taker that is behind, with at most `BYTES`; None: all.
+        state: the state of the session.
+        hello: the kernel's hello; empty before it comes.
+        epoch: the kernel's epoch, which goes with each call.
+        error: the reason of the session's end; None before.
+        busy: seconds for which the kernel's loop is held up, as last reported since the last answer; 0.0: not held up.
+        credit: items of each stream that are kept for a taker that is behind, of at most `BYTES`; None: all.
 
     Args:
-        address: of the kernel, "host/kernel", for texts.
-        longest: bytes of a frame that are taken.
+        address: the kernel's address, "host/kernel", for texts.
+        longest: bytes of the longest frame that is accepted.
     """
 
     def __init__(self, address: str, epoch: str = "", *, longest: int = ANSWERS) -> None:
@@ -184,7 +184,7 @@ class ClientSession:
         self.busy = 0.0
         self.credit: int | None = None
         self.calls: dict[int, Call] = {}
-        """By number: those whose last answer is still to come, or to be taken."""
+        """The calls by number whose last answer is still to come, or to be taken."""
         self.last = 0
         """The number of the last call that was begun."""
         self._longest = longest
@@ -197,8 +197,8 @@ class ClientSession:
 
         Args:
             who: this end, for the kernel's log.
-            right: the most that is wanted; "" is all that the kernel allows.
-            carried: whether the socket carries sessions with several kernels; hello then says which is meant.
+            right: the highest right wanted; "" is all that the kernel allows.
+            carried: whether the socket carries sessions with several kernels; hello then names the kernel.
         """
         hello: dict[str, object] = {"oldest": OLDEST, "newest": NEWEST, "who": who}
         if right:
@@ -210,14 +210,14 @@ class ClientSession:
     def begin(
         self, operation: str, arguments: Mapping[str, object], *, streams: bool = False, window: int = 0
     ) -> tuple[Call, bytes]:
-        """A call that is under way once the bytes are sent.
+        """Begin a call; returns it with the bytes to send.
 
         Args:
             window: items of a stream that the kernel may send before `take` gives it new credit; 0: all.
 
         Raises:
-            LimitError: it is larger than a kernel takes; the session goes on.
-            AiortsError: the session has ended: why.
+            LimitError: the call is larger than a kernel takes; the session goes on.
+            AiortsError: the session has ended; this is its reason.
         """
         self.check()
         number = self.last + 1
@@ -230,7 +230,7 @@ class ClientSession:
         return call, frame
 
     def take(self, call: Call) -> tuple[Answer, bytes]:
-        """The next answer of a call, as `Call.take`, and the bytes that give the kernel credit for more items."""
+        """Take the next answer of a call, as `Call.take`; returns it with the bytes that give the kernel new credit."""
         answer = call.take()
         if call.window and answer.said == "item" and self.hello.get("credits"):
             call.due += 1
@@ -240,12 +240,12 @@ class ClientSession:
         return answer, b""
 
     def cancel(self, call: Call) -> bytes:
-        """Give a call up and have the kernel end it; the bytes for the kernel, or none where it has ended."""
+        """Give a call up so that the kernel ends it; returns the bytes to send: none where it has ended already."""
         do = self._step(call, "cancel")
         return framed({"id": call.number, "cancel": True}) if do == "send" and self.error is None else b""
 
     def leave(self, call: Call) -> None:
-        """Give a call up, which the kernel carries out all the same: its answers are passed over. Idempotent."""
+        """Give a call up that the kernel still carries out: its answers are skipped. Idempotent."""
         self._step(call, "leave")
 
     def _step(self, call: Call, said: Said) -> Do:
@@ -257,12 +257,12 @@ class ClientSession:
         return do
 
     def check(self) -> None:
-        """Raise what has ended the session, if it has ended."""
+        """Raise the error that has ended the session, if it has ended."""
         if self.error is not None:
             raise self.error.with_traceback(None)
 
     def bye(self) -> bytes:
-        """End the session in order: the last bytes."""
+        """End the session in order; returns the last bytes to send."""
         self.end(ClosedError(f"{self.address}: the session was closed"))
         return BYE
 
@@ -274,15 +274,15 @@ class ClientSession:
     # -- in --------------------------------------------------------------------------------------------------------
 
     def receive(self, data: bytes) -> list[Call]:
-        """Take bytes of the kernel, however they are divided.
+        """Take bytes of the kernel, divided at any place.
 
         Returns:
-            The calls with answers to be taken, in the order in which these came; one for each answer.
+            The calls with new answers, in the order of the answers; a call once for each of its answers.
         """
         return self.hear(self.decode(data))
 
     def decode(self, data: bytes) -> Heard:
-        """The frames that are whole with these bytes; takes time, and changes nothing that another thread looks at."""
+        """Decode the frames that these bytes complete; takes time, and changes nothing that another thread reads."""
         heard = Heard([])
         self._buffer += data
         try:
@@ -333,7 +333,7 @@ class ClientSession:
         call = self.calls.get(frame["id"])
         said = _said(frame)
         if call is None or said is None:
-            return  # it has ended, and its answers were taken; or a newer kernel says more than is known here
+            return  # the call has ended and its answers were taken, or a newer kernel sent an unknown answer
         if said == "ok" and call.streams:
             said = "began"
         before = call.state
@@ -354,7 +354,7 @@ class ClientSession:
 
 
 def _said(frame: Mapping[Any, Any]) -> Said | None:
-    """The answer that a frame is; of several in one the first counts."""
+    """The kind of answer of a frame; of several keys the first of this order counts."""
     if "error" in frame:
         return "error"
     if "ok" in frame:

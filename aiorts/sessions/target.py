@@ -1,8 +1,8 @@
-"""What a word of a command line means among running kernels: which kernel, which component, which port.
+"""The meaning of a command line's word among running kernels: a kernel, a component, a port.
 
-A word is `component`, `component.port`, `kernel/component.port` or `host/kernel/component.port`. A short one is enough
-where one kernel only has it; so is the name of a kernel without the number of its process. A file ends in .toml, .xml,
-.yaml or .mcap, or begins with ./ or /; all else is a name.
+A word is `component`, `component.port`, `kernel/component.port` or `host/kernel/component.port`. A short word is enough
+where only one kernel has the name; so is the name of a kernel without the number of its process. A file ends in .toml,
+.xml, .yaml or .mcap, or begins with ./ or /; every other word is a name.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from aiorts.spelling import suggestion
 
 T = TypeVar("T")
 FILES: Final = (".toml", ".xml", ".yaml", ".yml", ".mcap")
-"""Endings of words that are files."""
+"""The endings of words that are files."""
 _STREAMS: Final = ("stdin", "stdout", "live")
-"""Components of a filter that are none of its own: what reads and writes its standard streams."""
+"""The components that a filter adds: they read and write its standard streams."""
 _SHOWN: Final = 10
 _GLOB: Final = re.compile(r"[*?\[]")
 
 
 def is_file(word: str) -> bool:
-    """Whether a word of a command line is a file, not the name of something that runs."""
+    """Whether a word of a command line is a file, not the name of a running kernel, component or port."""
     return word.startswith(("./", "../", "/", "~")) or word.lower().endswith(FILES)
 
 
 def is_glob(word: str) -> bool:
-    """Whether a word may mean several things."""
+    """Whether a word has one of the characters * ? [, and may so mean several things."""
     return _GLOB.search(word) is not None
 
 
@@ -48,15 +48,15 @@ class Running:
 
     client: Client
     names: Mapping[str, Any]
-    """What the operation `names` said: components, contexts, connectors."""
+    """The answer of the operation `names`: components, contexts, connectors."""
     alias: str = ""
-    """The name by which links reach it, where a word may begin with that: no kernel has it as its own."""
+    """The name by which links reach the kernel, where it is not also a kernel's own name; "" otherwise."""
     short: str = ""
-    """Its name without the number of its process, where that means no other kernel."""
+    """The kernel's name without the number of its process, where this means no other kernel."""
 
     @property
     def name(self) -> str:
-        """The kernel's, without the host."""
+        """The kernel's name, without the host."""
         return self.client.entry.name
 
     def fits(self, kernel: str) -> bool:
@@ -67,19 +67,19 @@ class Running:
 
     @property
     def links(self) -> str:
-        """The name by which links of other kernels reach it; "" where they cannot."""
+        """The name by which links of other kernels reach this kernel; "" where they cannot."""
         return str(self.names.get("links") or "")
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """One thing that runs."""
+    """The running kernel, component or port that a word means."""
 
     running: Running
     component: str
-    """"" where the kernel itself is meant."""
+    """The component's name; "" where the kernel itself is meant."""
     port: str = ""
-    """What stands after the component: a port, a parameter, anything of it; "" where nothing does."""
+    """The name after the component's: a port, a parameter, any part of it; "" where there is none."""
 
     @property
     def client(self) -> Client:
@@ -88,12 +88,12 @@ class Found:
 
     @property
     def path(self) -> str:
-        """As the kernel itself calls it: "component" or "component.port"."""
+        """The name within the kernel: "component" or "component.port"."""
         return f"{self.component}.{self.port}" if self.port else self.component
 
     @property
     def full(self) -> str:
-        """With the kernel's name."""
+        """The name with the kernel's name before it."""
         return f"{self.running.name}/{self.path}" if self.path else self.running.name
 
     @property
@@ -102,7 +102,7 @@ class Found:
         return "port" if self.port else "component" if self.component else "kernel"
 
     def check(self, *kinds: str) -> None:
-        """AbsentError unless it is of one of these kinds."""
+        """Raise AbsentError unless it is of one of these kinds."""
         if self.kind not in kinds:
             raise AbsentError(f"{self.full}: is a {self.kind}, no {' or '.join(kinds)}; `aiorts ls -R` shows all")
 
@@ -111,9 +111,9 @@ class Kernels:
     """The kernels that run, each with an open session.
 
     Attributes:
-        running: those that answered.
-        silent: those that did not.
-        changing: something is to be changed: no word is taken that may mean a thing of a silent kernel, too.
+        running: the kernels that answered.
+        silent: the kernels that did not.
+        changing: whether the command changes something: a word that a silent kernel may have, too, is then refused.
     """
 
     def __init__(self, running: Sequence[Running], silent: Sequence[Silent], *, changing: bool = False) -> None:
@@ -133,24 +133,24 @@ class Kernels:
         self.changing = changing
 
     def find(self, word: str, *, bare: bool = False) -> Found:
-        """The one thing that a word means; with `bare`, a kernel's name alone means it, where no component has it.
+        """Find the single thing that a word means; with `bare`, also a kernel's name alone, where no component has it.
 
         Raises:
             AbsentError: nothing has the name.
-            AmbiguousError: several have; says which.
+            AmbiguousError: several things have the name; the text lists them.
             NoAnswerError: the kernel that is meant does not answer.
         """
         found = self.all(word, bare=bare)
         return the_one(word, found, _told_apart(found))
 
     def all(self, word: str, *, bare: bool = False) -> tuple[Found, ...]:
-        """Everything that a word means: one thing, or as many as fit where * ? [] in it stand for any characters.
+        """Find everything that a word means: one thing, or all that match where * ? [] in it stand for any characters.
 
         Raises:
             AbsentError: nothing has the name.
-            AmbiguousError: several have it, and it has no such character; says which.
-            NoAnswerError: nothing has it, or something is to be changed, and a kernel that may have it does not answer.
-            InvalidNameError: it has more parts than a name.
+            AmbiguousError: several have it, and the word has no such character; the text lists them.
+            NoAnswerError: nothing has it, or `changing` is set, and a kernel that may have it does not answer.
+            InvalidNameError: the word has more parts than a name.
         """
         host, kernel, component, port = split_path(word)
         kernel = f"{host}/{kernel}" if host else kernel or ""
@@ -172,14 +172,14 @@ class Kernels:
         self._nothing(word, kernel, component)
 
     def having(self, kind: str, word: str) -> list[tuple[Running, str]]:
-        """The kernels with a context or connector that a word means, and its name; none, one or several.
+        """The kernels with a context or connector that a word means, each with that name; none, one or several.
 
         Args:
             kind: "contexts" or "connectors".
-            word: its name; the kernel's before it, with a slash.
+            word: its name, or the kernel's name, a slash and its name.
 
         Raises:
-            NoAnswerError: something is to be changed, and a kernel that may have it does not answer.
+            NoAnswerError: `changing` is set, and a kernel that may have it does not answer.
         """
         kernel, _, name = word.rpartition("/")
         found = [(one, name) for one in self.running if (not kernel or one.fits(kernel)) and name in one.names[kind]]
@@ -188,7 +188,7 @@ class Kernels:
         return found
 
     def check_sure(self, word: str, kernel: str, found: Sequence[Running]) -> None:
-        """NoAnswerError where something is to be changed and a kernel that may be meant, too, does not answer."""
+        """Raise NoAnswerError where `changing` is set and a kernel that may be meant, too, does not answer."""
         mute = self._mute(kernel) if self.changing else ""
         if mute:
             there = dict.fromkeys(one.name for one in found)
@@ -199,25 +199,25 @@ class Kernels:
             )
 
     def _mute(self, kernel: str) -> str:
-        """The kernels that do not answer and may be meant: all where none is named."""
+        """The names of silent kernels that may be meant: all where no kernel is named."""
         mute = [one.entry.name for one in self.silent if not kernel or _matches(one.entry, kernel)]
         return ", ".join(mute[:_SHOWN])
 
     def component(self, word: str) -> Found:
-        """The one component that a word means; raises as `find`, and AbsentError where it means something else."""
+        """Find the component that a word means; raises as `find`, and AbsentError where it is no component."""
         one = self.find(word)
         one.check("component")
         return one
 
     def components(self, words: Iterable[str]) -> list[Found]:
-        """All components that words mean; raises as `all`, and AbsentError where one means something else."""
+        """Find all components that words mean; raises as `all`, and AbsentError where a word means something else."""
         found = [one for word in words for one in self.all(word)]
         for one in found:
             one.check("component")
         return found
 
     def members(self, running: Running, words: Iterable[str]) -> list[str]:
-        """Components of one kernel, which need not be named; raises as `component`."""
+        """Find components of one kernel by words that may omit its name; raises as `component`."""
         found = [self.component(word if "/" in word else f"{running.name}/{word}") for word in words]
         for one in found:
             if one.running is not running:
@@ -225,7 +225,7 @@ class Kernels:
         return [one.component for one in found]
 
     def _of_lone(self, kernel: str, port: str) -> list[Found]:
-        """A port of a kernel with a single component, such as a filter: KERNEL.PORT means it."""
+        """Find a port of a kernel with a single component, such as a filter: KERNEL.PORT is enough."""
         found = []
         for one in self.running:
             own = [name for name in one.names["components"] if name not in _STREAMS]
@@ -249,7 +249,7 @@ class Kernels:
         raise AmbiguousError(f"{word or 'no kernel is named, and'} {len(fitting)} kernels run: {shown}; say which one")
 
     def _nothing(self, word: str, kernel: str, component: str) -> Never:
-        """Raise: nothing that answers has this name."""
+        """Raise the error for a name that nothing has among the kernels that answer."""
         what = f"{word}: " if word else ""
         if (kernel or component) and (mute := self._mute(kernel or component)):
             raise NoAnswerError(f"{what}no answer from {mute}; it is stopped, or busy")
@@ -268,7 +268,7 @@ class Kernels:
         raise _absent(word, component or kernel, known)
 
     def _of_other_kind(self, kernel: str, name: str, wanted: str) -> str:
-        """What has a name of which nothing of the wanted kind is there, in words; "" where nothing has it."""
+        """A text that names the thing of another kind with this name; "" where there is none."""
         for one in self.running:
             if not kernel and wanted != "kernel" and one.name == name:
                 return f"a kernel: {one.name}/"
@@ -295,9 +295,9 @@ def kernels(
 
     Args:
         timeout: seconds to wait for the first answer.
-        select: which kernels; all by default.
-        changing: of `Kernels`.
-        right: of `Client.open`.
+        select: whether to include a kernel; all by default.
+        changing: as in `Kernels`.
+        right: as in `Client.open`.
     """
     if _shared:
         yield from _anew(_shared[-1], select, changing=changing)
@@ -310,14 +310,14 @@ def kernels(
     found = Kernels(running, silent, changing=changing)
     try:
         yield found
-    except ClosedError as error:  # it has ended meanwhile, or is about to
+    except ClosedError as error:  # the kernel has ended meanwhile, or is about to
         raise AbsentError(str(error)) from None
     finally:
         found.close()
 
 
 def _told(wanted: Sequence[Entry], right: RightName) -> tuple[list[Running], list[Entry]]:
-    """The kernels that are known without a session, which begins when it is wanted; and all others."""
+    """The kernels whose names are known without a session, which begins with the first call; and all others."""
     said = said_by_many(wanted, "names")
     running, others = [], []
     for one in wanted:
@@ -345,7 +345,7 @@ def sharing() -> Iterator[None]:
 
 
 def _anew(shared: Kernels, select: Callable[[Entry], bool] | None, *, changing: bool) -> Iterator[Kernels]:
-    """The same sessions, with what is in their kernels by now."""
+    """Yield the shared sessions with the present names of their kernels."""
     running = []
     wanted = [one.client for one in shared.running if select is None or select(one.client.entry)]
     said = said_by_many([client.entry for client in wanted if not client.begun], "names")
@@ -360,7 +360,7 @@ def _anew(shared: Kernels, select: Callable[[Entry], bool] | None, *, changing: 
 
 
 def _told_apart(found: Sequence[Found]) -> list[str]:
-    """Their names, with the host where others have the same."""
+    """The names of things, with the host where several have the same name."""
     count = Counter(one.full for one in found)
     hosts = [f"{one.client.entry.address.rpartition('/')[0]}/" if count[one.full] > 1 else "" for one in found]
     return [f"{host}{one.full}" for host, one in zip(hosts, found, strict=True)]
@@ -371,13 +371,13 @@ def _matches(entry: Entry, kernel: str) -> bool:
 
 
 def _short(entry: Entry) -> str:
-    """The name without the number of the process, which a kernel has that was given no name; "" where it has none."""
+    """The name without the number of the process, which ends the names of kernels started without a name; or ""."""
     short = entry.name.removesuffix(f"-{entry.pid}")
     return "" if short == entry.name else short
 
 
 def _of(one: Running, component: str, *, bare: bool) -> list[str]:
-    """The components of a kernel that a name means; the kernel itself for its name alone."""
+    """The components of a kernel that a name means; without a name and with `bare`, "" for the kernel itself."""
     if not component:
         return [""] if bare else []
     known = one.names["components"]
@@ -387,7 +387,7 @@ def _of(one: Running, component: str, *, bare: bool) -> list[str]:
 
 
 def the_one(word: str, found: Sequence[T], names: Sequence[str]) -> T:
-    """What a word means, of which there is at least one; AmbiguousError, with the names, where there are several."""
+    """The single item of `found`, which has at least one; AmbiguousError, with the names, where it has several."""
     if len(found) > 1:
         more = ", ..." if len(names) > _SHOWN else ""
         raise AmbiguousError(
@@ -397,20 +397,20 @@ def the_one(word: str, found: Sequence[T], names: Sequence[str]) -> T:
 
 
 def entry_named(word: str = "") -> Entry:
-    """The entry of the kernel that a word means; no session is begun.
+    """Find the entry of the kernel that a word means, without a session.
 
     Args:
-        word: its name, "host/name" or the path of its socket; "" is the only one that runs.
+        word: the kernel's name, "host/name" or the path of its socket; "" is the only one that runs.
 
     Raises:
-        AbsentError: nothing has the name. AmbiguousError: several have; says which.
+        AbsentError: no kernel has the name. AmbiguousError: several have it; the text lists them.
     """
     if word.startswith("/"):
         return entry_at(word)
     there = entries()
     found = [one for one in there if not word or _matches(one, word)]
     found = found or [one for one in there if _short(one) == word]
-    if len(found) > 1:  # those that were killed have left theirs
+    if len(found) > 1:  # kernels that were killed have left their entries
         found = [one for one in found if is_listed(one)]
     if not there or not (found or word):
         raise AbsentError(f"{word and f'{word}: '}nothing runs that can be reached; start it with `aiorts run`")
@@ -420,7 +420,7 @@ def entry_named(word: str = "") -> Entry:
 
 
 def _absent(word: str, name: str, known: Iterable[str]) -> AbsentError:
-    """Nothing has the name that a word has in it; says which is near, or which there are."""
+    """The error for a name in a word that nothing has; its text has the near names, or all."""
     hint = suggestion(name, dict.fromkeys(known), shown=str)
     return AbsentError(f"{word}: nothing that runs has this name; {hint}")
 
@@ -432,7 +432,7 @@ PATIENCE: Final = 0.05
 
 
 def likely(incomplete: str) -> list[str]:
-    """The words that the beginning of one may mean: components, their ports after a dot, kernels with a slash."""
+    """The words that complete a beginning: components, their ports after a dot, kernels with a slash."""
     with kernels(PATIENCE, right="view") as found:
         head, dot, _ = incomplete.rpartition(".")
         if dot:
@@ -446,7 +446,7 @@ def likely(incomplete: str) -> list[str]:
 
 
 def fitting(word: str, incomplete: str) -> list[str]:
-    """The ports that can be connected with the port that a word means, in its kernel, as far as they begin so."""
+    """The ports that begin with `incomplete` and can be connected with the port that a word means, in its kernel."""
     with kernels(PATIENCE, right="view") as found:
         try:
             port = found.find(word)
@@ -458,7 +458,7 @@ def fitting(word: str, incomplete: str) -> list[str]:
 
 
 def offered() -> dict[str, list[str]]:
-    """The types of components that can be created in what runs: by name the parameters, as far as they are known."""
+    """The types of components that running kernels can create: by name, the parameters that are known."""
     with kernels(PATIENCE, right="view") as found:
         types: dict[str, list[str]] = {}
         for one in found.running:
@@ -469,7 +469,7 @@ def offered() -> dict[str, list[str]]:
 
 
 def outlines(found: Kernels, word: str) -> list[Any]:
-    """What the components that a word means are made of; nothing where no answer comes at once."""
+    """The outlines of the components that a word means; none where no answer comes within `PATIENCE`."""
     try:
         return [
             one.client.call("outline", PATIENCE, components=[one.component])[one.component] for one in found.all(word)

@@ -1,7 +1,7 @@
-"""Systems of several kernels are changed into those of files, all or none of them.
+"""Change the systems of several kernels to those of files, all or none.
 
-Each kernel changes its own, whole or not at all, and holds the change open. When all have, all are told to keep it; a
-kernel that hears nothing more takes it back by itself.
+Each kernel changes its own system, whole or not at all, and holds the change open. When all have changed, all are told
+to keep the change; a kernel that hears nothing more takes it back by itself.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ Parts = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What has become of the changes.
+    """The outcome of a change of several kernels.
 
     Attributes:
         kept: the steps of each kernel that has its wanted system now.
         failed: the kernel that did not change, or did not answer; "" where all did.
-        why: what it said.
-        unsure: kernels of which it is not known; each keeps its change or takes it back, whole.
+        why: the text of its error.
+        unsure: the kernels whose outcome is not known; each keeps its change or takes it back, whole.
     """
 
     kept: Mapping[str, Sequence[Mapping[str, Any]]]
@@ -36,7 +36,7 @@ class Outcome:
 
     @property
     def text(self) -> str:
-        """In one line."""
+        """The outcome in one line."""
         if not self.failed:
             return "done"
         said = f"{self.failed}: {self.why.removeprefix(f'{self.failed}: ')}"
@@ -48,7 +48,7 @@ class Outcome:
 
 
 def change_all(wanted: Sequence[tuple[Running, Parts]], timeout: float) -> Outcome:
-    """Change all of these, in order; when one fails those before it are taken back, the last first."""
+    """Change all kernels in order; when one fails, the earlier changes are taken back, the last first."""
     changed: list[tuple[Running, Sequence[Mapping[str, Any]]]] = []
     for one, parts in wanted:
         try:
@@ -69,14 +69,14 @@ def change_all(wanted: Sequence[tuple[Running, Parts]], timeout: float) -> Outco
                 kept[one.name] = steps
                 continue
             failed, why = one.name, str(said["rolled_back"])
-        if not any(kept.values()):  # nothing is kept yet, so that nothing need be
+        if not any(kept.values()):  # no change is kept yet, so the remaining ones can be taken back
             rest = [other.name for other, its in reversed(changed[place + 1 :]) if not _taken_back(other.client, its)]
             return Outcome({}, failed, why, (*unsure, *rest))
     return Outcome(kept, failed, why, unsure)
 
 
 def _taken_back(client: Client, steps: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether a kernel has said that it has its system of before."""
+    """Take a change back; returns whether the kernel confirmed it, or had nothing to change."""
     with suppress(AiortsError):
         return not steps or not client.call("decide", keep=False)["done"]
     return False
