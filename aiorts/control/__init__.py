@@ -1,4 +1,4 @@
-"""Lets clients look into a kernel and control it: the kernel's end of their sessions.
+"""The kernel's end of the sessions in which clients look into a kernel and control it.
 
 One table has all operations (`operations`); a kernel answers them over a local socket (`server`), and each client has
 a `Session` on the kernel's loop. The protocol and the client's end are in `aiorts.sessions`.

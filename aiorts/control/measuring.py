@@ -1,4 +1,4 @@
-"""Measures connectors as long as a session or a stream lasts: how long samples take, and how old they are."""
+"""Measure connectors as long as a session or a stream lasts: the latency and the age of samples."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
 
 SPANS: Final = 1000
-"""Sends and reads over which latency and age are taken, unless a client says another number."""
+"""Sends and reads over which latency and age are taken, unless a client gives another number."""
 _MEASURED: Final = 16
-"""Connectors that all streams of one client may have measured."""
+"""Connectors that may be measured for all streams of one client."""
 _MEASURED_IN_ALL: Final = 64
-"""Connectors that all streams of a kernel may have measured."""
+"""Connectors that may be measured for all streams of a kernel."""
 _HELD: Final[dict[Connector, int]] = {}
-"""How many sessions and streams have a connector measured that else is not."""
+"""The number of sessions and streams that measure a connector, for connectors made without `measure`."""
 
 
 def measure(
     session: Session, connectors: Sequence[str], count: int, keep: Callable[[Callable[[], object]], object]
 ) -> tuple[str, ...]:
-    """Measure connectors until the functions that `keep` was given are called.
+    """Measure connectors until the functions given to `keep` are called.
 
     Returns:
-        the connectors that are measured for sessions and streams only; others that are measured stay as they are.
+        The connectors that are measured for sessions and streams only; connectors made with `measure` stay as they are.
     """
     wires = [_wire(session, name) for name in connectors]
     for wire in wires:
         if wire not in _HELD:
             if wire.profile.measure:
-                continue  # it was made so
+                continue  # it was made with `measure`
             session.kernel.connections.measure(wire, count)
         _HELD[wire] = _HELD.get(wire, 0) + 1
         keep(partial(_let_go, session.kernel, wire))
@@ -59,15 +59,15 @@ def _wire(session: Session, name: str) -> Connector:
 
 
 _STREAMED: Final[WeakKeyDictionary[Session | Microkernel, int]] = WeakKeyDictionary()
-"""How many connectors streams measure, by client and by kernel; one that several measure counts several times."""
+"""The number of connectors that streams measure, by client and by kernel; one counts once for each stream."""
 
 
 def measure_for(session: Session, connectors: tuple[str, ...], stream: Stream) -> tuple[str, ...]:
     """Measure connectors as long as a stream lasts; returns those that are measured for sessions and streams only.
 
     Raises:
-        ConfigurationError: they are more than a client may have measured. BusyError: they are so with those of other
-            streams, of this client or of all. WiringError: there is no such connector.
+        ConfigurationError: there are more than one client may measure. BusyError: there are too many together with
+            those of other streams, of this client or of all. WiringError: there is no such connector.
     """
     count = len(connectors)
     if count > _MEASURED:

@@ -1,4 +1,4 @@
-"""What an operation of a kernel is: one row of the table that every carrier goes by."""
+"""An operation of a kernel: one row of the table that every carrier uses."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from aiorts.late import dataclass
 
 
 class Right(Enum):
-    """What a session may do; each includes those before it."""
+    """The rights of a session; each includes those before it."""
 
     VIEW = "view"
     OPERATE = "operate"
     CODE = "code"
 
     def allows(self, right: Right) -> bool:
-        """Whether who has this may do what needs `right`."""
+        """Whether this right includes `right`."""
         return _ORDER.index(right) <= _ORDER.index(self)
 
 
@@ -26,35 +26,35 @@ _ORDER: Final = tuple(Right)
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """One operation: what it takes and gives, and who may call it."""
+    """One operation: its arguments, its result, and the right that it needs."""
 
     name: str
     text: str
-    """What it does, in one line."""
+    """The description of the operation, in one line."""
     arguments: type[Any]
-    """A frozen dataclass of what is in `args`."""
+    """The frozen dataclass of `args`."""
     result: Any
-    """The type of the result; of an operation that streams, of what it says when it begins. A field of it that has a
-    default may be missing in an answer."""
+    """The type of the result; of an operation that streams, of its first answer. An answer may lack a field that has a
+    default."""
     right: Right
     run: Callable[..., Any]
-    """Carries it out on the kernel's loop: `run(session, arguments)`, and the stream as a third where it streams.
-    Returns the result, or an awaitable of it. What looks and changes nothing returns without waiting."""
+    """The function that carries it out on the kernel's loop: `run(session, arguments)`, with the stream as third argument
+    where it streams. It returns the result, or an awaitable of it; where it only looks, it does not wait."""
     idempotent: bool = False
     """Whether calling it twice is as good as once."""
     item: Any = None
     """The type of the items of a stream; None of an operation that does not stream."""
     end: Any = None
-    """The type of what a stream says at its end; None where it says nothing."""
+    """The type of the last answer of a stream; None where it has no value."""
     demands: Callable[[Any], Right] | None = None
-    """The right that these very arguments need, where it is more than `right`."""
+    """The function that gives the right for the arguments of a call; None: it is always `right`."""
     changes: Callable[[Any, Any], Iterable[str]] | None = None
-    """The components of which the client is the operator afterwards, by the arguments and the result; that is None as
-    long as it is under way."""
+    """The function that gives the components of which the client is then the operator, by the arguments and the result;
+    the result is None while the call runs."""
 
     @property
     def streams(self) -> bool:
-        """Whether it goes on with items after its result."""
+        """Whether the operation sends items after its first answer."""
         return self.item is not None
 
     def needed(self, arguments: Any) -> Right:

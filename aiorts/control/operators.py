@@ -1,8 +1,8 @@
-"""Who operates the components of a kernel, and what becomes of them when the link to who does is lost.
+"""The operators of the components of a kernel, and the reaction of components to the loss of their operator.
 
-The operator of a component is the session that has changed it last, for as long as it is open. A session that its
-client has ended in order leaves all as it is; one that is lost (a client that was killed, a network that was cut) has
-each of its components do what the system file, or else its class, says as `on_link_lost`.
+The operator of a component is the session that has changed it last, as long as that is open. A session that its client
+ended in order leaves all as it is. When a session is lost (a client was killed, a network was cut), each of its
+components reacts by `on_link_lost` of the system file, or else of its class.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ _LOG: Final = KernelLog("aiorts.control")
 
 
 class Operators:
-    """The operators of one kernel's components. Everything here is called on the kernel's loop."""
+    """The operators of one kernel's components. All methods are called on the kernel's loop."""
 
     def __init__(self, kernel: Microkernel) -> None:
         self._kernel = kernel
         self._sessions: dict[str, object] = {}
-        """By the component's name."""
+        """The operating session by the component's name."""
         kernel.bus.subscribe(ComponentRemoved, lambda event: self._sessions.pop(event.component, None))
 
     def changed(self, session: object, components: Iterable[str]) -> None:
-        """A session has changed these: it is their operator now, and of what composites among them are made of."""
+        """Make a session the operator of components that it has changed, and of the members of composites among them."""
         for name in self._with_leaves(components):
             self._sessions[name] = session
 
     def ended(self, session: object, who: str, changing: Iterable[str] = (), *, lost: bool) -> None:
-        """A session has ended: nobody operates its components any more.
+        """Note that a session has ended: its components have no operator any more; where it is lost, they react.
 
         Args:
-            changing: those that calls which have not ended change: what has begun goes on.
+            changing: the components that calls under way change; a change that has begun goes on.
         """
         asked = self._with_leaves(changing) if lost else ()
         self._sessions.update(dict.fromkeys(asked, session))
@@ -55,7 +55,7 @@ class Operators:
             if lost and component is not None and (what := self._does(component)) != "continue":
                 if _is_active(component):
                     self._lose(component, who, what)
-                elif name in asked:  # its turn to be activated may be still to come
+                elif name in asked:  # its activation may still be to come
                     self._deactivate(component)
 
     def _with_leaves(self, names: Iterable[str]) -> tuple[str, ...]:
@@ -81,7 +81,7 @@ class Operators:
         self._deactivate(component)
 
     def _deactivate(self, component: Component) -> None:
-        """In all its contexts, after what is under way there."""
+        """Deactivate a component in all its contexts, after the requests that are under way there."""
         for context, state in component.states.items():
             if state is not LifecycleState.ERROR:
                 leaving = self._kernel.deactivate(component, context=context, timeout=None)
@@ -90,7 +90,7 @@ class Operators:
 
 
 def _is_active(component: Component) -> bool:
-    """Whether it is active in a context, or about to be."""
+    """Whether a component is active in a context, or is being activated."""
     members = cell(component).members
     return LifecycleState.ACTIVE in component.states.values() or any(
         member.runs and member.hook == "on_activated" for member in members

@@ -1,4 +1,4 @@
-"""How much of a second may be used up: saved while it is not, and owed once it is, up to a limit."""
+"""A share of each second that may be used: saved while unused, and owed once overdrawn, up to a limit."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
 
 _LOOKS: Final = (0.2, 0.1)
-"""The share of the loop that streams may take which look again and again, and the seconds that are saved up."""
+"""The share of the loop for streams that look again and again, and the seconds of it that are saved up."""
 
 
 class Pace:
-    """A share of the time that goes by.
+    """A share of the time that passes.
 
     Args:
-        share: of each second, what may be used.
+        share: the part of each second that may be used.
         most: seconds that can be saved up, and that can be owed. The bound of the debt keeps clients from waiting long
             after the process was stopped for a time: it has used nothing of that time.
     """
@@ -34,7 +34,7 @@ class Pace:
         self._left = max(-self._most, self._left - seconds)
 
     def due(self) -> float:
-        """Seconds until something may be used again; 0.0: now."""
+        """Seconds until time may be used again; 0.0: now."""
         self._fill()
         return max(0.0, -self._left / self._share)
 
@@ -48,5 +48,5 @@ _PACES: Final[WeakKeyDictionary[Microkernel, Pace]] = WeakKeyDictionary()
 
 
 def looks_of(kernel: Microkernel) -> Pace:
-    """The share of a kernel's loop that all streams which look into it again and again have together."""
+    """The share of a kernel's loop for all of its streams that look again and again, together."""
     return _PACES.setdefault(kernel, Pace(*_LOOKS))

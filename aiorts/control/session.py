@@ -1,4 +1,4 @@
-"""One client's session as the kernel's loop sees it: the calls that run, and what is to end with the session."""
+"""One client's session on the kernel's loop: its running calls, and the functions that end work with the session."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ LOG = KernelLog("aiorts.control")
 
 
 class Session:
-    """What one client does in a kernel. Everything here is called on the kernel's loop.
+    """The work of one client in a kernel. Methods are called on the kernel's loop, unless they say otherwise.
 
     Args:
-        kernel: the one it is with.
-        right: what it may do.
+        kernel: the kernel of the session.
+        right: the right of the session.
         who: the client, for the log.
-        send: takes a message for the client, from any thread, with a function that is called once it is on its way.
-        has_room: whether it takes more than it holds already.
-        operators: who operates the kernel's components.
-        carried: whether another carrier has let the client in, such as one of another host.
+        send: takes a message for the client, from any thread, with a function that is called once it is sent.
+        has_room: whether more messages can wait for the client.
+        operators: the operators of the kernel's components.
+        carried: whether another carrier has admitted the client, such as one of another host.
     """
 
     def __init__(
@@ -57,15 +57,15 @@ class Session:
         self._has_room = has_room
         self._operators = operators
         self._running: dict[int, Callable[[], object]] = {}
-        """By the call's number: what cancels it."""
+        """The function that cancels a call, by the call's number."""
         self._changing: dict[int, tuple[str, ...]] = {}
-        """By the call's number: the components that it changes, as far as that is known before it has ended."""
+        """The components that a running call changes, by the call's number, as far as known before its end."""
         self._streams: dict[int, Stream] = {}
         self._kept: dict[int, Callable[[], object]] = {}
         self._keys = 0
 
     def keep(self, end: Callable[[], object]) -> Callable[[], None]:
-        """Call `end` when the session ends, or at once if it has, unless what is returned is called before."""
+        """Call `end` when the session ends, or at once if it has; the returned function revokes that."""
         if self.ended:
             end()
             return nothing
@@ -79,16 +79,16 @@ class Session:
         return forget
 
     def finish(self) -> None:
-        """The kernel ends: tell the client that its streams have ended, and end."""
+        """Tell the client that its streams have ended, and end the session: the kernel closes."""
         for stream in tuple(self._streams.values()):
             stream.finish()
         self.end()
 
     def end(self, *, lost: bool = False) -> None:
-        """The client has gone, or the kernel ends: undo what lasts as long as the session. Idempotent.
+        """End the session and undo what lasts as long as it: the client has gone, or the kernel closes. Idempotent.
 
         Args:
-            lost: whether the client has gone without having said so.
+            lost: whether the client has gone without a "bye".
         """
         if self.ended:
             return
@@ -105,7 +105,7 @@ class Session:
         self._kept.clear()
 
     def operates(self, components: Iterable[str]) -> None:
-        """It has changed these, and is their operator now; one that was lost meanwhile is so of these, too."""
+        """Note that the session has changed components and operates them; of a lost session, they react to the loss."""
         if self._operators is None:
             return
         if not self.ended:
@@ -116,7 +116,7 @@ class Session:
     # -- calls -----------------------------------------------------------------------------------------------------
 
     def begin(self, number: int, operation: Operation, arguments: Any, credit: int | None = None) -> None:
-        """Carry out a call, and send its answer; of a stream, as many items as there is `credit` for, or all."""
+        """Carry out a call and send its answer; a stream sends as many items as `credit` allows, or all."""
         if self.ended:
             return
         stream = Stream(self, number, credit) if operation.streams else None
@@ -125,7 +125,7 @@ class Session:
             if not inspect.isawaitable(value):
                 self._succeed(number, operation, arguments, value, stream)
                 return
-        except Exception as error:  # noqa: BLE001 - the border round what a client asked for
+        except Exception as error:  # noqa: BLE001 - a client's request must not harm the kernel
             self._fail(number, operation, arguments, error, stream)
             return
         task = kernel_task(self.kernel.loop, _result(value), f"aiorts control {operation.name}")
@@ -146,9 +146,9 @@ class Session:
         self._running.pop(number, None)
         changing = self._changing.pop(number, ())
         if task.cancelled():
-            self.operates(changing)  # what has begun goes on
+            self.operates(changing)  # a change that has begun goes on
             if inspect.iscoroutine(value):
-                value.close()  # cancelled before it began
+                value.close()  # the task was cancelled before it began
             if stream is not None:
                 stream.close()
             self._audit(operation, arguments, "cancelled")
@@ -157,21 +157,21 @@ class Session:
         elif (error := task.exception()) is not None:
             if isinstance(error, TransitionTimeout):
                 self.operates(changing)
-            if self.kernel.closed:  # whatever it says is so because what it is about has ended
+            if self.kernel.closed:  # any error is now due to the end of the kernel
                 error = AbsentError(f"{operation.name}: its kernel has ended: {format_error(error)}")
             self._fail(number, operation, arguments, error, stream)
         else:
             self._succeed(number, operation, arguments, task.result(), stream)
 
     def cancel(self, number: int) -> None:
-        """The client wants no more of a call: end it."""
+        """End a call that the client has cancelled."""
         if (stream := self._streams.get(number)) is not None:
             stream.finish()
         elif (cancel := self._running.get(number)) is not None:
             cancel()
 
     def credit(self, number: int, count: int) -> None:
-        """The client takes so many items more of a stream. In the thread of the socket."""
+        """Add credit to a stream: the client takes `count` more items. In the thread of the socket."""
         if (stream := self._streams.get(number)) is not None:
             stream.add_credit(count)
 
@@ -200,25 +200,25 @@ class Session:
         self._send(_error(number, error), nothing)
 
     def _audit(self, operation: Operation, arguments: Any, outcome: str) -> None:
-        """One line for each call that changes something: who, what, outcome."""
+        """Log each call that may change something: who, what, outcome."""
         if operation.right is not Right.VIEW:
             given = {name: value for name, value in plain(arguments).items() if value not in (None, [], {}, "")}
             said = ", ".join(f"{name}={value!r:.100}" for name, value in given.items())
             self.audit(f"{operation.name}({said})", outcome)
 
     def audit(self, what: str, outcome: str) -> None:
-        """The line of one call: always these fields in this order, whatever stands in them."""
+        """Log the line of one call: always these fields in this order, each in quotes."""
         fields = (self.who, self.kernel.address, what, f"{outcome:.300}")
         LOG.info("who=%s kernel=%s what=%s outcome=%s", *map(_quoted, fields))
 
     def finished(self, number: int) -> None:
-        """A stream has ended."""
+        """Forget a stream that has ended."""
         self._running.pop(number, None)
         self._streams.pop(number, None)
 
 
 class Stream:
-    """What an operation sends bit by bit, to a client that may be slower than it.
+    """The items of an operation that streams, for a client that may be slower than the operation.
 
     Attributes:
         ended: whether nothing is sent any more.
@@ -228,39 +228,39 @@ class Stream:
         self.session = session
         self.ended = False
         self._credit = credit
-        """How many items the client takes in all, counted by the thread of the socket; None: it does not say."""
+        """Items that the client takes in all, counted by the thread of the socket; None: no limit."""
         self._number = number
         self._made = 0
         self._gone = 0
-        """Of those made, how many are on their way: counted by the thread of the socket alone."""
+        """Items that the socket has taken, counted by the thread of the socket alone."""
         self._missed = 0
         self._early: list[Mapping[str, Any]] | None = []
-        """Messages that came before the operation has said that it began."""
+        """Messages from before the operation's first answer; None after it."""
         self._closers: list[Callable[[], object]] = []
         self._finish: Callable[[], object] = nothing
 
     @property
     def has_room(self) -> bool:
-        """Whether an item that is sent now is not dropped."""
+        """Whether an item would be sent now, not dropped."""
         taken = self._credit is None or self._made < self._credit
         return taken and self._made - self._gone < WAITING and self.session._has_room()
 
     def add_credit(self, count: int) -> None:
-        """The client takes so many items more, where it says how many it takes."""
+        """Add `count` items to the credit, where the client gives one."""
         if self._credit is not None:
             self._credit += count
 
     def on_close(self, closer: Callable[[], object]) -> None:
-        """Call `closer` once when the stream ends, whoever ends it."""
+        """Call `closer` once when the stream ends, from either end."""
         self._closers.append(closer)
 
     def on_finish(self, flush: Callable[[], object]) -> None:
-        """Call `flush` before the stream ends in order: it may send what still waits."""
+        """Call `flush` before the stream ends in order: it may send the last items."""
         self._finish = flush
 
     def send(self, item: Any) -> bool:
-        """Send an item; False when it was dropped, since `WAITING` items wait or the client takes none: the next that
-        goes says how many."""
+        """Send an item; returns False when it was dropped, since `WAITING` items wait, or the client has no room or credit
+        left. The next item carries the number of dropped ones."""
         if self.ended:
             return False
         if not self.has_room:
@@ -276,7 +276,7 @@ class Stream:
         self._missed += count
 
     def begun(self) -> None:
-        """The operation has said that it began: what came before goes out."""
+        """Send the messages that came before the operation's first answer."""
         early, self._early = self._early or (), None
         for message in early:
             self._pass(message)
@@ -289,7 +289,7 @@ class Stream:
             self._pass({"id": self._number, "end": result, "missed": self._missed})
 
     def close(self) -> None:
-        """End it without a word; idempotent."""
+        """End the stream without a message; idempotent."""
         if self.ended:
             return
         self.ended = True
@@ -313,7 +313,7 @@ async def _result(value: Awaitable[Any]) -> Any:
 
 
 def _quoted(text: str) -> str:
-    """On one line, between quotes that stand nowhere in it."""
+    """The text on one line in double quotes; quotes within become single ones."""
     line = "".join(one if one.isprintable() else " " for one in text)
     return '"' + line.replace('"', "'") + '"'
 
@@ -323,4 +323,4 @@ def _error(number: int, error: AiortsError) -> dict[str, Any]:
 
 
 def nothing() -> None:
-    """Of a message that nobody counts."""
+    """Do nothing: the `sent` function of messages that are not counted."""

@@ -1,4 +1,4 @@
-"""Looks at a kernel at a rate, for streams."""
+"""A timer for streams that look at a kernel at a rate."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 class Ticking:
-    """Calls `look` on the kernel's loop, at once and then `rate` times a second of its clock, until it is closed.
+    """A timer that calls `look` on the kernel's loop, at once and then `rate` times a second by its clock.
 
-    What it comes too late for is left out. In simulated time it goes by the real clock, and looks between two instants
-    as if a client had asked: a timer of the simulated clock would change what happens.
+    Ticks that are late are skipped. In simulated time the timer goes by the real clock and looks between two instants,
+    as a client's call does: a timer of the simulated clock would change the simulation.
     """
 
     def __init__(self, kernel: Microkernel, rate: float, look: Callable[[], object]) -> None:
@@ -32,7 +32,7 @@ class Ticking:
             self._timer = kernel.call_later(0.0, self._tick)
 
     def close(self) -> None:
-        """End it; idempotent."""
+        """Stop the timer; idempotent."""
         self._over.set()
         if self._timer is not None:
             self._timer.cancel()

@@ -1,4 +1,4 @@
-"""Long answers, made at once where that takes less than a turn of the loop."""
+"""Long answers, made at once where that takes less than `hold` seconds, else in several turns of the loop."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ T = TypeVar("T")
 def answer_in_turns(
     kernel: Microkernel, steps: Generator[object, None, T], hold: float = HOLD_SECONDS
 ) -> T | Awaitable[T]:
-    """Take all steps; returns what the work returns, where it takes longer than a turn an awaitable of it.
+    """Take all steps; returns the result of the work, or an awaitable of it where the work takes longer than a turn.
 
     In simulated time the steps are taken at once: a task would be one more that is ready at this instant.
 
     Args:
-        hold: seconds of a turn.
+        hold: seconds that a turn may take.
     """
     until = perf_counter() + hold
     simulated = isinstance(kernel.clock, SimulatedClock)

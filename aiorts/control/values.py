@@ -1,4 +1,4 @@
-"""What several operations take and give, as frozen plain values."""
+"""The frozen plain values that several operations share as arguments or results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from aiorts.model.plain import empty
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """What is in a kernel, by name: little enough to be asked for by every command."""
+    """The content of a kernel, by name: small enough for every command to ask for."""
 
     address: str
     state: str
@@ -22,48 +22,48 @@ class Names:
     contexts: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
     """The members of each context, in order of execution."""
     connectors: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
-    """The ports of each connector, those of service ports too."""
+    """The ports of each connector, of service connectors too."""
     in_error: tuple[str, ...] = ()
     """Components that have failed, and were neither reset nor activated since."""
     finished: tuple[str, ...] = ()
-    """Sources that have nothing more."""
+    """Sources that have finished."""
     links: str = ""
-    """The name by which links of other kernels reach it; "" where they cannot."""
+    """The name by which links of other kernels reach this kernel; "" where they cannot."""
     notices: tuple[str, ...] = ()
-    """What is to be seen of it at once, such as that others reach it without certificates."""
+    """Notices to show at once, such as that other hosts reach the kernel without certificates."""
     risks: tuple[str, ...] = ()
-    """Risks of its settings, for `aiorts doctor`, each with its remedy behind "; "."""
+    """Risks of the kernel's settings, for `aiorts doctor`, each with its remedy after "; "."""
     lasting: str = ""
-    """The name by which it is known again after a restart, as the profile has it."""
+    """The name by which the kernel is known again after a restart, as in the profile."""
     assembled: bool | None = None
-    """As the profile has it."""
+    """As in the profile."""
     pid: int = 0
-    """Of its process; 0 where it is not said."""
+    """The number of the kernel's process; 0 where it is not known."""
     overdue: Mapping[str, Mapping[str, OverdueHook]] = field(default_factory=empty)
     """The hooks that run longer than their deadlines by context, of each component that has one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """It was done."""
+    """The result of an operation that was done."""
 
     text: str = ""
-    """What there is to say of it."""
+    """The text of the result, such as the name of a new component; "" where there is none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A component, in the context that is meant where it is in several."""
+    """A component, with the context that is meant where it is in several."""
 
     component: str
     context: str | None = None
     timeout: float | None = 5.0
-    """Seconds of the kernel's clock; None waits forever."""
+    """Seconds of the kernel's clock; None waits without limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """How a run is to end."""
+    """The way in which a run ends."""
 
     status: int = 0
-    """Its exit status."""
+    """The exit status of the run."""

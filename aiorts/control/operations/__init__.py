@@ -1,6 +1,6 @@
-"""What a kernel can be asked for, by name, whatever carries the call: a file for each subject, all in one `table.py`.
+"""The operations of a kernel, by name, for every carrier: a file for each subject, all joined in `table.py`.
 
-The whole table is imported at its first use: a process that needs a few operations takes them from their files.
+The whole table is imported at its first use. A process that needs few operations imports their files alone.
 """
 
 from __future__ import annotations

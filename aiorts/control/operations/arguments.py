@@ -1,4 +1,4 @@
-"""What a client gives for a method: texts of a command line, or plain data, by the types that the interface says."""
+"""Arguments of a client's call of a method: command-line texts or plain data, read by the types of the interface."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from aiorts.types import describe, from_plain
 def read_arguments(
     where: str, signature: Signature, args: Sequence[Any], kwargs: Mapping[str, Any]
 ) -> tuple[list[Any], dict[str, Any]]:
-    """The arguments of a call, each of the type that its parameter has; what has no parameter stays as it is.
+    """Read the arguments of a call, each as the type of its parameter; an argument without a parameter stays as it is.
 
     Raises:
-        InterfaceMismatch: names the parameter, what it takes and what was given.
+        InterfaceMismatch: the text names the parameter, its type and the value.
         DeniedError: a path names a file that the client may not name.
     """
     parameters = signature.parameters
@@ -53,7 +53,7 @@ def _argument(where: str, parameter: Parameter, value: Any) -> Any:
 
 
 def _paths(value: Any) -> Iterator[PurePath]:
-    """The paths in an argument."""
+    """Find the paths in an argument."""
     if isinstance(value, PurePath):
         yield value
     elif isinstance(value, Mapping):
@@ -65,7 +65,7 @@ def _paths(value: Any) -> Iterator[PurePath]:
 
 
 def _read(value: Any, hint: Any) -> Any:
-    """A value by its type; one whose type is not known is JSON, or else the text that it is."""
+    """Read a value by its type; for an unknown type it is read as JSON, or else stays a text."""
     return _READERS.of(hint)(value)
 
 
@@ -79,12 +79,12 @@ def _none(value: Any) -> None:
 
 
 class _Readers(Lenient):
-    """Readers of what a client gives: a list or mapping may be a text, too, as JSON or as `1,2` and `a: 1, b: 2`."""
+    """Readers of a client's values: a list or mapping may be a text, too, as JSON or as `1,2` and `a: 1, b: 2`."""
 
     def union(self, hint: Any, arms: dict[Any, Read]) -> Read:
         def read(value: Any) -> Any:
             errors = []
-            for one in sorted(arms, key=lambda one: one is str):  # any text is a text
+            for one in sorted(arms, key=lambda one: one is str):  # str last: it takes any text
                 try:
                     return arms[one](value)
                 except (TypeError, ValueError) as error:
@@ -121,7 +121,7 @@ _READERS: Final = _Readers(
 
 
 def _of_text(read: Read, kind: type, split: Read) -> Read:
-    """The reader of plain values of a kind, of a text also where that is no JSON of one."""
+    """A reader of plain values of a kind; a text that is not such a value in JSON is split."""
 
     def of_text(value: Any) -> Any:
         plain = _plain(value)
@@ -134,7 +134,7 @@ def _of_text(read: Read, kind: type, split: Read) -> Read:
 
 
 def value_schema(hint: Any) -> dict[str, Any]:
-    """The JSON Schema of what is read as a value of this type; empty where that is not known, as any may be one."""
+    """The JSON Schema of values that are read as this type; empty for an unknown type, which takes any value."""
     return _Schemas(simple={float: {"type": "number"}, bytes: {}, None: {"type": "null"}}).of(hint)
 
 
@@ -150,7 +150,7 @@ class _Schemas(SchemaForms):
         try:
             schema: Schema = loads(schema_text(kind, as_json=True))
             given = [one.name for one in describe(kind).fields if one.default is MISSING and one.factory is MISSING]
-        except AiortsError:  # it has fields that samples cannot have
+        except AiortsError:  # the record has fields that samples cannot have
             return {}
         del schema["$schema"]
         return {**schema, "required": given}
@@ -160,7 +160,7 @@ class _Schemas(SchemaForms):
 
 
 def _plain(value: Any) -> Any:
-    """Data as JSON has it, of a text what it says as JSON."""
+    """Data as JSON has it; a text is parsed as JSON where it is JSON."""
     if isinstance(value, str):
         try:
             return loads(value)

@@ -1,4 +1,4 @@
-"""The operation that says what can be created in a kernel: types of components, and kinds of contexts."""
+"""The operation that lists the types of components and kinds of contexts that can be created in a kernel."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _UNKNOWN: Final = "is not imported yet"
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """Types and kinds that are to be described, also where that imports them; none imports nothing."""
+    """Types and kinds to import so that they are described; without any, nothing is imported."""
 
     components: tuple[str, ...] = ()
     contexts: tuple[str, ...] = ()
@@ -45,13 +45,13 @@ class ComponentType:
     target: str
     """"module:Class"; of a single file "FILE.py:Class"."""
     unknown: str = ""
-    """Why the rest is not known: it is not imported yet, or cannot be; "" where it is."""
+    """Why the fields below are not known: the class is not imported yet, or cannot be; "" where they are."""
     doc: str = ""
     """The docstring of the class, at most 2,000 characters of it."""
     ports: tuple[PortProfile, ...] = ()
-    """The ports that its class declares; a component may add others when it is created."""
+    """The ports that the class declares; a component may add others when it is created."""
     params: Mapping[str, ParameterReport] = field(default_factory=empty)
-    """Its parameters, each with the default as the value."""
+    """The parameters, each with its default as the value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class ContextKind:
     """As `ComponentType.unknown`."""
     doc: str = ""
     options: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
-    """Its keyword arguments, by name: the kinds of value in words; none is any."""
+    """The keyword arguments of the kind, by name: the types of value in words; an empty tuple is any type."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Offered:
 
 
 def _catalogue(session: Session, given: Described) -> Offered | Awaitable[Offered]:
-    """Describe all types and kinds that are imported; import those that are named first, in another thread."""
+    """Describe all types and kinds that are imported; first import the named ones, in another thread."""
     offers = session.kernel.plugins
     named: list[Extension] = []
     for names, kind, what in (
@@ -109,7 +109,7 @@ def _offered(session: Session, faults: Mapping[Extension, str]) -> Offered:
         if not is_imported(offer):
             return replace(made, unknown=faults.get(offer, _UNKNOWN))
         try:
-            cls = offers.find(offer.kind, offer.name).load_class(base)  # refused where several offer it
+            cls = offers.find(offer.kind, offer.name).load_class(base)  # raises where several plugins offer it
         except AiortsError as error:
             return replace(made, unknown=str(error))
         doc = (inspect.getdoc(cls) or "")[:_LONGEST] if cls.__doc__ else ""
@@ -136,7 +136,7 @@ def _of_context(cls: type[Context]) -> dict[str, Any]:
 
 
 def _needed(given: Described) -> Right:
-    """Importing runs the code of a package, so a client with the right to look has none imported."""
+    """The needed right: importing runs the code of a package, so the right "view" is not enough for it."""
     return Right.OPERATE if given.components or given.contexts else Right.VIEW
 
 

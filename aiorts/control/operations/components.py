@@ -1,4 +1,4 @@
-"""Operations on components as such: created, removed, made members of composites."""
+"""Operations on whole components: create, remove, make members of composites."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Creation:
-    """A component that is to be."""
+    """A component to create."""
 
     type: str
     """A name that a plugin offers; or, with the right code, "FILE.py:Class" or "package.module:Class"."""
     name: str = ""
-    """Made from the type's by default."""
+    """The name of the component; by default made from the type's name."""
     params: Mapping[str, Any] = field(default_factory=empty)
     """Values of parameters; a text is read by the parameter's type."""
     context: str | None = None
-    """The context that it joins."""
+    """The context that the component joins."""
     activate: bool = False
     timeout: float | None = 5.0
-    """Seconds of the kernel's clock for joining and for activation; None waits forever."""
+    """Seconds of the kernel's clock for joining and for activation; None waits without limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Removal:
-    """Components that are to go."""
+    """Components to remove."""
 
     components: tuple[str, ...]
 
@@ -50,7 +50,7 @@ class Membership:
     composite: str
     members: tuple[str, ...]
     timeout: float | None = 5.0
-    """Seconds of the kernel's clock; None waits forever."""
+    """Seconds of the kernel's clock; None waits without limit."""
 
 
 async def _create(session: Session, given: Creation) -> Done:
@@ -60,11 +60,11 @@ async def _create(session: Session, given: Creation) -> Done:
     context = None if given.context is None else context_named(session, given.context)
     try:
         component = await kernel.create(given.type, given.name, **given.params)
-    except AbsentExtension as error:  # named by the client, and not by a file: nothing is wrong, it is not there
+    except AbsentExtension as error:  # the client gave this name, so it is an unknown type, not a faulty file
         raise UnknownTypeError(str(error)) from error
     except AiortsError:
         raise
-    except Exception as error:  # what a user's on_initialize raises
+    except Exception as error:  # raised by a user's on_initialize
         raise ComponentError(f"{given.name or given.type}: on_initialize raised {format_error(error)}") from error
     if context is not None:
         try:

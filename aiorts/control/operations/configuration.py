@@ -30,17 +30,16 @@ class Configuring:
 
     component: str
     values: Mapping[str, Mapping[str, Any]] = field(default_factory=empty)
-    """Values of parameters by set; those of the set "" go into the active one. A text is read by the parameter's
-    type."""
+    """Values of parameters by set; the set "" means the active one. A text is read by the parameter's type."""
     add: tuple[str, ...] = ()
-    """Sets that are added, empty but for `values`."""
+    """Sets to add, each empty but for its `values`."""
     remove: tuple[str, ...] = ()
     activate: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """Components; none is all that have parameters."""
+    """Components; an empty tuple is all that have parameters."""
 
     components: tuple[str, ...] = ()
 
@@ -54,12 +53,12 @@ class Document:
 
 @dataclass(frozen=True, slots=True)
 class Loading:
-    """A configuration file that is to be in force."""
+    """A configuration file to put in force."""
 
     parts: tuple[str, ...]
-    """Its text; in parts, since no text of a request is longer than 65,536 bytes."""
+    """The text of the file; in parts, since no text of a request is longer than 65,536 bytes."""
     name: str = "configuration"
-    """What messages call it."""
+    """The name of the file in messages."""
 
 
 def _configuration(session: Session, given: Whose) -> ConfigurationProfile:

@@ -1,4 +1,4 @@
-"""Operations on execution contexts: started, stopped, their rate and their members."""
+"""Operations on execution contexts: start, stop, change rate and members."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from aiorts.model.values import convert_value
 from aiorts.observe import ContextReport
 
 _ORDER: Final = (bool, int, float, str)
-"""Of the kinds that a value may be of, that which is tried first."""
+"""The order in which the types of a value are tried."""
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """A context that is to be."""
+    """A context to start."""
 
     name: str
-    """"" for one that the kernel gives."""
+    """The name of the context; "" for one that the kernel gives."""
     kind: str = "periodic"
     members: tuple[str, ...] = ()
     """Components, in order of execution."""
     options: Mapping[str, Any] = field(default_factory=empty)
-    """What the kind takes: rate, deadline, ...; a text is read by the option's type."""
+    """The options of the kind: rate, deadline, ...; a text is read by the option's type."""
     activate: bool = False
     timeout: float | None = 5.0
-    """Seconds of the kernel's clock; None waits forever."""
+    """Seconds of the kernel's clock; None waits without limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,13 +46,13 @@ class Which:
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """Another rate."""
+    """A new rate for a context."""
 
     context: str
     rate: float
     """Hz."""
     timeout: float | None = 5.0
-    """Seconds of the kernel's clock; None waits forever."""
+    """Seconds of the kernel's clock; None waits without limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +62,9 @@ class Joining:
     context: str
     members: tuple[str, ...]
     activate: bool = False
-    """Where they join."""
+    """Whether joining components are activated, too."""
     timeout: float | None = 5.0
-    """Seconds of the kernel's clock; None waits forever."""
+    """Seconds of the kernel's clock; None waits without limit."""
 
 
 def _contexts(session: Session, _: Nothing) -> dict[str, ContextReport]:
@@ -93,7 +93,7 @@ async def _start(session: Session, given: Start) -> Done:
 
 
 def _read(cls: type, name: str, value: Any) -> Any:
-    """An option that was given as text, by its type; what fits none stays, and is refused with all others."""
+    """Read an option's text by its type; a text that fits no type stays, and is refused with the other faults."""
     from aiorts.kernel.extensions.arguments import arguments_of
 
     kinds = arguments_of(cls).get(name, (str,))

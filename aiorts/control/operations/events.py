@@ -1,4 +1,4 @@
-"""Operations that stream what happens: events of the bus, and changes of the profile."""
+"""Operations that stream the events of the bus and the changes of the profile."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Kinds:
-    """Which events are meant."""
+    """The events to stream."""
 
     kinds: tuple[str, ...] = ()
-    """Names of classes of events; none is all."""
+    """Names of classes of events; an empty tuple is all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,17 +44,17 @@ class Happened:
     """One event."""
 
     sequence: int
-    """Its number; those of one kernel have no gaps."""
+    """The number of the event; the numbers of one kernel have no gaps."""
     kind: str
     time_ns: int
-    """The kernel's clock, since the epoch."""
+    """The kernel's clock, in nanoseconds since the epoch."""
     monotonic_ns: int
     event: Mapping[str, Any] = field(default_factory=dict)
-    """Its fields."""
+    """The fields of the event."""
 
 
 def _events(session: Session, given: Kinds, stream: Stream) -> int:
-    """Send each event from now on; returns the number of the last one before."""
+    """Send each event from now on; returns the number of the last earlier event."""
     kernel, kinds = session.kernel, frozenset(given.kinds)
     known = {cls.__name__: cls for cls in _derived(Event)}
     for name in given.kinds:
@@ -90,15 +90,15 @@ def _fields(event: Event) -> Mapping[str, Any]:
 
 
 def _changes(session: Session, _: Nothing, stream: Stream) -> ToldSnapshot | Awaitable[ToldSnapshot]:
-    """Send each change from now on; returns the profile that the first belongs to."""
+    """Send each change from now on; returns the profile to which the first change applies."""
     return _Changing(session.kernel, stream).begin()
 
 
 class _Changing:
-    """Sends changes to a client that may be too slow for them: then a new profile takes their place.
+    """A sender of changes to a client that may be too slow: a new profile then replaces the changes it missed.
 
-    Profiles are taken in turns; a change that comes meanwhile is in the profile, and is not sent. In simulated time
-    they are taken in one look: a task would be one more that is ready at this instant.
+    A profile takes several turns of the loop; a change that comes meanwhile is in the profile, and is not sent. In
+    simulated time it takes one turn: a task would be one more that is ready at this instant.
     """
 
     def __init__(self, kernel: Microkernel, stream: Stream) -> None:
@@ -107,7 +107,7 @@ class _Changing:
         self._looking = not self._simulated
         """Whether a profile is being taken."""
         self._behind = 0
-        """Changes that the next profile stands for; 0: the client has them all."""
+        """Changes that the next profile replaces; 0: the client has them all."""
         self._task: asyncio.Task[None] | None = None
         self._changes = Changes(kernel, 0, self._take)
         stream.on_close(self._close)
@@ -154,7 +154,7 @@ class _Changing:
 
 
 def _told(profile: SystemProfile, missed: int = 0) -> ToldSnapshot:
-    """The snapshot, made plain in the thread that sends it."""
+    """The snapshot of a profile, made plain in the thread that sends it."""
     return ToldSnapshot(profile.sequence, profile, ProfileSnapshot.__name__, missed)
 
 

@@ -1,4 +1,4 @@
-"""What a client names, looked up in a kernel: components and contexts; what is not there is told with what is."""
+"""Components and contexts of a kernel, found by the name that a client gives; an error names near ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def component_named(session: Session, name: str) -> Component:
-    """The component; AbsentError where there is none."""
+    """Find a component by its name; AbsentError where there is none."""
     known = session.kernel.components
     if name not in known:
         raise absent(f"{name:.80}: no such component", name, known)
@@ -23,7 +23,7 @@ def component_named(session: Session, name: str) -> Component:
 
 
 def context_named(session: Session, name: str) -> Context:
-    """The context, which runs; AbsentError where there is none."""
+    """Find a running context by its name; AbsentError where there is none."""
     known = session.kernel.contexts
     if name not in known:
         raise absent(f"{name:.80}: no such context", name, known)
@@ -31,7 +31,7 @@ def context_named(session: Session, name: str) -> Context:
 
 
 def whose(given: Any, _: object) -> tuple[str]:
-    """The component that the arguments of a call name: it is changed by the call."""
+    """The component that a call changes: the one in its arguments."""
     return (given.component,)
 
 

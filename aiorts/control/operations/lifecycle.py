@@ -1,4 +1,4 @@
-"""Operations on lifecycles, who has them in hand from another kernel, and on the run as a whole."""
+"""Operations on lifecycles, on membership in a composite of another kernel, and on the run as a whole."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Holding:
 
 
 def _requesting(request: Callable[..., Awaitable[None]]) -> Callable[[Session, Member], Awaitable[Done]]:
-    """The operation that has a component of the kernel make a transition."""
+    """Make the operation that requests a transition of a component."""
 
     async def run(session: Session, given: Member) -> Done:
         await request(session.kernel, given.component, context=given.context, timeout=given.timeout)

@@ -1,4 +1,4 @@
-"""Operations on the log: the last lines, the lines from now on, and from which level on a component is heard."""
+"""Operations on the log: the last lines, the lines from now on, and the level of a component's log."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ _ROOT: Final = LOGGER_NAME.partition(".")[0]
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """Which lines are meant."""
+    """The log lines to send."""
 
     components: tuple[str, ...] = ()
-    """None is all, and the kernel's own lines."""
+    """Names of components; an empty tuple is all, and the kernel's own lines."""
     level: str = "debug"
-    """The lowest."""
+    """The lowest level."""
     follow: bool = False
-    """Go on with the lines that come."""
+    """Whether to go on with new lines."""
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line."""
+    """One log line."""
 
     time_ns: int
-    """The kernel's clock, since the epoch."""
+    """The kernel's clock, in nanoseconds since the epoch."""
     level: str
     component: str
-    """"" for the kernel's own."""
+    """The component's name; "" for the kernel's own lines."""
     hook: str
     text: str
     """At most 500 characters."""
@@ -52,27 +52,27 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """From which level on components are heard."""
+    """The lowest level that components log."""
 
     level: str
     components: tuple[str, ...] = ()
-    """None is all."""
+    """Names of components; an empty tuple is all."""
     lasting: bool = True
-    """Whether it stays when the session ends."""
+    """Whether the level stays when the session ends."""
 
 
 @dataclass(frozen=True, slots=True)
 class Logged:
-    """A component's log."""
+    """The state of a component's log."""
 
     level: str
-    """The lowest that goes anywhere."""
+    """The lowest level that is logged."""
     lines: int
     """Lines that can still be read."""
 
 
 def _lines(session: Session, given: Lines, stream: Stream) -> tuple[Line, ...]:
-    """The last lines, those of the kernel among them where no component is named; those that come are streamed."""
+    """Return the last lines, with the kernel's own where no component is named; new lines are streamed."""
     kernel, least = session.kernel, _number(given.level)
     chosen = _components(session, given.components)
     behind = kernel.clock.time_ns() - kernel.clock.monotonic_ns()
@@ -84,7 +84,7 @@ def _lines(session: Session, given: Lines, stream: Stream) -> tuple[Line, ...]:
         if _number(line.level.lower()) >= least
     ]
     if not given.components:
-        now_ns = kernel.clock.time_ns()  # it may be simulated, and before any that was logged
+        now_ns = kernel.clock.time_ns()  # simulated time may be before the times of the kernel's lines
         found += [
             (line.at_ns - behind, Line(min(line.at_ns, now_ns), _name(line.level), "", "", line.text))
             for line in last_lines(kernel.loop)
@@ -103,7 +103,7 @@ def _lines(session: Session, given: Lines, stream: Stream) -> tuple[Line, ...]:
 
 
 def _level(session: Session, given: Level) -> Done:
-    """Set the level of components; each has a logger of its own from then on."""
+    """Set the log level of components; each then has a logger of its own."""
     number = _number(given.level)
     for one in _components(session, given.components):
         log = one.log
@@ -124,7 +124,7 @@ def _put_back(log: ComponentLog, before: logging.Logger, level: int) -> None:
 def _levels(session: Session, given: Lines) -> dict[str, Logged]:
     found = {}
     for one in _components(session, given.components):
-        log = cell(one).log  # there once it has logged
+        log = cell(one).log  # None until it has logged
         logger = logging.getLogger(LOGGER_NAME) if log is None else log.logger
         found[one.name] = Logged(_name(logger.getEffectiveLevel()), 0 if log is None else len(log.last_lines))
     return found
@@ -145,7 +145,7 @@ def _name(number: int) -> str:
 
 
 class _Follower(logging.Handler):
-    """Sends the lines of one kernel to a client; a line that cannot be sent is counted, and harms nobody."""
+    """A log handler that sends the lines of one kernel to a client; a line without room is dropped and counted."""
 
     def __init__(self, session: Session, stream: Stream, names: frozenset[str] | None, level: int) -> None:
         super().__init__(level)

@@ -1,6 +1,6 @@
-"""Operations that look: what there is, how it is, and chosen values at a rate.
+"""Operations that only look: names, the profile, the system file, and chosen values at a rate.
 
-None of them waits in simulated time, or changes anything.
+These operations change nothing, and in simulated time they do not wait.
 """
 
 from __future__ import annotations
@@ -68,18 +68,18 @@ def _origin(session: Session, _: Nothing) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """Values that are looked at, by their paths as `Kernel.monitor` has them."""
+    """Values to read, by their paths as in `Kernel.monitor`."""
 
     paths: tuple[str, ...]
     rate: float = 10.0
-    """Hz of the kernel's clock; of the real one in simulated time."""
+    """Hz by the kernel's clock; in simulated time by the real clock."""
 
 
 def _monitor(session: Session, given: Watched, stream: Stream) -> Done:
     kernel = session.kernel
     began = perf_counter()
     monitor = Monitor(kernel, tuple(dict.fromkeys(given.paths)), given.rate)
-    took, pace = perf_counter() - began, looks_of(kernel)  # it has looked at each path, as it does for each reading
+    took, pace = perf_counter() - began, looks_of(kernel)  # the constructor read each path, which a reading does, too
     stream.on_close(monitor.close)
     if isinstance(kernel.clock, SimulatedClock):
 
@@ -99,7 +99,7 @@ def _monitor(session: Session, given: Watched, stream: Stream) -> Done:
             stream.send(reading)
             pace.spend(took)
             if due := pace.due():
-                await asyncio.wait((over,), timeout=due)  # readings that fall into it are counted as missed
+                await asyncio.wait((over,), timeout=due)  # readings in this pause are counted as missed
         stream.finish()
 
     kernel_task(kernel.loop, send_all(), "aiorts control monitor")

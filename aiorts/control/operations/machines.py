@@ -1,6 +1,6 @@
 """Operations on state machines and modes.
 
-Of a component that runs in a process of its own, or in another kernel, they are asked for there.
+For a component in a process of its own, or in another kernel, the operation is passed on to that place.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     from aiorts.statemachines import StateStructure
 
 _ELSEWHERE: Final = 4.0
-"""Seconds that a change of mode may take in another process or kernel, which has to answer then."""
+"""Seconds that a change of mode may take in another process or kernel, so that its answer comes in time."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChartState:
-    """A state of a chart, to be drawn."""
+    """A state of a chart, for a drawing."""
 
     name: str
     inside: str
-    """The state around it; "" at the top."""
+    """The enclosing state; "" at the top."""
     kind: str
     """"state", "parallel", "final", "history" or "deep"."""
     initial: bool
-    """Whether it is entered first of those in the same state."""
+    """Whether it is the initial state of its enclosing state."""
     ways: tuple[tuple[str, str], ...]
-    """Its transitions: what triggers each, in words, and the state that it leads to; "" where it stays."""
+    """The transitions: the trigger in words, and the target state; "" where only actions run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,29 +49,29 @@ class Shown:
     machine: MachineReport | None = None
     modes: ModeReport | None = None
     events: tuple[str, ...] = ()
-    """That the machine knows."""
+    """The events that the machine knows."""
     chart: tuple[ChartState, ...] = ()
-    """Its table, the outer states before the inner."""
+    """The states of the machine, the outer before the inner."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sending:
-    """An event for a machine."""
+    """An event for a state machine."""
 
     component: str
     event: str
     data: Any = None
-    """What comes with it."""
+    """The data of the event."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """Another mode."""
+    """A new mode for a component."""
 
     component: str
     mode: str
     timeout: float | None = 5.0
-    """Seconds of the kernel's clock; None waits forever, in another process or kernel 4 s."""
+    """Seconds of the kernel's clock; None waits without limit, in another process or kernel 4 s."""
 
 
 async def _machine(session: Session, given: Whose) -> Shown:

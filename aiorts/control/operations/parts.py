@@ -1,4 +1,4 @@
-"""Operations that look at a part of the system, so that nobody carries the whole profile for one component."""
+"""Operations that look at a part of the system, so that one component does not cost the whole profile."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from aiorts.types import full_name
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What is asked about, by name. With a component come its connectors and its contexts."""
+    """Components, connectors and contexts to report, by name. A component comes with its connectors and contexts."""
 
     components: tuple[str, ...] = ()
     connectors: tuple[str, ...] = ()
@@ -27,25 +27,25 @@ class Parts:
 
 @dataclass(frozen=True, slots=True)
 class Outlined:
-    """Components; none is all."""
+    """Components to outline; an empty tuple is all."""
 
     components: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class PortOutline:
-    """What a port is, in two words."""
+    """The direction and the type of a port."""
 
     direction: str
     """"in", "out" or "service"."""
     type: str
     full_type: str = ""
-    """By which it is known to other processes; "" of a service port."""
+    """The name by which other processes know the type; "" of a service port."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """What a component is made of, by name."""
+    """The type, the ports and the parameters of a component, by name."""
 
     type: str
     """"module:Class"."""

@@ -1,4 +1,4 @@
-"""The operations that say a kernel's system as a file, compare it with a wanted one, and make that of it."""
+"""Operations that write a kernel's system as a file, compare it with a wanted one, and change it into that."""
 
 from __future__ import annotations
 
@@ -30,96 +30,96 @@ if TYPE_CHECKING:
 _Entry: TypeAlias = (
     ComponentEntry | ConnectionEntry | ContextEntry | Places | tuple[Mapping[str, Any], ...] | bool | None
 )
-"""The value that a step changes, before or after."""
+"""The value that a step changes, before or after the step."""
 _DECIDED: Final = 120.0
-"""Seconds that a change waits for the decision, while others change theirs; then it is taken back."""
+"""Seconds that a change waits for the decision, while other kernels change theirs; then it is taken back."""
 _open: Final[WeakKeyDictionary[Session, tuple[asyncio.Future[str], asyncio.Task[Applied]]]] = WeakKeyDictionary()
-"""The change of each session that is not decided."""
+"""The undecided change of each session: the future of the decision, and the task."""
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A system that is wanted."""
+    """A wanted system."""
 
     wanted: tuple[str, ...]
-    """The text that `aiorts.model.wanted.carried` makes of it, in parts: a text may have 65,536 characters."""
+    """The text that `aiorts.model.wanted.carried` makes of the system, in parts: a text may have 65,536 characters."""
 
 
 @dataclass(frozen=True, slots=True)
 class Application:
-    """A system that is to be made of the one that runs."""
+    """A wanted system to apply to the running one."""
 
     wanted: tuple[str, ...]
-    """As in a plan."""
+    """As in `Target`."""
     window: float = 0.0
-    """Seconds of the kernel's clock for which it is measured, before and after; it must not do worse."""
+    """Seconds of the kernel's clock for which the system is measured before and after; a worse one is taken back."""
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What is to become of a change."""
+    """The decision about a change."""
 
     keep: bool
-    """False: it is taken back."""
+    """Whether the change is kept; False: it is taken back."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedStep:
-    """One step of a plan: what it does, and of what; `aiorts.model.wanted.steps` has each kind."""
+    """One step of a plan: its kind and its subject; `aiorts.model.wanted.steps` has all kinds."""
 
     step: str
-    """The kind."""
+    """The kind of step."""
     sign: Literal["+", "-", "~"]
-    """+ for what comes, - for what goes, ~ for what changes."""
+    """"+": the subject comes, "-": it goes, "~": it changes."""
     text: str
     """The step in one line."""
     name: str = ""
-    """The name of its connector."""
+    """The name of the connector."""
     component: ComponentEntry | None = None
     connection: ConnectionEntry | None = None
     context: ContextEntry | str | None = None
     before: _Entry = None
-    """The value that changes, as it is before the step."""
+    """The changed value before the step."""
     after: _Entry = None
-    """The value after it."""
+    """The changed value after the step."""
 
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """The steps that make a wanted system of the one that runs."""
+    """The steps from the running system to the wanted one."""
 
     steps: tuple[PlannedStep, ...]
-    """In order."""
+    """The steps in order."""
     refused: tuple[str, ...]
-    """What differs and cannot be changed while a system runs."""
+    """The differences that cannot be changed while the system runs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Changed:
-    """What has become of a plan."""
+    """The outcome of a plan."""
 
     steps: tuple[PlannedStep, ...]
-    """As in a plan."""
+    """As in `Planned`."""
     refused: tuple[str, ...]
-    """Empty."""
+    """Always empty."""
     done: bool
     """Whether the system is the wanted one now."""
     rolled_back: str
-    """The figure that the system was taken back for; "" when it was kept."""
+    """The reason, such as a worse figure, for which the change was taken back; "" when it was kept."""
     notes: tuple[str, ...]
-    """What could not be as the plan, or its reverse, says."""
+    """The points in which the result differs from the plan, or from its reverse."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The place of the file that is going to be written."""
+    """The place of the file that will be written."""
 
     folder: str
-    """Its folder: files and plugins below it are named by their path from there."""
+    """The folder of the file: files and plugins below it are named by their path from there."""
 
 
 class _Answer(Made):
-    """A plan, or what has become of it: long ones are made plain beside the loop."""
+    """A plan or its outcome, made plain in the thread that sends it: a long one would hold the loop."""
 
     __slots__ = ("_value",)
 
@@ -147,7 +147,7 @@ async def _apply(session: Session, given: Application) -> _Answer:
     from aiorts.planning import Planning
 
     async def agreed(plan: Plan) -> str:
-        session.operates(_changed(session.kernel, plan))  # not at the end: this goes on where the session has gone
+        session.operates(_changed(session.kernel, plan))  # not at the end: the change goes on after the session's end
         return ""
 
     wanted, planning = await _allowed(session, given.wanted), session.kernel.service(Planning)
@@ -195,7 +195,7 @@ async def _decide(session: Session, given: Decision) -> _Answer:
 
 
 def _changed(kernel: Microkernel, plan: Plan) -> Iterator[str]:
-    """The components that a plan has changed: the client that wanted it is their operator now."""
+    """The components that a plan has changed: the client that applied it is now their operator."""
     from aiorts.model.wanted.steps import Activate, Configure, Create, Isolate, Move, Reload, RenewContext, Supervise
 
     for step in plan.steps:
@@ -211,7 +211,7 @@ def _changed(kernel: Microkernel, plan: Plan) -> Iterator[str]:
 
 
 def _come(before: Places, after: Places) -> Iterator[str]:
-    """Who comes into contexts and composites, and composites that come."""
+    """The components that join contexts and composites, and new composites."""
     for name, members in after.contexts.items():
         yield from set(members) - set(before.contexts.get(name, ()))
     for name, composite in after.composites.items():
@@ -237,13 +237,13 @@ def _settle(decided: asyncio.Future[str], why: str) -> None:
 
 def _observed(task: asyncio.Task[Applied]) -> None:
     if not task.cancelled():
-        task.exception()  # its caller may have gone
+        task.exception()  # retrieved here, since the caller may be gone
 
 
 async def _allowed(session: Session, parts: tuple[str, ...]) -> Wanted:
-    """The wanted system.
+    """Read the wanted system.
 
-    DeniedError: it brings code that the kernel does not run or offer, and the session may not.
+    DeniedError: it needs code that the kernel neither runs nor offers, and the session lacks the right "code".
     """
     kernel = session.kernel
     wanted = _read(parts) if isinstance(kernel.clock, SimulatedClock) else await _read_aside(parts)
@@ -260,7 +260,7 @@ async def _allowed(session: Session, parts: tuple[str, ...]) -> Wanted:
 
 
 def _code_of(wanted: Wanted) -> Iterator[str]:
-    """What code is read from for a system, as far as no package offers it by a name."""
+    """The sources of code of a system that no package offers by a name: types, plugin paths, converters."""
     yield from (one.type for one in wanted.components.values() if is_code(one.type))
     yield from map(str, wanted.plugin_paths)
     for one in wanted.connections:

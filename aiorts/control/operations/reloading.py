@@ -13,18 +13,18 @@ from aiorts.reload import Reloaded
 
 @dataclass(frozen=True, slots=True)
 class Reload:
-    """Whose code is read anew."""
+    """The component or type whose code is read again."""
 
     type: str
-    """The name of a component, or what `Kernel.reload` takes as text."""
+    """The name of a component, or a type as `Kernel.reload` takes it as text."""
     cycles: int = 10
-    """The new code has proved itself after so many cycles of each context,"""
+    """Cycles of each context after which the new code has proved itself,"""
     seconds: float = 1.0
-    """or after so many seconds of the kernel's clock."""
+    """or seconds of the kernel's clock after which it has."""
     timeout: float | None = 5.0
-    """Seconds of the kernel's clock in which each new instance has to be in its place; None is forever."""
+    """Seconds of the kernel's clock in which each new instance has to be in place; None: no limit."""
     window: float = 0.0
-    """Seconds of the kernel's clock for which the old code is measured, and the new; it must not do worse."""
+    """Seconds of the kernel's clock for which the old and the new code are measured; the new must not do worse."""
 
 
 async def _reload(session: Session, given: Reload) -> Reloaded:

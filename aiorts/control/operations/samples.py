@@ -1,7 +1,7 @@
 """Operations that move samples: out of a running system, and into it.
 
-What a tool takes or gives goes over a connector of its own that the system does not know: it takes no place at a port,
-and no end of a run waits for it. Its losses are its own, and counted.
+A tool reads or writes samples over a connector of its own, outside the system: it takes no place at a port, and no end
+of a run waits for it. The losses of this connector are counted apart.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _LINES: Final = 1_000
 """Lines that one call may inject."""
 _LOOK: Final = 0.005
 _ARRIVE: Final = 1.0
-"""Seconds that injected samples have to come to another process."""
+"""Seconds that injected samples have to reach another process."""
 _REFUSED: Final = ("rejected", "timeout")
-"""Reasons of drops that the writer was told of."""
+"""Reasons of drops that the writer already knows from its write."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,28 +43,28 @@ class Tapped:
     port: str
     """ "component.port"."""
     frames: bool = False
-    """Encoded by the msgpack codec, for who has the type; else plain data, as JSON lines have it."""
+    """Whether samples come encoded by the msgpack codec, for clients that have the type; else as plain data."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tap:
-    """What comes over a tap."""
+    """The port and the type of the samples of a tap."""
 
     port: str
     type: str
-    """The short name."""
+    """The short name of the type."""
     full_type: str
     unit: str | None
 
 
 @dataclass(frozen=True, slots=True)
 class Tapping:
-    """A sample that came over a tap, and as what it was asked for, or why it cannot be sent."""
+    """A sample of a tap: `data` or `frame`, as was asked for, or the error for which it cannot be sent."""
 
     time_ns: int
-    """When it was taken: the kernel's clock, since the epoch."""
+    """The time at which it was taken: the kernel's clock, in nanoseconds since the epoch."""
     tm: int | None = None
-    """Its stamp in nanoseconds; None where its type has none."""
+    """The sample's time stamp in nanoseconds; None where its type has none."""
     data: Any = None
     frame: bytes | None = None
     error: str | None = None
@@ -75,15 +75,15 @@ class TypeNamed:
     """A type of samples."""
 
     type: str
-    """As frames name it, or the full name."""
+    """The name in frames, or the full name."""
 
 
 @dataclass(frozen=True, slots=True)
 class TypeSchema:
-    """What explains the frames of a type to who does not have it."""
+    """The schema that explains the frames of a type to a client without the type."""
 
     type: str
-    """As frames name it."""
+    """The name in frames."""
     schema: str
     """A JSON Schema, as recordings have it."""
 
@@ -94,31 +94,31 @@ class Injected:
 
     port: str
     lines: tuple[str, ...]
-    """JSON lines, as filters read them: all are checked before the first is written; empty ones are passed over."""
+    """JSON lines, as filters read them: all are checked before the first is written; empty lines are skipped."""
     full: str = "reject"
-    """What is done when the reader's buffer is full: "reject", "overwrite" or "block"."""
+    """The full policy of the connector: "reject", "overwrite" or "block"."""
     length: int = 8
     timeout: float | None = 1.0
-    """Seconds that a write waits with "block"."""
+    """Seconds that a write waits with full = "block"."""
     first: int = 1
-    """The number of the first line, for what is wrong with one."""
+    """The number of the first line, for errors."""
     check: bool = False
-    """Only check them."""
+    """Whether to check the lines only, and write nothing."""
     wait: float = 0.0
-    """Seconds until all that this session has written to the port must be delivered or dropped."""
+    """Seconds to wait until all samples of this session to the port are delivered or dropped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What became of them."""
+    """The outcome of injected samples."""
 
     written: int
     refused: int
-    """The reader's buffer was full, also after `timeout`."""
+    """Samples that were refused: the reader's buffer was full, also after `timeout`."""
     dropped: Mapping[str, int]
-    """By reason, what was dropped after it was written, of all samples of this session to the port."""
+    """Samples that were dropped after the write, by reason, of all samples of this session to the port."""
     unread: int
-    """Samples of this session that the reader has not taken yet: they are lost when the session ends."""
+    """Samples of this session that the reader has not read yet; they are lost when the session ends."""
 
 
 class _Sample(Made):
@@ -148,13 +148,13 @@ def _stamp(sample: Any) -> int | None:
 
 
 def _tap(session: Session, given: Tapped, stream: Stream) -> Tap:
-    """Send each sample from now on; what the client is too slow for is dropped and counted, and holds nobody up."""
+    """Send each sample from now on; a sample that a slow client has no room for is dropped and counted."""
     kernel, out = session.kernel, out_port_of(session.kernel, given.port)
     clock, loop = kernel.clock, kernel.loop
     simulated, due, lost = isinstance(clock, SimulatedClock), False, 0
 
     def drained() -> list[Any]:
-        """What waits; of what found no place among it, how much, is counted first: it is older."""
+        """The waiting samples. Samples dropped from the buffer are first counted as missed: they are older."""
         nonlocal lost
         samples, before = connector.in_.drain(), lost
         lost = sum(connector.statistics.dropped.values())
@@ -201,7 +201,7 @@ _INJECTORS: Final[WeakKeyDictionary[Session, dict[_Way, Connector]]] = WeakKeyDi
 
 
 async def _inject(session: Session, given: Injected) -> Written:
-    """Write samples to an in-port; the connector lasts as long as the session."""
+    """Write samples to an in-port over a connector that lasts as long as the session."""
     in_ = session.kernel.find(given.port)
     if isinstance(in_, OutPort):
         raise WiringError(f"{given.port}: is an out-port; samples are injected at an in-port")
@@ -234,16 +234,16 @@ async def _inject(session: Session, given: Injected) -> Written:
 
 
 def _unread(connector: Connector) -> int:
-    """The samples that are written, and neither delivered nor dropped."""
+    """The number of samples that are written, and neither delivered nor dropped."""
     found = connector.statistics
     return 0 if connector.closed else found.buffered + found.in_flight
 
 
 async def _taken(connectors: Sequence[Connector], within: float) -> None:
-    """Wait until these connectors have delivered or dropped all their samples, or so many seconds have passed."""
+    """Wait until these connectors have delivered or dropped all samples, at most `within` seconds."""
     loop = asyncio.get_running_loop()
     until = loop.time() + within
-    # The counts are polled: a notification of each read would cost every reader, and only an inject wants it.
+    # The counts are polled: a notification of each read would cost every reader, and only `inject` needs it.
     while any(map(_unread, connectors)) and loop.time() < until:  # noqa: ASYNC110
         await asyncio.sleep(_LOOK)
 
@@ -260,7 +260,7 @@ def _read(in_: InPort[Any], given: Injected, now_ns: int) -> list[Any]:
 
 
 def _injector(session: Session, in_: InPort[Any], given: Injected) -> Connector:
-    """The connector of this session to an in-port with these options."""
+    """The connector of this session to an in-port with these options, made at the first use."""
     own, way = _INJECTORS.setdefault(session, {}), (given.port, given.length, given.full, given.timeout)
     connector = own.get(way)
     if connector is not None and not connector.closed and connector.in_ is in_:

@@ -1,4 +1,4 @@
-"""Operations that call services: a call and its result, a goal and what becomes of it."""
+"""Operations that call services: a call and its result, a goal with its feedback and end."""
 
 from __future__ import annotations
 
@@ -27,33 +27,33 @@ class Calling:
     """A call of a method of a service."""
 
     path: str
-    """ "component.port.method", with the interface before the method where the port has several that have it."""
+    """ "component.port.method", with the interface before the method where several interfaces of the port have it."""
     args: tuple[Any, ...] = ()
-    """By position; a text is read by the type that the interface says."""
+    """The arguments by position; a text is read by the type that the interface declares."""
     kwargs: Mapping[str, Any] = field(default_factory=empty)
-    """By name."""
+    """The arguments by name."""
     timeout: float = 5.0
     """Seconds of the kernel's clock until the call is given up."""
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a method has answered."""
+    """The answer of a method."""
 
     value: Any = None
 
 
 @dataclass(frozen=True, slots=True)
 class GoalEnd:
-    """How a goal has ended."""
+    """The end of a goal."""
 
     state: str
     """ "succeeded", "failed" or "cancelled"."""
     result: Any = None
     reason: str = ""
-    """Of one that failed, what `GoalStatistics.failed` counts it under."""
+    """The reason of a failed goal under which `GoalStatistics.failed` counts it."""
     text: str = ""
-    """Why it failed or was cancelled."""
+    """The text of the failure or cancellation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,18 +69,18 @@ class MethodTypes:
     """The types of a method, each as the text of a JSON Schema."""
 
     parameters: Mapping[str, str]
-    """By name, in order: the schema of what is read as its value, with its default where it has one."""
+    """The parameters by name, in order: the schema of the values, with the default where there is one."""
     required: tuple[str, ...]
     """The parameters that have to be given."""
     returns: str
-    """The schema of the result, as it is answered; where that is a goal, of the goal's result."""
+    """The schema of the result; where the method answers with a goal, of the goal's result."""
     feedback: str | None = None
     """The schema of the feedback of a method that answers with a goal; None of any other method."""
 
 
 @dataclass(frozen=True, slots=True)
 class InterfaceTypes:
-    """The types of an interface of a service port; `PortProfile` has what its methods say of themselves."""
+    """The types of an interface of a service port; `PortProfile` has the docs of its methods."""
 
     type: str
     polarity: Literal["provided", "required"]
@@ -121,7 +121,7 @@ def _answer_schema(hint: Any) -> str:
     schemas = Schemas()
     try:
         schema = schemas.of(hint)
-    except TypeError:  # nothing is known of it
+    except TypeError:  # a type without a schema
         return "{}"
     return json.dumps({**schema, "$defs": schemas.definitions} if schemas.definitions else schema)
 
@@ -137,7 +137,7 @@ async def _call(session: Session, given: Calling) -> Result:
 
 
 async def _goal(session: Session, given: Calling, stream: Stream) -> Done:
-    """Send a goal; its feedback streams until it ends, and it is asked to cancel when the stream ends before."""
+    """Send a goal and stream its feedback until its end; a stream that ends before cancels the goal."""
     caller, method = _caller(session, given)
     try:
         if not caller.answers_with_goal(method):
@@ -171,7 +171,7 @@ async def _follow(goal: Goal[Any, Any], stream: Stream) -> None:
 
 
 def _caller(session: Session, given: Calling) -> tuple[OutsideCaller, str]:
-    """A caller of the interface that a path means, and the name of the method."""
+    """Make a caller of the interface that a path means; returns it with the name of the method."""
     from aiorts.services import OutsideCaller, Provided  # late: most systems have no services
 
     name, *rest = given.path.split(".")

@@ -1,7 +1,7 @@
-"""Operations that measure: counters, once or at a rate, sizes of samples, and how long samples take.
+"""Operations that measure: counters, once or at a rate, sizes of samples, and the latency of samples.
 
-The counters are asked for again and again while a system works, so they are lists and dicts that go into a frame as
-they are, and a long look is taken in turns. None of them takes a sample.
+Clients read counters again and again while a system works. So counters are lists and dicts that go into a frame as they
+are, and a long look takes several turns of the loop. These operations take no sample.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _Made: TypeAlias = dict[str, Any]
-"""`Counters` as dicts."""
+"""`Counters` as a dict."""
 _One: TypeAlias = tuple[str, str, Any]
-"""The kind of a thing, its name, and what it has counted."""
+"""The kind of a counted thing, its name, and its counters."""
 _KINDS: Final = ("connectors", "service_connectors", "timed", "links", "contexts", "components")
 _NEVER: Final = object()
 _FASTEST: Final = 50.0
@@ -56,10 +56,10 @@ _FASTEST: Final = 50.0
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """Of what the counters are wanted; what is not there now is left out."""
+    """The things whose counters are wanted; an unknown name is left out."""
 
     connectors: tuple[str, ...] | None = None
-    """Names, also of those of service ports; None is all, and an empty list none."""
+    """Names of connectors, of service ports too; None is all, and an empty list none."""
     contexts: tuple[str, ...] | None = None
     components: tuple[str, ...] | None = None
     timed: tuple[str, ...] = ()
@@ -82,7 +82,7 @@ class ContextCounters:
 
 
 _COUNTS: Final = tuple(ContextCounters.__annotations__)[2:]
-"""The counters of a context that its statistics have by the same names."""
+"""The counters that the statistics of a context have under the same names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ class ComponentCounters:
     states: Mapping[str, str]
     """Lifecycle state by context."""
     failed: bool
-    """Whether it has failed, and was neither reset nor activated since."""
+    """Whether the component has failed, and was neither reset nor activated since."""
     overdue: Mapping[str, OverdueHook] = field(default_factory=empty)
     """The hook that runs longer than its deadline, by context."""
     calls: Mapping[str, ServiceStatistics] = field(default_factory=empty)
@@ -106,35 +106,35 @@ class Counters:
     """The counters at one moment, by name."""
 
     time_ns: int
-    """The kernel's clock, since the epoch."""
+    """The kernel's clock, in nanoseconds since the epoch."""
     at_ns: int
-    """The kernel's clock, monotonic: what rates are counted by."""
+    """The kernel's monotonic clock in nanoseconds, for rates."""
     simulated: bool
     connectors: Mapping[str, ConnectorCounters]
     service_connectors: Mapping[str, ServiceStatistics]
     timed: Mapping[str, Mapping[str, tuple[int, ...]]]
-    """"latency" and "age": how many, p50, p99 and maximum in nanoseconds; "within": how far the age may be off that
-    is by the stamps of another machine; "link": they end where the link takes the sample, since the reader is in
-    another process."""
+    """"latency" and "age": the number of samples, p50, p99 and maximum in nanoseconds; "within": the possible error of
+    an age by the stamps of another machine; "link": the figures end where the link takes the sample, since the reader
+    is in another process."""
     contexts: Mapping[str, ContextCounters]
     components: Mapping[str, ComponentCounters]
     links: Mapping[str, int] = field(default_factory=empty)
-    """Of connectors whose reader is in another kernel: samples that were sent and are not acknowledged yet. What is
-    unread there is not in the counts of this kernel; `connectors` with `both_ends` asks the other one."""
+    """Samples that were sent and are not acknowledged yet, of connectors whose reader is in another kernel. Samples
+    unread there are not in the counts of this kernel; `connectors` with `both_ends` asks the other kernel."""
 
 
 @dataclass(frozen=True, slots=True)
 class CounterChanges(Counters):
-    """The counters that have changed since the items before; in the first item, and after a loss, all."""
+    """The counters that have changed since the earlier items; in the first item, and after a loss, all."""
 
     whole: bool = False
-    """Whether it has all counters, in place of those of the items before."""
+    """Whether the item has all counters, in place of those of the earlier items."""
     gone: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
-    """The names that are not there any more, by kind: "connectors", "contexts", ..."""
+    """The names that have gone, by kind: "connectors", "contexts", ..."""
 
 
 def _statistics(session: Session, given: Chosen) -> _Made | Awaitable[_Made]:
-    """Connectors are counted at one moment; where the rest takes long, the loop has its turns in between."""
+    """Count all connectors at one moment, then the rest, with turns of the loop in between where that takes long."""
     kernel = session.kernel
     made: _Made = {
         **_moment(kernel),
@@ -144,7 +144,7 @@ def _statistics(session: Session, given: Chosen) -> _Made | Awaitable[_Made]:
 
 
 def _moment(kernel: Microkernel) -> _Made:
-    """The beginning of what is counted."""
+    """The times of a look at counters, and an empty dict for each kind."""
     clock = kernel.clock
     head = {"time_ns": clock.time_ns(), "at_ns": clock.monotonic_ns(), "simulated": isinstance(clock, SimulatedClock)}
     return {**head, **{kind: {} for kind in _KINDS}}
@@ -158,7 +158,7 @@ def _put(made: _Made, counted: Iterable[_One]) -> Generator[None, None, _Made]:
 
 
 def _rest(kernel: Microkernel, given: Chosen) -> Iterator[_One]:
-    """All counters but those of connectors: these need not be of one moment."""
+    """All counters except those of connectors; they need not be of one moment."""
     for name, wire in tuple(_chosen(kernel.connectors, given.timed)):
         if found := _timed(wire):
             yield "timed", name, found
@@ -180,7 +180,7 @@ def _chosen(known: Mapping[str, T], names: tuple[str, ...] | None) -> Iterable[t
 def _counted(connector: Connector) -> ConnectorCounters:
     transport = transport_of(connector)
     dropped: Mapping[str, int]
-    # Of a real-time thread and of a link only the statistics fit together.
+    # For a real-time thread and a link only the statistics give counts that fit together.
     if not transport.listenable or connector.profile.on_link_lost is not None:
         found = connector.statistics
         written, delivered, buffered, dropped = found.written, found.arrived, found.buffered, dict(found.dropped)
@@ -210,7 +210,7 @@ def _context(context: Context) -> dict[str, Any]:
 
 
 def _component(component: Component) -> dict[str, Any]:
-    """States by context, whether it has failed, and the counts of its calls and of threads where there are any."""
+    """The states by context, whether it has failed, and, where there are any, counts of its calls and thread writes."""
     made: dict[str, Any] = {
         "states": {context: state.value for context, state in component.states.items()},
         "failed": standing_error(component) is not None,
@@ -227,7 +227,7 @@ def _component(component: Component) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Connectors that are to be measured as long as the session lasts."""
+    """Connectors to measure as long as the session lasts."""
 
     connectors: tuple[str, ...]
     count: int = SPANS
@@ -246,16 +246,16 @@ def _measure(session: Session, given: Measured) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Following(Chosen):
-    """Counters that are wanted again and again."""
+    """Counters to send at a rate."""
 
     at: tuple[str, ...] = ()
-    """Names of components, and paths of ports: only connectors at one of them, and only these components; none is all.
-    What is connected later counts, too."""
+    """Names of components and paths of ports: only connectors at one of them, and only these components, are counted;
+    an empty tuple is all. Connectors made later count, too."""
     measured: tuple[str, ...] = ()
-    """Connectors that are measured as long as the stream lasts, and timed: at most 16 for all streams of a client, and
-    64 for those of all clients."""
+    """Connectors to measure and time as long as the stream lasts: at most 16 for all streams of a client, and 64 for
+    the streams of all clients."""
     rate: float = 2.0
-    """Items a second of the kernel's clock, of the real one in simulated time: up to 50."""
+    """Items a second by the kernel's clock, in simulated time by the real clock: up to 50."""
 
 
 def _follow(session: Session, given: Following, stream: Stream) -> tuple[str, ...]:
@@ -268,12 +268,12 @@ def _follow(session: Session, given: Following, stream: Stream) -> tuple[str, ..
 
 
 _HOLD: Final = 0.000_1
-"""Seconds of a turn of a look at counters: in one turn a look at ten contexts takes 1.1 ms, five times a second, which
-was the p99 of lateness of contexts at 100 Hz; with turns of this length that is 0.3 ms."""
+"""Seconds of a turn of a look at counters. In a single turn, a look at ten contexts takes 1.1 ms, five times a second;
+this was the p99 of lateness of contexts at 100 Hz. With turns of this length the p99 is 0.3 ms."""
 
 
 class _Following:
-    """Looks at counters in turns, and sends what is other than before."""
+    """A stream of counters: it looks at them in turns of the loop and sends those that have changed."""
 
     def __init__(self, kernel: Microkernel, given: Following, stream: Stream) -> None:
         self._kernel, self._given, self._stream = kernel, given, stream
@@ -287,9 +287,9 @@ class _Following:
 
     def look(self) -> None:
         if self._task is not None and not self._task.done():
-            return  # the look before lasts on
+            return  # the last look still runs
         if self._pace.due():
-            return  # looks took more than their share; the next one says what has changed
+            return  # looks took more than their share; the next one sends all changes
         if not self._stream.has_room:
             self._stream.miss(1)
             return
@@ -310,7 +310,7 @@ class _Following:
             del self._known[key]
             gone.setdefault(key[0], []).append(key[1])
         if not self._stream.send({**item, "gone": gone}):
-            self._known.clear()  # the next one is whole
+            self._known.clear()  # the next item is whole
 
     def _steps(self, item: _Made, seen: set[tuple[str, str]]) -> Generator[None, None, _Made]:
         took, began = 0.0, perf_counter()
@@ -346,7 +346,7 @@ class _Following:
 
 @dataclass(frozen=True, slots=True)
 class Wires:
-    """Some connectors, by name; one that is gone is left out."""
+    """Connectors by name; one that has gone is left out."""
 
     connectors: tuple[str, ...]
 

@@ -1,6 +1,6 @@
-"""The one table of operations: what a kernel can be asked for, by name, whatever carries the call.
+"""The table of all operations of a kernel, by name, for every carrier.
 
-Each file has the rows of one subject. A row is added here and nowhere else; carriers go by the table.
+Each file of this folder has the rows of one subject. A new row goes into its file alone; carriers go by the table.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The service whose connectors are those of tools: clients that take samples of a system, or give it some.
+"""The service with the connectors of tools: clients that read samples of a system, or write to it.
 
-The system is without them what it is with them: they take no place at a port, and nothing that goes by connectors
-knows them. The profile has them apart, under `services`.
+These connectors are no part of the system: they take no place at a port, and they are not among its connectors. The
+profile has them apart, under `services`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Tools(KernelService):
-    """Makes the connectors of tools, and reports each: its client, its ports, and its ledger."""
+    """The service that makes the connectors of tools, and reports each: its client, its port, and its ledger."""
 
     name = "tool"
 
@@ -28,7 +28,7 @@ class Tools(KernelService):
         self._clients: dict[Connector, str] = {}
 
     def tap(self, client: str, out: OutPort[Any], take: Callable[[InPort[Any]], object], *, length: int) -> Connector:
-        """Let a client take what an out-port writes: see `Connections.tap`."""
+        """Let a client read the samples of an out-port: see `Connections.tap`."""
         return self._keep(client, self.kernel.connections.tap(self, out, take, length=length))
 
     def inject(self, client: str, in_: InPort[Any], options: Mapping[str, Any]) -> Connector:

@@ -1,4 +1,4 @@
-"""Operations on connectors: which there are, connecting and disconnecting ports."""
+"""Operations on connectors: list them, connect and disconnect ports."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from aiorts.observe import visible
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """Ports to be connected."""
+    """Ports to connect."""
 
     ports: tuple[str, ...]
-    """Paths; one that begins with the name of another kernel, as links reach it, is of a port there."""
+    """Paths; one that begins with the name by which links reach another kernel is of a port there."""
     options: Mapping[str, Any] = field(default_factory=empty)
-    """As `Kernel.connect` takes them."""
+    """The options of `Kernel.connect`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wires:
-    """Connectors: those of these names; or those at a port or component; or those between two."""
+    """Connectors: by name, or all at a port or component, or all between two."""
 
     names: tuple[str, ...] = ()
     at: tuple[str, ...] = ()
-    """One or two paths of ports or names of components. Without anything all are meant, where they are listed."""
+    """One or two paths of ports or names of components. Where connectors are listed, no name and no path means all."""
     both_ends: bool = False
-    """Where they are listed: ask the other kernel of each link, too."""
+    """Whether a list asks the other kernel of each link, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,32 +51,32 @@ class Wire:
     name: str
     ports: tuple[str, ...]
     options: ConnectorProfile | None = None
-    """In force."""
+    """The options in force."""
     ledger: ConnectorStatistics | None = None
     both_ends: str = ""
-    """Of a link, where it was asked for: the ledger from the writer to the reader, or why there is none now."""
+    """The ledger of a link from the writer to the reader, where asked for, or why there is none now."""
     waiting: int | None = None
-    """The samples of that ledger that wait at either end: to be sent, or to be read."""
+    """The samples of the ledger in `both_ends` that wait at either end: to be sent, or to be read."""
     read: Mapping[str, tuple[int, ...]] | None = None
-    """The figures of the reader's end of a link, where they were asked for and are measured: "age", how old samples
-    were as they were read, by their stamps, "within", how far that may be off, and "waited", how long they were in the
-    reader's buffer. Each is the number of samples, p50, p99 and maximum in nanoseconds. None: the reader's end has not
+    """The figures of the reader's end of a link, where they were asked for and are measured: "age", the age of samples
+    at the read, by their stamps, "within", the possible error of the age, and "waited", the time in the reader's
+    buffer. Each is the number of samples, p50, p99 and maximum in nanoseconds. None: the reader's end has not
     answered, or is of a release without these figures."""
     service: ServiceConnectorProfile | None = None
-    """Of service ports: who answers whom."""
+    """The profile of a connector of service ports: which port answers which."""
     calls: ServiceStatistics | None = None
     between: str = ""
-    """What `adapt` put before the reader just now, as a command line has it."""
+    """The component that `adapt` inserted before the reader, as a command line names it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fitting:
-    """A port for which others are looked for."""
+    """A port for which matching ports are listed."""
 
     port: str
     """ "component.port"."""
     fitting: bool = False
-    """Leave out the ports that do not fit."""
+    """Whether to leave out the ports that do not fit."""
 
 
 async def _connect(session: Session, given: Wiring) -> tuple[Wire, ...]:
@@ -92,7 +92,7 @@ async def _connect(session: Session, given: Wiring) -> tuple[Wire, ...]:
 
 
 def _wires(session: Session, connector: Any, given: Wiring) -> tuple[Wire, ...]:
-    """A connector that was made, behind the one to what was put between."""
+    """A new connector; with `adapt` also the connector to the inserted component, where one was inserted."""
     wire = _wire(connector)
     if not given.options.get("adapt"):
         return (wire,)
@@ -173,7 +173,7 @@ def _found(session: Session, given: Wires) -> list[Any]:
 
 
 def _check_port(session: Session, path: str) -> None:
-    """Raise AbsentError unless it is a component, or a port of one."""
+    """Raise AbsentError unless the path is a component, or a port of one."""
     name, _, port = path.partition(".")
     known = session.kernel.components
     if name not in known:
@@ -191,14 +191,14 @@ def _wire(one: Any) -> Wire:
 
 
 def ports_of(connector: Any) -> tuple[str, ...]:
-    """The paths of its own ports, of data the writer's first: one call may have made connectors of more ports."""
+    """The paths of the connector's own ports, of data ports the writer's first; one call may connect more ports."""
     if isinstance(connector.profile, ConnectorProfile):
         return connector.out.path, connector.in_.path
     return tuple(connector.profile.ports)
 
 
 def places_of(connector: Any) -> set[str]:
-    """The paths by which clients name the ends of a connector: its ports, and what these are parts of."""
+    """The paths by which clients name the ends of a connector: its ports, and each leading part of their paths."""
     return {path for port in ports_of(connector) for path in accumulate(port.split("."), "{}.{}".format)}
 
 

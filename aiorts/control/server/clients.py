@@ -1,7 +1,7 @@
-"""The clients of a kernel: how many connections and calls each has, and how much time its calls took of late.
+"""The clients of a kernel: the number of connections and calls of each, and the recent time of its calls.
 
-A client is a process of this host, or a name that a client of another host has, with its right. Some connections are
-kept for clients that may do more than look: those that only look never have all of them.
+A client is a process of this host, or the name of a client of another host, with its right. Some connections are
+reserved for clients that may do more than look: clients that only look never have all of them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ LOOKING: Final = 192
 OF_ONE: Final = {Right.VIEW: 16, Right.OPERATE: 128, Right.CODE: 128}
 """Connections of one client, by its right."""
 CALLS: Final = {Right.VIEW: 256, Right.OPERATE: 1_024, Right.CODE: 1_024}
-"""Calls of one client without their last answer, by the right that the kernel allows it."""
+"""Calls of one client without their last answer, by the right that the kernel allows the client."""
 _KNOWN: Final = 1_024
 """Clients that are known, connected or not."""
 
@@ -42,17 +42,17 @@ class Client:
         self._used_at = time.monotonic()
 
     def used(self, now: float) -> float:
-        """Seconds of loop and thread that its calls took of late: half as much after each second."""
+        """Recent seconds of loop and thread that the client's calls took; the value halves each second."""
         return float(self._used * 0.5 ** (now - self._used_at))
 
     def use(self, seconds: float) -> None:
-        """Add the seconds that its calls took."""
+        """Add the seconds that calls of the client took."""
         now = time.monotonic()
         self._used, self._used_at = self.used(now) + seconds, now
 
     def check_calls(self, what: str, allowed: Right) -> None:
-        """Raise BusyError unless it may have another call; `allowed` is the right that the kernel allows it."""
-        # Not the right that it asked for: a recording asks to look only, and taps 450 ports.
+        """Raise BusyError unless the client may have another call; `allowed` is the right that the kernel allows it."""
+        # By the allowed right, not the wanted one: a recording wants only "view", and taps 450 ports.
         most = CALLS[allowed]
         if self.calls >= most:
             raise BusyError(f"{what}: {most} calls of {self.name} wait already; wait for their answers")
@@ -67,16 +67,16 @@ class Clients:
         self._connections = self._looking = 0
 
     def connect(self, name: str, right: Right) -> Client:
-        """The client of a connection that begins.
+        """Count a new connection; returns its client.
 
         Raises:
-            FullError: it has as many as one client may have. BusyError: all clients together have.
+            FullError: the client has all its connections. BusyError: all clients together have all of theirs.
         """
         with self._lock:
             return self._connect(name, right)
 
     def lower(self, client: Client, right: Right) -> Client:
-        """The client of a connection of which less is wanted than it may have; errors as `connect`."""
+        """Move a connection to the client of the lower right that its hello wants; errors as `connect`."""
         with self._lock:
             self._count(client, -1)
             try:
@@ -108,7 +108,7 @@ class Clients:
         self._looking += connections * (client.right is Right.VIEW)
 
     def _keep(self, client: Client) -> None:
-        """Keep a client, and what its calls took, also when it has gone, as long as there is room."""
+        """Keep a client and the recent time of its calls, also after its end, as long as there is room."""
         key = client.name, client.right
         if key not in self._known and len(self._known) >= _KNOWN:
             self._known = {key: one for key, one in self._known.items() if one.connections}

@@ -1,6 +1,6 @@
 """One client's connection as the thread of the socket sees it: bytes in, calls out, answers in, bytes out.
 
-No call of a client waits for another client: what is not read by one stays with that one, and its own calls wait then.
+No call of a client waits for another client: answers that a client does not read hold up its own calls alone.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     from aiorts.control.session import Session
 
 HELLO_SECONDS: Final = 5.0
-"""Within which a client has to say hello."""
+"""Seconds within which a client has to send hello."""
 CALLS_PER_SECOND: Final = 2_000
-"""Of one client; beyond that it is read more slowly."""
+"""Calls of one client in a second; a client with more is read more slowly."""
 _BURST: Final = 500
 _PER_TURN: Final = 8
-"""Calls of one client that are taken before the others have their turn."""
+"""Calls of one client that are taken before the turn of the others."""
 _PAUSE: Final = 0.01
-"""Seconds until a client that has used up its calls has some again."""
+"""Seconds until a client that has used up its calls may make some again."""
 _CHUNK: Final = 1 << 16
 
 
 class Call:
-    """What a client asked for, on its way to the loop."""
+    """A client's request on its way to the loop."""
 
     __slots__ = ("begun_at", "connection", "handed_at", "number", "run", "took", "view")
 
@@ -47,14 +47,14 @@ class Call:
         self.number = number
         self.run = run
         self.view = view
-        """Whether it only looks: calls that do are carried out one after the other."""
+        """Whether the call only looks; such calls are carried out one after the other."""
         self.handed_at = time.monotonic()
         self.begun_at: float | None = None
         self.took: float | None = None
-        """Seconds of the loop; what it began may go on."""
+        """Seconds of the loop that the call took; the work that it began may go on."""
 
     def __call__(self) -> None:
-        """Carry it out; on the loop."""
+        """Carry out the call; on the loop."""
         self.begun_at = began = time.monotonic()
         try:
             self.run()
@@ -63,33 +63,33 @@ class Call:
 
 
 class Connection:
-    """One client. Everything here is called in the thread of the socket, `put` and `has_room` excepted."""
+    """One client's connection. All methods are called in the thread of the socket, except `put` and `has_room`."""
 
     def __init__(self, listener: Listener, connected: socket.socket, client: Client, *, carried: bool = False) -> None:
         self.socket = connected
         self.client = client
         self.carried = carried
-        """Whether another carrier has let it in."""
+        """Whether another carrier has admitted the client."""
         self.right = self._allowed = client.right
-        """The right of its session, which it may ask for in its hello, and the right that the kernel allows it."""
+        """The right of the session, which the hello may lower, and the right that the kernel allows the client."""
         self.since = time.monotonic()
         self.session: Session | None = None
         self.closed = False
         self.said_bye = False
         """Whether the client has ended its session in order."""
         self.closing = False
-        """Whether it is closed once all is sent."""
+        """Whether the connection is closed once all is sent."""
         self.watched = 0
-        """What the selector looks for: EVENT_READ, EVENT_WRITE."""
+        """The registered events of the selector: EVENT_READ, EVENT_WRITE."""
         self.unsent = 0
         """Bytes that wait to be sent."""
         self._listener = listener
         self._in = bytearray()
         self._out: deque[tuple[memoryview, Callable[[], None]]] = deque()
         self._over_at = {"hello": self.since + HELLO_SECONDS}
-        """When it is cut off, by what it has to do before."""
+        """The times at which the client is cut off, by the step that it has to do before."""
         self._open: dict[int, bool] = {}
-        """Calls without their last answer, by number; whether each streams."""
+        """Calls without their last answer: by number, whether the call streams."""
         self._tokens = float(_BURST)
         self._filled_at = self.since
 
@@ -97,32 +97,32 @@ class Connection:
 
     @property
     def takes(self) -> bool:
-        """Whether more of what it sends is read now."""
+        """Whether more of the client's bytes are read now."""
         return not self.closing and not self.asks and self.has_room()
 
     @property
     def asks(self) -> bool:
-        """Whether it has said something that is not looked at yet."""
+        """Whether a whole frame of the client waits to be taken."""
         return has_frame(self._in, REQUESTS.frame)
 
     @property
     def waits(self) -> bool:
-        """Whether it waits for an answer."""
+        """Whether the client waits for an answer."""
         return bool(self._open)
 
     @property
     def resumes_at(self) -> float | None:
-        """When calls that wait for its share of time are taken; None: there are none."""
+        """The time at which waiting calls of the client are taken; None: there are none."""
         if self.closing or not self.asks or not self.has_room():
             return None
         return self._filled_at if self._tokens >= 1 else self._filled_at + _PAUSE
 
     def overdue(self, now: float) -> bool:
-        """Whether it is to be cut off; not for a hello that it has said and nobody has looked at."""
+        """Whether to cut the client off; not for a hello that has come and was not taken yet."""
         return any(now >= at for what, at in self._over_at.items() if what != "hello" or not self.asks)
 
     def read(self) -> None:
-        """Take what it has sent."""
+        """Read the bytes that the client has sent."""
         try:
             data = self.socket.recv(_CHUNK)
         except BlockingIOError:
@@ -136,7 +136,7 @@ class Connection:
         self._look()
 
     def _look(self) -> None:
-        """See whether there is a whole frame, and since when there is not."""
+        """Check for a whole frame; a part of one has `STALL_SECONDS` to be completed."""
         try:
             whole = self.asks
         except WireError as error:
@@ -148,7 +148,7 @@ class Connection:
             self._over_at.setdefault("frame", time.monotonic() + STALL_SECONDS)
 
     def work(self) -> None:
-        """Carry out what it asked for, as far as it is its turn."""
+        """Take the client's requests, as many as its turn and its share allow."""
         now = time.monotonic()
         self._tokens = min(_BURST, self._tokens + (now - self._filled_at) * CALLS_PER_SECOND)
         self._filled_at = now
@@ -224,7 +224,7 @@ class Connection:
         self._answer({"hello": {**self._listener.hello, **own}})
 
     def _checked(self, number: int, request: dict[Any, Any]) -> tuple[Operation, Any]:
-        """What is called, and with what; raises when it may not be."""
+        """The called operation and its arguments; raises where the call is not allowed."""
         name = request.get("op")
         operation = self._listener.operations.get(name) if isinstance(name, str) else None
         if operation is None:
@@ -248,7 +248,7 @@ class Connection:
         return operation, arguments
 
     def _why_not(self, needed: Right) -> str:
-        """Why the client may not do what needs a right, and how it might."""
+        """The text that says why the client lacks a right, and how it can get it."""
         allowed = self._allowed
         if allowed.allows(needed):
             return f"this client asked for {self.right.value!r}; begin the session with right={needed.value!r}"
@@ -260,7 +260,7 @@ class Connection:
         return f"{said} to this client: over a network it takes --allow-control, and a name that may operate"
 
     def refuse(self, error: AiortsError) -> None:
-        """Say what is wrong, and end the session."""
+        """Send an error and end the session."""
         self._in.clear()
         self.closing = True
         self._over_at["end"] = time.monotonic() + HELLO_SECONDS
@@ -269,11 +269,11 @@ class Connection:
     # -- out -------------------------------------------------------------------------------------------------------
 
     def put(self, message: Mapping[str, Any], sent: Callable[[], None]) -> None:
-        """Send a message; `sent` is called once it is on its way. From any thread."""
+        """Send a message; `sent` is called once the socket has taken it. From any thread."""
         self._listener.put(self, message, sent)
 
     def has_room(self) -> bool:
-        """Whether what waits to be sent is no more than is left for a client. From any thread."""
+        """Whether the unsent bytes are within the room that is left for a client. From any thread."""
         return self.unsent <= max(self._listener.room, _CHUNK)
 
     def say_busy(self, seconds: float) -> None:
@@ -285,7 +285,7 @@ class Connection:
         self._queue(message, nothing)
 
     def deliver(self, message: Mapping[str, Any], sent: Callable[[], None]) -> None:
-        """Send what a call of it gave."""
+        """Send an answer to one of the client's calls."""
         number: int = message["id"]
         if "error" in message or "end" in message or ("ok" in message and not self._open.get(number)):
             self.client.calls -= self._open.pop(number, None) is not None
@@ -301,11 +301,11 @@ class Connection:
 
     @property
     def has_more(self) -> bool:
-        """Whether something waits to be sent."""
+        """Whether unsent messages wait."""
         return bool(self._out)
 
     def write(self) -> None:
-        """Send what the client takes."""
+        """Send as much as the socket takes."""
         while self._out:
             rest, sent = self._out[0]
             try:
@@ -327,13 +327,13 @@ class Connection:
         self.closed = self.closed or self.closing
 
     def hear_last(self) -> None:
-        """See whether the last that it has said is that it ends in order; the rest is not looked at any more."""
+        """Read the last bytes for a "bye", which ends the session in order; other requests in them are ignored."""
         with contextlib.suppress(OSError):
             self._in += self.socket.recv(_CHUNK)
         self.said_bye = self.said_bye or self._in.endswith(BYE)
 
     def end(self) -> None:
-        """Close it: what waits to be sent is not sent any more."""
+        """Close the connection; unsent messages are dropped."""
         self.closed = True
         self.socket.close()
         self.client.calls -= len(self._open)
@@ -345,7 +345,7 @@ class Connection:
 
 
 def _least(allowed: Right, wanted: object) -> Right:
-    """The smaller of the allowed right and the one that a hello asks for; the allowed one where it asks for none."""
+    """The smaller of the allowed right and the right that a hello wants; without a wanted right, the allowed one."""
     if wanted is None:
         return allowed
     for right in Right:
@@ -355,15 +355,15 @@ def _least(allowed: Right, wanted: object) -> Right:
 
 
 def turn_away(connected: socket.socket, error: AiortsError) -> None:
-    """Tell who has just connected why it is not let in, as far as it takes that at once, and close."""
+    """Send a new client the reason of its refusal, as far as its socket takes that at once, and close."""
     with connected, contextlib.suppress(OSError):
         connected.setblocking(False)
         connected.send(framed({"error": {"code": error.code, "text": str(error)}}))
-        connected.recv(_CHUNK)  # unread, what it has said would make the end of the connection an error
+        connected.recv(_CHUNK)  # unread bytes would turn the close into a reset
 
 
 def peer_credentials(connected: socket.socket) -> tuple[int, int] | None:
-    """Process and user at the other end; None where the system does not say."""
+    """The process and the user at the other end; None where the system does not tell."""
     option = getattr(socket, "SO_PEERCRED", None)
     if option is None:
         return None

@@ -1,7 +1,7 @@
 """The thread that serves a kernel's socket: it decodes, checks and sends, and hands calls over to the loop.
 
-The loop is disturbed by whole calls only, at most `CALLS_PER_SECOND` of each client. In simulated time calls are
-carried out between two instants: neither the socket nor a client that waits holds time.
+The loop gets only whole, checked calls, at most `CALLS_PER_SECOND` of each client. In simulated time calls are carried
+out between two instants: neither the socket nor a waiting client holds time.
 """
 
 from __future__ import annotations
@@ -34,35 +34,35 @@ if TYPE_CHECKING:
     from aiorts.sessions import Claim
 
 _TICK: Final = 1.0
-"""Seconds between two looks at clients that are overdue."""
+"""Seconds between two checks for overdue clients."""
 _ACCEPTED: Final = 16
-"""Clients that are let in at a time."""
+"""Connections that are accepted in one turn."""
 _HANDED: Final = 16
 """Calls that may wait for the loop."""
 _UNSENT: Final = 12 * MIB
-"""Bytes that may wait for clients: each may have as many as are left free."""
+"""Bytes that may wait for all clients; one client may use all that is free."""
 _LOOP: Final = (0.2, 0.5)
 """The share of the loop that calls of all clients may take, and the seconds of it that are saved up."""
 _THREAD: Final = (0.2, 0.25)
-"""The same of a processor, for reading and checking what clients say."""
+"""The share of a processor for reading and checking clients' frames, and the seconds of it that are saved up."""
 _SLICE: Final = 0.005
-"""Seconds that the thread takes calls at a time, and that it sleeps at a time when it has used up its share."""
+"""Seconds for which the thread takes calls in one turn, and for which it sleeps when it has used up its share."""
 _VIEW_SECONDS: Final = 0.5
-"""After which the next call that looks is carried out although the one before has no answer."""
+"""Seconds after which the next call that looks is carried out although the last one has no answer."""
 _HELD_SECONDS: Final = 0.1
-"""After which clients are told that the loop is held up; then again and again."""
+"""Seconds after which clients are told that the loop is held up; it is also the interval of repetition."""
 _REST_SECONDS: Final = 0.75
-"""That clients have at the end to take what waits for them."""
+"""Seconds at the end in which clients can read what waits for them."""
 
 
 class Listener:
-    """Serves the socket of one kernel until `close()`.
+    """The server of one kernel's socket, until `close()`.
 
     Args:
-        kernel: open.
-        claim: the socket that listens, and the kernel's entry.
-        right: what clients may do.
-        hello: what the kernel says of itself.
+        kernel: an open kernel.
+        claim: the listening socket, and the kernel's entry.
+        right: the highest right of clients.
+        hello: the kernel's hello.
         files: the folder whose files clients without the right `code` may name.
     """
 
@@ -78,21 +78,21 @@ class Listener:
         self._listener.setblocking(False)
         self.loop_pace = Pace(*_LOOP)
         self.unsent = 0
-        """Bytes that wait for all clients."""
+        """Bytes that wait to be sent to all clients."""
         self._thread_pace = Pace(*_THREAD)
         self._clients = Clients()
         self._connections: set[Connection] = set()
         self._handed: deque[Call] = deque()
-        """Calls that the loop may not have begun."""
+        """Calls that were handed to the loop; it may not have begun them."""
         self._view: Call | None = None
-        """The call that looks and has no answer yet."""
+        """The last call that looks, while it has no answer."""
         self._told_at = 0.0
         self._deaf_until = 0.0
-        """When clients are let in again; 0.0: they are."""
+        """The time at which clients are accepted again; 0.0: they are accepted."""
         self._warned: set[str] = set()
         self._outbox: deque[tuple[Connection, Mapping[str, Any], Callable[[], None]]] = deque()
         self._awake = False
-        """Whether the thread has been told to look."""
+        """Whether the thread has been woken."""
         self._admitted: deque[Connection] = deque()
         self._ended = False
         self._wake_in, self._wake_out = socket.socketpair()
@@ -104,7 +104,7 @@ class Listener:
         )
         self._selector = selectors.DefaultSelector()
         self._works = False
-        """Whether the thread does something, and does not wait for it."""
+        """Whether the thread is working, not waiting for work."""
         give_way: Callable[[Callable[[], bool]], Callable[[], None]] = getattr(loop, "give_way", lambda _: _nothing)
         self._keep_way = give_way(self._wants)
         _LISTENERS.add(self)
@@ -113,7 +113,7 @@ class Listener:
 
     @property
     def operations(self) -> Mapping[str, Operation]:
-        """The table; read when the first client comes."""
+        """The table of operations, imported when the first client comes."""
         from aiorts.control.operations import OPERATIONS
 
         return OPERATIONS
@@ -126,11 +126,11 @@ class Listener:
         self._wake()
 
     def admit(self, right: Right, where: str) -> socket.socket:
-        """Let in a client whom another carrier has checked, such as one of another host; from any thread.
+        """Admit a client that another carrier has checked, such as one of another host; from any thread.
 
         Args:
-            right: what it may do, as far as clients of this kernel may.
-            where: where it is, for the log.
+            right: the client's right; at most the right of this kernel's clients.
+            where: the client's place, for the log.
 
         Returns:
             The client's end of its connection.
@@ -150,18 +150,18 @@ class Listener:
         ours.setblocking(False)
         self._admitted.append(Connection(self, ours, client, carried=True))
         self._wake()
-        if self._ended:  # meanwhile, so that nobody may take it in any more
+        if self._ended:  # it ended meanwhile: the thread may not see `_admitted` any more
             ours.close()
         return theirs
 
     def end_sessions(self) -> None:
-        """Undo what lasts as long as sessions do. On the loop."""
+        """End all sessions and undo what lasts as long as they do. On the loop."""
         for connection in tuple(self._connections):
             if connection.session is not None:
                 connection.session.finish()
 
     def close(self, timeout: float) -> None:
-        """Send what waits, end all sessions and the thread, within `timeout` seconds. On the loop."""
+        """End all sessions, send what waits, and end the thread, within `timeout` seconds. On the loop."""
         self.end_sessions()
         self._keep_way()
         self._ended = True
@@ -169,7 +169,7 @@ class Listener:
         self._thread.join(timeout)
 
     def leave(self) -> None:
-        """A child that was forked has nothing to do with it: close what it inherited, or it would keep it open."""
+        """Close the inherited sockets in a forked child, which would keep them open."""
         for one in (
             self._listener,
             self._wake_in,
@@ -180,10 +180,10 @@ class Listener:
         self._selector.close()
 
     def _wants(self) -> bool:
-        """Whether there is something to do for the thread: on a loop that never waits it would not come to it."""
+        """Whether the thread has work; a loop that never waits has to give way to it."""
         try:
             return self._works or bool(select.select([self._selector], [], [], 0)[0])
-        except (ValueError, OSError):  # it has ended, or its number is too high for this call
+        except (ValueError, OSError):  # it is closed, or its descriptor is too high for select
             return False
 
     def _wake(self) -> None:
@@ -192,7 +192,7 @@ class Listener:
             try:
                 self._wake_in.send(b"\0")
             except OSError:
-                return  # full, so it wakes; or closed, so it has ended
+                return  # full: the thread wakes anyway; closed: it has ended
 
     # -- the thread ------------------------------------------------------------------------------------------------
 
@@ -203,7 +203,7 @@ class Listener:
 
     @property
     def ready(self) -> bool:
-        """Whether the loop is to have another call now."""
+        """Whether the loop may get another call now."""
         self._settle()
         view = self._view
         if view is not None and time.monotonic() - view.handed_at < _VIEW_SECONDS:
@@ -211,7 +211,7 @@ class Listener:
         return len(self._handed) < _HANDED and not self.loop_pace.due()
 
     def _settle(self) -> None:
-        """Count what calls have taken of the loop."""
+        """Count the loop time of finished calls."""
         while self._handed and (took := self._handed[0].took) is not None:
             self._took(self._handed.popleft().connection, took)
 
@@ -220,7 +220,7 @@ class Listener:
         self.loop_pace.spend(seconds)
 
     def hand_over(self, call: Call) -> None:
-        """Have the loop carry out a call."""
+        """Hand a call to the loop."""
         self._handed.append(call)
         if call.view:
             self._view = call
@@ -233,7 +233,7 @@ class Listener:
             self._ended = True  # the loop is closed
 
     def warn(self, text: str) -> None:
-        """Log what a client did, the same once."""
+        """Log a fault of a client; the same text only once."""
         if text not in self._warned and len(self._warned) < _ACCEPTED:
             self._warned.add(text)
             LOG.warning("%s", text)
@@ -243,7 +243,7 @@ class Listener:
         return self._clients.lower(client, right)
 
     def greeted(self, connection: Connection, who: str) -> Session:
-        """A client has said hello: its session."""
+        """Make the session of a client that has said hello."""
         room, carried = connection.has_room, connection.carried
         return Session(self._kernel, connection.right, who, connection.put, room, self._operators, carried=carried)
 
@@ -265,7 +265,7 @@ class Listener:
             self._wake_out.close()
 
     def _turn(self, selector: selectors.BaseSelector) -> None:
-        """What is sent is never held up; what clients say is, once it takes more than its share of a processor."""
+        """Do one turn: sending is never held up; reading is, once it takes more than its share of a processor."""
         owed = self._thread_pace.due()
         if owed:
             self._works = False
@@ -301,7 +301,7 @@ class Listener:
             selector.register(self._listener, selectors.EVENT_READ)
 
     def _send_rest(self) -> None:
-        """Send what clients take of the last words within `_REST_SECONDS`."""
+        """Send the last messages, as far as clients read them within `_REST_SECONDS`."""
         until = time.monotonic() + _REST_SECONDS
         with selectors.DefaultSelector() as selector:
             for connection in self._connections:
@@ -314,7 +314,7 @@ class Listener:
                         selector.unregister(key.fileobj)
 
     def _work(self, until: float) -> None:
-        """Take calls until so much time of the thread: first of those clients whose calls took least time of late."""
+        """Take calls until the thread time `until`, first of clients whose recent calls took the least time."""
         now = time.monotonic()
         asking = [one for one in self._connections if one.resumes_at is not None and not one.closed]
         for connection in sorted(asking, key=lambda one: (one.client.used(now), one.since)):
@@ -327,12 +327,12 @@ class Listener:
     def _guarded(self, connection: Connection, do: Callable[[], None]) -> None:
         try:
             do()
-        except Exception as error:  # noqa: BLE001 - what one client says harms that client only
+        except Exception as error:  # noqa: BLE001 - a faulty client harms itself only
             self.warn(f"a client was cut off: {format_error(error)}")
             connection.closed = True
 
     def _patience(self) -> float:
-        """Seconds until something is due although nothing comes."""
+        """Seconds for which the selector may wait."""
         due = [at for one in self._connections if (at := one.resumes_at) is not None]
         now = time.monotonic()
         if due and self.ready:
@@ -342,7 +342,7 @@ class Listener:
         return max(0.0, self._deaf_until - now) if self._deaf_until else _TICK
 
     def _tell_busy(self) -> None:
-        """Tell clients that wait when the loop has not begun a call for a while."""
+        """Tell waiting clients when the loop has been held up in or before a call for a while."""
         self._settle()
         if not self._handed:
             return
@@ -357,7 +357,7 @@ class Listener:
     def _hear(self) -> None:
         with contextlib.suppress(BlockingIOError):
             self._wake_out.recv(64)
-        self._awake = False  # what is put from here on wakes again; what was put before is delivered in this turn
+        self._awake = False  # a later `put` wakes again; earlier ones are delivered in this turn
         while self._admitted:
             self._connections.add(self._admitted.popleft())
 
@@ -391,7 +391,7 @@ class Listener:
                 connected, _address = self._listener.accept()
             except BlockingIOError:
                 return
-            except OSError:  # no descriptor is left: those that wait are let in later
+            except OSError:  # no descriptor is left: waiting clients are accepted later
                 selector.unregister(self._listener)
                 self._deaf_until = time.monotonic() + _TICK
                 return
@@ -414,7 +414,7 @@ class Listener:
         self._connections.add(Connection(self, connected, client))
 
     def _forget_stranger(self, name: str | None) -> None:
-        """End the connection that has been without a hello for longest, of the client of this name if one is given."""
+        """End the connection that has waited longest without a hello, of the client `name` where it is given."""
         strangers = [one for one in self._connections if one.session is None and name in (None, one.client.name)]
         if strangers:
             min(strangers, key=lambda one: one.since).closed = True
@@ -443,11 +443,11 @@ if hasattr(os, "register_at_fork"):
 
 
 def _nothing() -> None:
-    """Ends nothing."""
+    """Do nothing: the end of `give_way` for loops without it."""
 
 
 def _watch(selector: selectors.BaseSelector, connection: Connection) -> None:
-    """Have the selector look for what can be done with a connection now."""
+    """Register the events with the selector that a connection can handle now."""
     wanted = 0
     if not connection.closed:
         wanted = selectors.EVENT_READ * connection.takes | selectors.EVENT_WRITE * connection.has_more

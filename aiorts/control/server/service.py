@@ -1,4 +1,4 @@
-"""The service that lets clients of the same user look into a kernel, and control it, over a local socket."""
+"""The service through which clients of the same user look into a kernel and control it, over a local socket."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _JOIN_SECONDS: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class ControlSettings:
-    """Whether clients of this user can reach the kernel, and under which name."""
+    """The settings by which clients of this user reach the kernel: what they may do, and its name."""
 
     mode: Literal["on", "view", "off"] = setting(
         "on", "What other terminals of this user may do with the run: all (on), look (view), nothing (off).", option=""
@@ -58,7 +58,7 @@ class ControlSettings:
 
 
 class Control(KernelService):
-    """Opens the socket of a kernel and serves it: see `aiorts help look-into`."""
+    """The service that opens the socket of a kernel and serves it: see `aiorts help look-into`."""
 
     name = "control"
     settings = ControlSettings
@@ -85,7 +85,7 @@ class Control(KernelService):
                 raise
             LOG.warning("other terminals cannot look into this run: %s", error)
             return
-        number = self._claim.entry.address.removeprefix(address)  # of several without a name in one process
+        number = self._claim.entry.address.removeprefix(address)  # "-2", ... for several unnamed kernels of one process
         lasting = settings.name or f"{program}{number}:{settings.runs or _file()}"
         self.kernel.registry.lasting, self.kernel.registry.runs = f"{host}/{lasting}", settings.runs
         address = self._claim.entry.address
@@ -104,7 +104,7 @@ class Control(KernelService):
         self._listener = Listener(self.kernel, self._claim, right, hello, files)
 
     def admit(self, right: Right, where: str) -> socket.socket:
-        """See `Listener.admit`. ControlError: clients cannot look into this kernel, or it ends."""
+        """Admit a client: see `Listener.admit`. ControlError: clients cannot look into this kernel, or it ends."""
         listener = self._listener
         if listener is None:
             raise ControlError(f"{self.kernel.name}: cannot be looked into")
@@ -112,7 +112,7 @@ class Control(KernelService):
 
     @property
     def hello(self) -> Mapping[str, Any]:
-        """What the kernel says of itself to clients; nothing where none can look into it."""
+        """The kernel's hello to clients; empty where clients cannot look into the kernel."""
         return {} if self._listener is None else self._listener.hello
 
     async def ending(self, budget: StopBudget) -> None:
@@ -135,7 +135,7 @@ class Control(KernelService):
 
 
 def _claim(address: str, epoch: str, *, named: bool) -> Claim:
-    """The entry; a kernel without a name of its own takes the next that is free in its process."""
+    """Claim the entry; a kernel without a name of its own takes the next number that is free."""
     for number in range(2, 1000):
         try:
             return Claim(address if number == 2 else f"{address}-{number}", epoch)
@@ -146,15 +146,15 @@ def _claim(address: str, epoch: str, *, named: bool) -> Claim:
 
 
 def _program(kernel: str) -> str:
-    """What the process is called."""
+    """The name of the program, for the kernel's name."""
     return kernel if kernel != "kernel" else Path(sys.argv[0] if sys.argv else "").stem or "python"
 
 
 def _file() -> str:
-    """The file that the process runs; "" for one that runs none."""
+    """The path of the script that the process runs; "" where it runs none."""
     return os.path.realpath(sys.argv[0]) if sys.argv and os.path.isfile(sys.argv[0]) else ""
 
 
 def _fit(text: str) -> str:
-    """The text as a name can have it."""
+    """The text made fit for a name."""
     return _UNNAMED.sub("-", text).strip("-")[:40]
