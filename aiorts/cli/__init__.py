@@ -1,4 +1,4 @@
-"""The `aiorts` command, built on the public face alone, like any user of it."""
+"""The `aiorts` command, built on the public interface alone, like any program that uses it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 
 from aiorts.exits import INTERRUPTED
 
-TYPE_CHECKING = False  # without `typing`: until the first line of `main` Ctrl-C shows a traceback
+TYPE_CHECKING = False  # `typing` would take time to import: before the first line of `main` Ctrl-C shows a traceback
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
@@ -19,7 +19,7 @@ __all__ = ("main",)
 
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 _DESCRIPTORS = 24
-"""Without a file of the user's own: three for each loop and queue of timers, and some for imports and for threads."""
+"""Descriptors besides those of the user's files: three for each loop and timer queue, some for imports and threads."""
 
 
 def main() -> int:
@@ -28,7 +28,7 @@ def main() -> int:
     _signals_end_it()
     if not _has_room():
         return 2
-    # Called last of all: what the interpreter does then is short, and a signal would end it with another status.
+    # Called last at exit: the rest of the interpreter's end is short, and a signal would change its exit status.
     atexit.register(_ignore_signals)
     _print_for_programs()
     try:
@@ -43,7 +43,7 @@ def main() -> int:
 
 
 def _fill_gaps() -> None:
-    """Open nothing at all in the place of a missing standard stream, or the first file we open takes its number."""
+    """Open /dev/null in place of a missing standard stream, or the next opened file would take its number."""
     for number in range(3):
         try:
             os.fstat(number)
@@ -54,7 +54,7 @@ def _fill_gaps() -> None:
 def _print_for_programs() -> None:
     """Write UTF-8 where no terminal shows it: JSON lines and system files are UTF-8, whatever the locale is.
 
-    A terminal gets its own encoding, with a number in the place of each character that it lacks.
+    A terminal keeps its encoding; each character that it lacks is printed as a number.
     """
     out = sys.stdout
     if isinstance(out, io.TextIOWrapper) and out.encoding.lower() != "utf-8":
@@ -65,9 +65,9 @@ def _print_for_programs() -> None:
 
 
 def _has_room() -> bool:
-    """Whether this process can open what any command opens; says so when not.
+    """Whether this process can open the files that any command opens; prints an error when not.
 
-    Later it would show as whatever wants the next descriptor: an import, the event loop, a context's thread.
+    Later the error would come from whatever opens the next descriptor: an import, the event loop, a context's thread.
     """
     opened: list[int] = []
     try:
@@ -84,10 +84,10 @@ def _has_room() -> bool:
 
 
 def _signals_end_it() -> None:
-    """Have a signal end the process where it stands: there is nothing to put in order before a command runs, and after.
+    """Let a signal end the process at once: before and after a command there is nothing to clean up.
 
-    A KeyboardInterrupt would show a traceback wherever nobody catches it: in a weak reference's callback of an import,
-    in the interpreter's own end.
+    A KeyboardInterrupt would show a traceback where no code catches it: in a weak reference's callback of an import,
+    or while the interpreter ends.
     """
     for name in _SIGNALS:
         _on_signal(name, lambda number, frame: os._exit(128 + number))
@@ -104,14 +104,14 @@ def _on_signal(name: str, handler: Callable[[int, Any], object] | signal.Handler
         return
     try:
         signal.signal(number, handler)
-    except ValueError:  # not the main thread, which has the signals
+    except ValueError:  # not in the main thread, which alone may set handlers
         return
 
 
 def _import_command(names: list[str]) -> None:
-    """Import the command that is meant while Ctrl-C still ends the process; only then may it raise an exception.
+    """Import the named command while Ctrl-C still ends the process; afterwards Ctrl-C raises KeyboardInterrupt.
 
-    `run` and the filters take the signals themselves, and until then leave it at that.
+    `run` and the filters install their own handlers; until then Ctrl-C ends the process.
     """
     import importlib
 
@@ -122,12 +122,12 @@ def _import_command(names: list[str]) -> None:
             continue
         own = app._COMMANDS.get(name) or app._HIDDEN.get(name)
         if own is None and app.is_offered_command(name):
-            continue  # it imports what it needs, and a filter's kernel and types are nothing of that
+            continue  # it imports what it needs itself; the filters' modules are not for it
         own = own or ("aiorts.cli.commands.filter:", "")
         home = own[0].partition(":")[0]
         try:
             importlib.import_module(home)
         except ImportError:
-            continue  # the command line says so when it comes to it
+            continue  # the command line reports it later
         if home not in ("aiorts.cli.commands.run", "aiorts.cli.commands.filter"):
             _on_signal("SIGINT", signal.default_int_handler)

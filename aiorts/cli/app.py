@@ -78,14 +78,14 @@ _COMMANDS: Final = {
 }
 
 _HIDDEN: Final = {"kernel": ("aiorts.cli.runtime.process_kernel:kernel", "")}
-"""Commands that aiorts itself calls; no help names them."""
+"""Commands that only aiorts itself calls; no help lists them."""
 _NO_TYPES: Final = tuple(f"aiorts.cli.{one}" for one in ("commands.live.", "commands.helping", "console.", "demo."))
-"""Modules of the commands that load no types: those that look at what runs, or at nothing."""
+"""Modules of commands that load no types: they look into running kernels, or need none."""
 _FULL: Final = (errno.ENOSPC, errno.EIO, errno.EFBIG)
 _SHOWN: Final = 60
-"""Names of components that a message has, and `aiorts help commands`."""
+"""Names of components that a message and `aiorts help commands` show."""
 _SHOWN_FIRST: Final = 12
-"""Names that the first screen has, of components and of commands that others offer."""
+"""Names that the first screen of help shows, of components and of other plugins' commands."""
 _DELIVERED: Final = {
     "aiorts_bench.cli:bench": "Measure this machine: push policies, contexts, scale and more.",
     "aiorts_foxglove.command:foxglove": "Show what runs in Foxglove.",
@@ -98,9 +98,9 @@ _DELIVERED: Final = {
     "aiorts_zenoh.router_command:router": "Carry what kernels say to each other.",
     "aiorts_zenoh.security.command:certs": "Make and check the certificates of a network.",
 }
-"""One line of help for plugins that come with aiorts; of all others nothing is known before they are imported."""
+"""One line of help for the commands of plugins that come with aiorts; others have none before they are imported."""
 _EXTENSION: Final = "aiorts.extension"
-"""Where a context keeps who offers the command that runs, if a plugin does."""
+"""The key under which a click context keeps the extension that offers the running command."""
 
 
 class _LazyGroup(HelpfulGroup):
@@ -109,7 +109,7 @@ class _LazyGroup(HelpfulGroup):
     own = _COMMANDS
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        use_environment()  # before --help, which comes before an option that is not given
+        use_environment()  # before --help, which click handles before options that are not given
         return super().parse_args(ctx, args)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -148,7 +148,7 @@ class _LazyGroup(HelpfulGroup):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; what one of a plugin raises is one line that names the plugin."""
+        """Run the command; an exception of a plugin's command becomes one line that names the plugin."""
         try:
             return super().invoke(ctx)
         except BrokenPipeError:
@@ -167,7 +167,7 @@ class _LazyGroup(HelpfulGroup):
             raise
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The daily commands, below the options of the help; nothing is imported for them."""
+        """Write the daily commands below the options of the help, without importing them."""
         lines = _lines()
         placed = write_sections(formatter, lines, daily=True)
         others = [name for name in lines if name not in placed]
@@ -181,7 +181,7 @@ class _LazyGroup(HelpfulGroup):
             )
 
     def format_all(self, formatter: click.HelpFormatter) -> None:
-        """Write the list of `aiorts help commands`: each command with its sentence; nothing is imported for it."""
+        """Write the list of `aiorts help commands`: each command with its line of help, without importing it."""
         lines = _lines()
         placed = write_sections(formatter, lines, daily=False)
         if others := [(name, line) for name, line in lines.items() if name not in placed]:
@@ -194,7 +194,7 @@ class _LazyGroup(HelpfulGroup):
 
 
 def _lines() -> dict[str, str]:
-    """Each command and its sentence."""
+    """The line of help of each command, by name."""
     own = {name: line for name, (_, line) in _COMMANDS.items()}
     return {name: _line_of(several[0]) for name, several in _offered("commands").items()} | own
 
@@ -229,7 +229,7 @@ def _of_plugin(ctx: click.Context, name: str) -> click.Command | None:
 
 
 def is_offered_command(name: str) -> bool:
-    """Whether an installed plugin offers a command of this name; nothing is imported for it."""
+    """Whether an installed plugin offers a command of this name; the plugin is not imported."""
     from importlib.metadata import entry_points
 
     return any(one.name == name for one in entry_points(group="aiorts.commands"))
@@ -254,10 +254,10 @@ def aiorts(debug: bool) -> None:
 
 
 def run_command(arguments: Sequence[str], *, last: bool = False) -> int:
-    """Run one command; returns the exit status. What went wrong is one line on standard error.
+    """Run one command; returns the exit status. An error is one line on standard error.
 
     Args:
-        last: the process ends with it, and does so within seconds also when the command has left threads behind.
+        last: whether the process ends afterwards: then it does so within seconds, even with threads left behind.
     """
     try:
         return _run_command(arguments)
@@ -279,7 +279,7 @@ def _run_command(arguments: Sequence[str]) -> int:
         return exits.REFUSED
     except click.ClickException as error:
         if completes():
-            return exits.FAILED  # a word that cannot be completed is not worth a line between two key presses
+            return exits.FAILED  # no message between two key presses of completion
         _refused(arguments, "E-USAGE", _usage(error))
         report("E-USAGE", _usage(error))
         return error.exit_code
@@ -310,7 +310,7 @@ def _usage(error: click.ClickException) -> str:
 
 
 def _flushed(status: int) -> int:
-    """Give standard output what is left; a reader that has gone is no error, a full disk is one."""
+    """Flush standard output; a reader that has gone is no error, a full disk is one."""
     if sys.stdout is None:
         return status
     try:
@@ -329,7 +329,7 @@ def _lost(error: Exception) -> int:
 
 
 def _refused(arguments: Sequence[str], code: str, text: str) -> None:
-    """Who asked for a JSON document gets one on standard output also when there is nothing but an error to say."""
+    """Print the error as a JSON document on standard output, where the command was called with --json."""
     if "--json" in arguments:
         with contextlib.suppress(OSError, ValueError):
             say_json({"error": {"code": code, "text": text}})
@@ -337,11 +337,11 @@ def _refused(arguments: Sequence[str], code: str, text: str) -> None:
 
 
 def _silenced() -> int:
-    """Point standard output nowhere, so that the interpreter does not complain when it ends."""
+    """Redirect standard output to /dev/null, so that the interpreter's last flush does not fail."""
     try:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)
     except (OSError, ValueError, AttributeError):
-        sys.stdout = None  # as Python itself has it when it is started without one
+        sys.stdout = None  # as Python does when it is started without standard output
     return exits.BROKEN_PIPE

@@ -1,4 +1,4 @@
-"""`aiorts filter NAME`: a component as a filter, also where its name is that of a command."""
+"""`aiorts filter NAME`: runs a component as a filter, also where a command has its name."""
 
 from __future__ import annotations
 

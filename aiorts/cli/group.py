@@ -1,6 +1,6 @@
-"""What a newcomer sees of the commands: sections, completion of names, one answer to options that make no sense.
+"""The group of all commands for newcomers: sections of the help, completion of names, refusal of senseless options.
 
-It knows commands by name and by one line of help; it imports none of them.
+The group knows each command by its name and one line of help; it does not import commands.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ _SECTIONS: Final = (
     ("Other machines and programs", "", "at router certs foxglove import export"),
     ("Short for others", "", "act con deact dis ui"),
 )
-"""Sections of the help: title, the commands of the first screen, and the others, in their order. The commands are those
-of aiorts and of the plugins that come with it."""
+"""Sections of the help, in order: title, the commands of the first screen, and the others. The commands are those of
+aiorts and of the plugins that come with it."""
 
 
 def write_sections(formatter: click.HelpFormatter, lines: Mapping[str, str], *, daily: bool) -> set[str]:
-    """Write the sections of the commands among `lines` (name -> its sentence), or only the daily ones.
+    """Write the sections of the commands among `lines` (name -> line of help), or only the daily ones.
 
     Returns:
-        the names that have a section.
+        The names that have a section.
     """
     placed = {name for _, *names in _SECTIONS for name in " ".join(names).split() if name in lines}
     width = max(map(len, placed), default=0)
@@ -49,13 +49,13 @@ def write_sections(formatter: click.HelpFormatter, lines: Mapping[str, str], *, 
 class HelpfulGroup(click.Group):
     """A group that completes the names of its commands without importing them.
 
-    `own` is the table of its commands: name -> target and one line of help.
+    `own` is the table of the group's commands: name -> target and one line of help.
     """
 
     own: Mapping[str, tuple[str, str]] = {}
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Names of commands, with their line of help where there is one; options where the word begins with "-"."""
+        """Complete names of commands, with their lines of help; options where the word begins with "-"."""
         if incomplete.startswith("-"):
             return click.Command.shell_complete(self, ctx, incomplete)
         lines = {name: self.own[name][1] if name in self.own else "" for name in self.list_commands(ctx)}
@@ -63,11 +63,11 @@ class HelpfulGroup(click.Group):
 
 
 def strict(command: click.Command) -> click.Command:
-    """The command, which from now on refuses an option that is given twice (the first would be lost), NaN and infinity.
+    """Make a command refuse an option given twice (the first would be lost), NaN and infinity; returns the command.
 
-    Of a group, each of its commands does.
+    In a group, each of its commands is made so.
 
-    NaN and infinity are refused where an option has a range: a comparison with NaN is never true, so none refuses it.
+    NaN and infinity are refused where an option has a range: click lets NaN pass, as no comparison with it holds.
     """
     if isinstance(command, click.Group):
         for one in command.commands.values():

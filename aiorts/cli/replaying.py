@@ -1,6 +1,6 @@
-"""`aiorts replay FILE [SYSTEM]`: a recording in the place of components of a system, or by itself.
+"""`aiorts replay FILE [SYSTEM]`: replays a recording in place of components of a system, or alone.
 
-It is `aiorts run SYSTEM --replay FILE`, or the filter `aiorts flexilogger -o -l FILE`.
+It is the same as `aiorts run SYSTEM --replay FILE`, or as the filter `aiorts flexilogger -o -l FILE`.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""The commands, one file each, imported when they are used."""
+"""The commands, one file each, imported at their use."""

@@ -1,4 +1,4 @@
-"""`aiorts apply`: a system that runs is changed into that of a file, whole or not at all."""
+"""`aiorts apply`: changes a running system into that of a file, whole or not at all."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def apply(
 
 
 def _check_meant(running: Running, file: Path, wanted: Wanted, steps: Iterable[Mapping[str, Any]]) -> None:
-    """SystemFileError where the file has none of the kernel's components: it may be meant for another kernel."""
+    """Raise SystemFileError where the file has none of the kernel's components: it may be meant for another kernel."""
     gone = [step["component"]["name"] for step in steps if step["step"] == "Remove"]
     if gone and wanted.components.keys().isdisjoint(running.names["components"]):
         shown = ", ".join(gone[:_SHOWN]) + (", ..." if gone[_SHOWN:] else "")
@@ -113,7 +113,7 @@ def _check_meant(running: Running, file: Path, wanted: Wanted, steps: Iterable[M
 
 
 def _pair(word: str, live: str) -> tuple[str, Path]:
-    """The kernel and the file of a word; a kernel's name has no "." where a file's begins."""
+    """The kernel and the file in a word KERNEL=FILE; a word without "=", or with a file before it, is a file."""
     kernel, equals, file = word.partition("=")
     if not equals or is_file(kernel):
         return live, Path(word)

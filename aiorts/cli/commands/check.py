@@ -1,4 +1,4 @@
-"""`aiorts check FILE...`: prints the findings of `aiorts.system.checks` for system files, and for what runs."""
+"""`aiorts check FILE...`: prints the findings of `aiorts.system.checks` for system files and running kernels."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _fix(
     strict: bool,
     quiet: bool,
 ) -> int:
-    """Mend files, or show how they would be; the exit status."""
+    """Mend files, or show the difference; returns the exit status."""
     status = exits.DONE
     for file in files:
         if is_live(file):

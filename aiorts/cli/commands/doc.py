@@ -1,4 +1,4 @@
-"""`aiorts doc TYPE|FILE`: a page about components, from what `aiorts inspect` knows of them."""
+"""`aiorts doc TYPE|FILE`: writes a page about components, from the data of `aiorts inspect`."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _blocks(subject: Subject, drawn: Drawn) -> Iterator[Block]:
     yield Head(1, profile["type"])
     for paragraph in filter(None, profile["doc"].split("\n\n")):
         yield Text(paragraph)
-    if subject.source.startswith("file "):  # the folder is of this machine only
+    if subject.source.startswith("file "):  # its folder has a meaning on this machine only
         yield Text(f"`{Path(subject.source).name}:{subject.cls.__qualname__}`")
     else:
         yield Text(f"{profile['package']}, `{profile['class']}`")
@@ -135,7 +135,7 @@ def _blocks(subject: Subject, drawn: Drawn) -> Iterator[Block]:
 
 
 def _transitions(state: StateStructure, inside: str) -> Iterator[tuple[str, ...]]:
-    """Each transition of a state and of those inside it; a state without any has a line, too."""
+    """The rows of the transitions of a state and its inner states; a state without transitions has a row, too."""
     name = f"{inside}{state.name}"
     for one in state.transitions:
         event = f"after {one.delay} s" if one.delay is not None else one.event
@@ -147,7 +147,7 @@ def _transitions(state: StateStructure, inside: str) -> Iterator[tuple[str, ...]
 
 
 def _system(file: str, choices: Choices) -> tuple[str, list[Subject], list[Block]]:
-    """Title, the types of its components, and what is said of the system itself."""
+    """The title of the page, the types of the components, and the blocks about the system itself."""
     system = load(file, (), choices)
     catalogue = catalogue_of(system)
     homes = {name: context.name for context in system.contexts.values() for name in context.members}
@@ -164,7 +164,7 @@ def _system(file: str, choices: Choices) -> tuple[str, list[Subject], list[Block
 
 
 def _named(text: str, folder: Path) -> str:
-    """A type as a command line has it: FILE.py is counted from the folder of the file that names it."""
+    """A type as on a command line: FILE.py is relative to the folder of the file that names it."""
     return str(folder / text) if ".py:" in text else text
 
 

@@ -1,6 +1,6 @@
-"""A page as blocks, and the two ways to write it: Markdown, and HTML in one file that loads nothing.
+"""A page as blocks, and its two writers: Markdown, and HTML in one file that loads nothing.
 
-All text comes from others: each writer escapes all of it.
+The text comes from outside aiorts: each writer escapes all of it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Final
 from aiorts.late import dataclass
 
 _SPECIAL: Final = re.compile(r"[\\*_\[\]|~]|^[#+=-]|(?<=^\d)[.)](?=\s)|(?<=^\d\d)[.)](?=\s)")
-"""Also what begins a heading, a rule or a list at the beginning of a text."""
+"""The special characters of Markdown, and those that begin a heading, a rule or a list at the start of a text."""
 _STYLE: Final = (
     "body{font-family:sans-serif;max-width:60em;margin:2em auto;padding:0 1em}table{border-collapse:collapse}"
     "td,th{border:1px solid #999;padding:.2em .6em;text-align:left;vertical-align:top}pre{overflow:auto}"
@@ -37,7 +37,7 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """Text that stays as it is."""
+    """Text that is shown verbatim."""
 
     text: str
     language: str = ""
@@ -45,7 +45,7 @@ class Code:
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """A picture, in the language of each kind of page."""
+    """A drawing, in the language of each kind of page."""
 
     mermaid: str
     svg: str
@@ -53,7 +53,7 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows below a head; a column without any text is left out."""
+    """Rows below a head; a column without text is left out."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -101,7 +101,7 @@ def _markdown(block: Block) -> str:
 
 
 def _escaped(text: str) -> str:
-    """The text on one line, without a character that Markdown or HTML takes for its own; `code` stays code."""
+    """The text on one line, with the special characters of Markdown and HTML escaped; `code` stays code."""
     parts = " ".join(text.split()).split("`")
     if len(parts) % 2 == 0 or "" in parts[1::2]:
         return "\\`".join(map(_plain, parts))

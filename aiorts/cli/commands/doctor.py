@@ -1,7 +1,7 @@
 """`aiorts doctor`: checks whether this computer can run systems, and prints remedies.
 
-Each finding is "ok", a "note" (it works and could be better) or a "problem" (something will not work). Whatever can be
-tried is tried: timers are waited for, scheduling classes requested, files written.
+Each finding is "ok", a "note" (it works and could be better) or a "problem" (something will not work). The checks try
+all that can be tried: they wait for timers, request scheduling classes and write files.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _SLEEP: Final = 0.002
 _GOOD: Final = 0.0005
 """Seconds of lateness beyond which a period of 2 ms is not kept."""
 _ANSWERS: Final = 5.0
-"""Seconds that a kernel has to answer, which may be busy."""
+"""Seconds that a kernel, which may be busy, has to answer."""
 _TRIED: Final = ((3, 11), (3, 13))
 _LEAST_DESCRIPTORS: Final = 256
 _FOR_DEVELOPERS: Final = ("test", "dev", "all")
@@ -41,7 +41,7 @@ _FOR_DEVELOPERS: Final = ("test", "dev", "all")
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line. `verdict` is "ok", "note" or "problem"; `remedy` is "" where there is nothing to do."""
+    """One line of the output. `verdict` is "ok", "note" or "problem"; `remedy` is "" where there is nothing to do."""
 
     what: str
     verdict: str
@@ -108,7 +108,7 @@ def _processors() -> int:
 
 
 def _packages() -> Iterator[Finding]:
-    """Dependencies, and the extras by name, from aiorts's own metadata."""
+    """Check dependencies and extras, from the package metadata of aiorts."""
     try:
         wanted = metadata.requires("aiorts") or []
     except metadata.PackageNotFoundError:
@@ -189,7 +189,7 @@ def _timers() -> Iterator[Finding]:
 
 
 async def _sleep_often() -> list[float]:
-    """The lateness of each of many sleeps on a kernel's clock, in seconds."""
+    """Measure the lateness of many sleeps on a kernel's clock, in seconds."""
     lateness = []
     async with Kernel() as kernel:
         for _ in range(_SLEEPS):
@@ -200,7 +200,7 @@ async def _sleep_often() -> list[float]:
 
 
 def _realtime() -> Iterator[Finding]:
-    """The real-time privileges that a context gets, requested as a running system does."""
+    """Check the real-time privileges by requesting them for a context, as a running system does."""
     try:
         priority, locked, denied = run(_request_realtime)
     except (AiortsError, OSError) as error:
@@ -225,7 +225,7 @@ async def _request_realtime() -> tuple[int | None, bool, dict[str, str]]:
 
 
 def _cycle() -> Iterator[Finding]:
-    """Open a kernel, tick a context and close everything, as every system does."""
+    """Check that a kernel opens, ticks a context and closes, as every system does."""
     try:
         run(_tick_once)
     except (AiortsError, OSError) as error:
@@ -242,7 +242,7 @@ async def _tick_once() -> None:
 
 
 def _running() -> Iterator[Finding]:
-    """Risks that the running kernels of this user name."""
+    """List the risks that the running kernels of this user report."""
     try:
         with kernels(_ANSWERS, right="view") as found:
             for one in found.running:

@@ -1,8 +1,8 @@
-"""Runs any component as a Unix filter: `aiorts flexifilter -i TimedDouble ...` reads JSON lines and writes JSON lines.
+"""Run any component as a Unix filter: `aiorts flexifilter -i TimedDouble ...` reads JSON lines and writes JSON lines.
 
-Its options are those of the class attribute `options`, else one for each parameter. In-ports are fed from standard
-input and out-ports written to standard output, with back-pressure throughout, so that no line is lost. One without
-in-ports produces, in the context that fits it.
+The options are those of the class attribute `options`, else one for each parameter. In-ports are fed from standard
+input and out-ports written to standard output, with back-pressure throughout, so that no line is lost. A component
+without in-ports is a source, and runs in the context that fits it.
 """
 
 from __future__ import annotations
@@ -80,11 +80,11 @@ def command_of(name: str, cls: type[Component]) -> click.Command:
 class _FilterCommand(click.Command):
     """A command that takes `--loop=-1`: a negative value for an option that may go without a value.
 
-    Who writes `--set PARAM=VALUE`, as for `aiorts run`, is told the option of that parameter.
+    The error for `--set PARAM=VALUE`, which is of `aiorts run`, names the option of that parameter.
     """
 
     def make_parser(self, ctx: click.Context) -> Any:
-        """Make click's parser, which would take -1 for an option, and the option for one without a value."""
+        """Wrap click's parser, which would take -1 for an option, and the option before it for one without a value."""
         parser: Any = super().make_parser(ctx)
         parse = parser.parse_args
         beginnings = tuple(f"{flag}=-" for one in self.params if one.callback is _stripped for flag in one.opts)
@@ -101,7 +101,7 @@ class _FilterCommand(click.Command):
         return parser
 
     def _instead(self, args: list[str]) -> str:
-        """What to write in place of `--set PARAM=VALUE`."""
+        """The hint that names the option to write in place of `--set PARAM=VALUE`."""
         after = " ".join(args).partition("--set")[2].lstrip(" =").split(" ")[0]
         name, _, value = after.partition("=")
         name = name.rpartition(".")[2]
@@ -144,7 +144,7 @@ def _from_table(table: Iterable[Any]) -> list[click.Option]:
     return [
         click.Option(
             [*option.flags, f"option{number}"],
-            multiple=option.kind != "flag",  # one that stands there twice is refused, and not half of it forgotten
+            multiple=option.kind != "flag",  # so that an option given twice is refused; click would take the last value
             required=option.required,
             help=option.help,
             shell_complete=completer_of(option.flags),
@@ -156,7 +156,7 @@ def _from_table(table: Iterable[Any]) -> list[click.Option]:
 
 
 def _without_value(option: Any) -> dict[str, Any]:
-    """For click: whether an option has no value, or may have none."""
+    """The keyword arguments of a click option that has no value, or may have none."""
     if bare := getattr(option, "bare", ""):
         return {"is_flag": False, "flag_value": bare, "callback": _stripped}
     # None, not False: with False click takes a value that begins with "-" for the next option.
@@ -171,7 +171,7 @@ def _from_parameters(cls: type[Component]) -> list[click.Option]:
 
 
 def _from_sets(cls: type[Component]) -> list[click.Option]:
-    """`--active` of a component that declares configuration sets, and has no parameter of that name."""
+    """Make `--active` for a component that declares configuration sets and has no parameter of that name."""
     declared = declarations(cls).configuration
     if len(declared.sets) == 1 or ACTIVE in declared.specs:
         return []
@@ -192,7 +192,7 @@ def _described(spec: Any) -> str:
 
 
 def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any], str]:
-    """Parameters, actions that replace a run, and the modules that define types."""
+    """Read the given options; returns parameters, actions that replace a run, and modules that define types."""
     values: dict[int, Any] = {}
     actions, modules = [], ""
     for number, option in enumerate(table):
@@ -260,7 +260,7 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
 
 
 def _tap(word: str | None) -> Stream | None:
-    """The samples of what `--connect` names, in a session of their own."""
+    """Open the stream of the out-port that `--connect` names, in a session of its own."""
     if word is None:
         return None
     from aiorts.cli.commands.live.target import kernels
@@ -282,7 +282,7 @@ def _tap(word: str | None) -> Stream | None:
 
 
 def _checked(cls: type[Component], table: Iterable[Any], params: Mapping[str, Any]) -> Setting:
-    """What the options set; ConfigurationError, with the option, when a parameter does not take its value."""
+    """Check the parameters that the options set; ConfigurationError names the option where a value is refused."""
     flags = {option.param: option.flags[-1] for option in table}
     draft = construct(cls, "draft")
     for name, value in params.items():
@@ -300,7 +300,7 @@ def _flag(parameter: str) -> str:
 
 
 class _Filter:
-    """The system of one component, standard input and standard output."""
+    """A system of one component, standard input and standard output."""
 
     def __init__(
         self,
@@ -350,7 +350,7 @@ class _Filter:
             raise WiringError(f"--connect: {component.name} has no in-port that samples could come to")
         fit = context_for(component, kernel.plugins, self._rate)
         for part in parts:
-            with contextlib.suppress(ComponentError):  # it is in error, as it would be later on
+            with contextlib.suppress(ComponentError):  # the component is in error, as it would be after a later failure
                 await kernel.start(fit if part is component else EventContext(), part, activate=True)
         end_with(kernel, component, self._input)
 

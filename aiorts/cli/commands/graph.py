@@ -1,4 +1,4 @@
-"""`aiorts graph SYSTEM.toml` or the name of what runs: prints a drawing of a system, or writes it to a file."""
+"""`aiorts graph SYSTEM.toml|KERNEL`: prints a drawing of a system, or writes it to a file."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from aiorts.cli.console.report import has_colours
 from aiorts.spelling import suggestion
 
 _SHOWN: Final = 5
-"""Places that a search shows."""
+"""The number of places that a search shows."""
 _LONGEST_LINE: Final = 90
 _NAMES: Final = ("api", "record-types", "flexi")
 """Pages whose headings are public names."""
@@ -119,10 +119,10 @@ def _all_commands(root: click.Context) -> int:
 
 
 def _show(ctx: click.Context, name: str, heading: str) -> int:
-    """Print the page of this name or what it has below a heading, the contents of a section, or a public name.
+    """Print the page of this name or its part below a heading, the contents of a section, or a public name's entry.
 
     Raises:
-        UsageError: there is none.
+        UsageError: nothing has this name or heading.
     """
     from aiorts.guide import SECTIONS, entries, headings, page, pages, rendered
 

@@ -71,7 +71,7 @@ def inspect(name: str, options: tuple[str, ...], modules: tuple[str, ...], as_js
 
 
 def _inspect_running(name: str, options: tuple[str, ...], *, as_json: bool) -> bool:
-    """Show what runs under a name, as `aiorts cat -l` does; False where nothing does."""
+    """Show what runs under a name, as `aiorts cat -l` does; returns False where nothing does."""
     found = report_of(name)
     if found is None:
         return False
@@ -88,7 +88,7 @@ def _inspect_running(name: str, options: tuple[str, ...], *, as_json: bool) -> b
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A component as the options would make it. `missing`: options that are required before its ports are known."""
+    """A component as the given options make it. `missing`: the options that are needed before its ports are known."""
 
     profile: dict[str, Any]
     options: tuple[Any, ...]
@@ -97,7 +97,7 @@ class Drawn:
 
 
 def draw(subject: Subject, given: Iterable[str], name: str) -> Drawn:
-    """The component as these options make it; an error in them is raised as the component raises it."""
+    """Describe a component as the given options make it; an error in them is raised as the component raises it."""
     declaration = declaration_of(subject.cls)
     rows = tuple(getattr(subject.cls, "options", ()))
     params, missing = _parsed(declaration, rows, tuple(given), name)
@@ -136,7 +136,7 @@ def draw(subject: Subject, given: Iterable[str], name: str) -> Drawn:
 def _parsed(
     declaration: Declaration, rows: tuple[Any, ...], given: tuple[str, ...], name: str
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """The parameters that the options set, and the required flags that are missing."""
+    """Parse the options; returns the parameters that they set, and the required flags that are missing."""
     if rows:
         options = [
             click.Option(
@@ -237,7 +237,7 @@ def _component_text(drawn: Drawn) -> str:
 
 
 def _services(ports: Iterable[dict[str, Any]]) -> str:
-    """Each interface of the service ports, and its methods as one would write them."""
+    """The interfaces of the service ports, each with its methods as in Python code."""
     parts = []
     for port in ports:
         for one in port["interfaces"]:
@@ -247,7 +247,7 @@ def _services(ports: Iterable[dict[str, Any]]) -> str:
 
 
 def method_text(method: dict[str, Any]) -> tuple[str, str]:
-    """A method as one would write it, and the first line of its docstring."""
+    """A method as in Python code, and the first line of its docstring."""
     parameters = tuple(ParameterProfile(**one) for one in method["parameters"])
     shown = MethodProfile(**{**method, "parameters": parameters})
     return str(shown), shown.doc.partition("\n")[0]
@@ -266,7 +266,7 @@ def _check_type(subject: Subject, name: str) -> None:
     from aiorts.types import describe
 
     if not issubclass(subject.cls, Enum) and subject.cls.__module__ != "builtins":
-        describe(subject.cls)  # DeclarationError: it is no type of data
+        describe(subject.cls)  # raises DeclarationError where the class is no record type
 
 
 def _type_text(profile: dict[str, Any]) -> str:
@@ -307,7 +307,7 @@ def _shape(shape: Any) -> str:
 
 
 def _value(value: Any) -> str:
-    """A value on one line; of a long one its beginning, and of a list how many there are."""
+    """A value on one line; a long one is cut, and a cut list has the number of its items."""
     text = '""' if value == "" else "()" if value == [] else str(value)
     if len(text) <= _WIDEST:
         return text

@@ -1,4 +1,4 @@
-"""Finds commands of plugins: click commands by their own name, and every component, in lower case, as a filter.
+"""Commands of plugins: click commands by their own name, and every component, in lower case, as a filter.
 
 A command of aiorts comes first, then a plugin's command, then a component; a name in two plugins cannot be used.
 """
@@ -24,10 +24,10 @@ def offered(catalogue: Catalogue, kind: str) -> dict[str, tuple[Extension, ...]]
 
 
 def command_named(name: str, catalogue: Catalogue) -> tuple[click.Command, Extension] | None:
-    """The command of a plugin, or the filter of a component, installed or as text, and its source; None without one.
+    """Find the command of a plugin, or the filter of a component, installed or as text, and its source; or None.
 
     Raises:
-        PluginError: several plugins have it (all are named), or it cannot be loaded.
+        PluginError: several plugins offer the name (all are listed), or it cannot be loaded.
     """
     if ":" in name or name.endswith(".py"):
         from aiorts.kernel.extensions.type_names import extension_of
@@ -38,10 +38,10 @@ def command_named(name: str, catalogue: Catalogue) -> tuple[click.Command, Exten
 
 
 def filter_named(name: str, catalogue: Catalogue) -> click.Command | None:
-    """The filter of a component, installed or as text, whatever commands there are; None without one.
+    """Find the filter of a component, installed or as text, even where a command has its name; None without one.
 
     Raises:
-        PluginError: several plugins have it (all are named), or it cannot be loaded.
+        PluginError: several plugins offer the name (all are listed), or it cannot be loaded.
     """
     as_text = ":" in name or name.endswith(".py")
     found = command_named(name, catalogue) if as_text else _among(name, catalogue, ("components",))
@@ -59,7 +59,7 @@ def _among(name: str, catalogue: Catalogue, kinds: Collection[str]) -> tuple[cli
 
 
 def clashes(catalogue: Catalogue, taken: Collection[str]) -> Iterator[tuple[str, str]]:
-    """Source and fault of every name that cannot be used, or only in part; `taken` are aiorts' own commands."""
+    """The source and the fault of each name that cannot be used, or only in part; `taken` are aiorts' own commands."""
     for kind in catalogue.KINDS:
         for name in catalogue.extensions(kind):
             try:

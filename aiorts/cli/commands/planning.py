@@ -1,4 +1,4 @@
-"""`aiorts plan`: the steps that would change one system, or one that runs, into another."""
+"""`aiorts plan`: prints the steps that would change a system of a file, or a running one, into another."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from aiorts.system import AS_WRITTEN, Choices, Wanted, check, load, prepare, wan
 _FILE: Final = click.Path(dir_okay=False, path_type=Path)
 _PART: Final = 60_000
 _MOST: Final = 500_000
-"""Characters that a kernel takes at a time, in texts of so many."""
+"""Characters of the largest system that is sent (_MOST), in texts of `_PART` characters."""
 
 
 @click.command("plan", short_help="Show the steps from one system to another.")
@@ -71,10 +71,10 @@ def check_steps(
     changes: tuple[str, ...],
     choices: Choices,
 ) -> None:
-    """Look whether the file can run at all, as `aiorts check` does, where more than parameters is to be changed.
+    """Check that the file can run at all, as `aiorts check` does, where the steps change more than parameters.
 
     Raises:
-        SystemFileError: the first thing that is wrong with it.
+        SystemFileError: the first error of the check.
     """
     if all(step["step"] == "Configure" for step in steps):
         return
@@ -86,10 +86,10 @@ def check_steps(
 
 
 def say_planned(found: Mapping[str, Any], *, as_json: bool) -> int:
-    """Print steps; the exit status.
+    """Print steps; returns the exit status.
 
     Raises:
-        SystemFileError: it cannot be done while the system runs, and no document is asked for.
+        SystemFileError: the change cannot be done while the system runs, and no JSON document is wanted.
     """
     if as_json:
         say_json(found)
@@ -103,7 +103,7 @@ def say_planned(found: Mapping[str, Any], *, as_json: bool) -> int:
 
 
 def say_steps(steps: Iterable[Mapping[str, Any]]) -> None:
-    """Print steps in plain form, each as a line."""
+    """Print steps, which are plain data, each as a line."""
     for step in steps:
         say(f"{step['sign']} {step['text']}")
 
@@ -116,7 +116,7 @@ def wanted_of(file: Path, changes: tuple[str, ...], choices: Choices) -> Wanted:
 
 
 def parts_of(system: Wanted) -> tuple[str, ...]:
-    """The system as operations take it. LimitError when it is too large to be sent."""
+    """The system in the form of operations' arguments. LimitError when it is too large to be sent."""
     text = carried(system)
     if len(text) > _MOST:
         raise LimitError(f"the system is too large to be sent: {len(text)} characters, at most {_MOST}")

@@ -1,4 +1,4 @@
-"""Imports extensions, each in a process of its own and within a time limit, and reports what happens.
+"""Import extensions, each in a process of its own and within a time limit, and report the results.
 
 A child reports in a file, not through a pipe: a process that the import started may keep a pipe open without end.
 """
@@ -23,12 +23,12 @@ from aiorts.cli.commands.plugin_child import ANSWER, END, HOME
 
 _AT_ONCE: Final = 4
 _LONGEST_START: Final = 30.0
-"""Seconds for the start of a child's interpreter; slowness there is no fault of the plugin."""
+"""Seconds for the start of a child's interpreter; a slow start is no fault of the plugin."""
 _LOOKS: Final = 0.02
 
 
 def verdicts(extensions: Iterable[Extension], limit: float) -> list[tuple[str, str]]:
-    """For each extension "ok" or its faults, and the file that was imported, "" when there is none.
+    """Import extensions; returns for each "ok" or its faults, and the imported file, "" where there is none.
 
     Args:
         limit: seconds for each import.
@@ -43,7 +43,7 @@ def verdicts(extensions: Iterable[Extension], limit: float) -> list[tuple[str, s
             return [one.result() for one in requested]
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-            for child in tuple(running):  # interrupted: no result is needed any more
+            for child in tuple(running):  # after an interrupt no result is needed any more
                 _end(child)
 
 
@@ -57,7 +57,7 @@ def _verdict(
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=os.name == "posix",  # a group of its own, which is ended with it
+        start_new_session=os.name == "posix",  # a process group of its own, so that all its processes can be ended
     )
     running.add(child)
     try:
@@ -70,7 +70,7 @@ def _verdict(
 
 
 def _awaited(child: subprocess.Popen[bytes], limit: float, begins: Path) -> int | None:
-    """The exit status; None when the import, which begins with that file, does not end in time."""
+    """Wait for the exit status; None when the import, which makes the file `begins` first, does not end in time."""
     until = time.monotonic() + _LONGEST_START + limit
     begun = False
     while (status := child.poll()) is None and time.monotonic() < until:

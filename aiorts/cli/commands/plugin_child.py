@@ -1,4 +1,4 @@
-"""Imports one extension and writes its faults into a file: a child process of `aiorts plugins --check`.
+"""Import one extension and write its faults into a file: a child process of `aiorts plugins --check`.
 
 An import may hang, end the interpreter, write to any stream, or change shared state; here it harms nothing else.
 """
@@ -22,10 +22,10 @@ from aiorts.errors import PluginError
 from aiorts.kernel.extensions.loading import cause_of
 
 ANSWER: Final = "answer"
-"""The file, in the folder given, with the faults and `END`, with a NUL between them."""
+"""The file in the given folder with the faults and `END`, separated by NUL characters."""
 END: Final = "."
 HOME: Final = "home"
-"""The file that names the module's file; written before the import begins."""
+"""The file in the given folder that names the module's file; it is written before the import begins."""
 _VALUES: Final = (
     (sys, ("stdout", "stderr", "stdin", "excepthook", "displayhook", "argv", "modules")),
     (asyncio, ("sleep", "run", "create_task")),
@@ -39,10 +39,10 @@ def main(requested: str, folder: str) -> None:
     """Import the extension in `requested` (JSON: kind, name, target, source, folder); write its faults to `folder`."""
     kind, name, target, source, home = json.loads(requested)
     extension = aiorts.Extension(kind, name, target, source, Path(home) if home else None)
-    _ = (aiorts.Component, aiorts.Kernel, aiorts.EventContext)  # loaded before, so that a change of them is seen
+    _ = (aiorts.Component, aiorts.Kernel, aiorts.EventContext)  # loaded first, so that changes to them are noticed
     Path(folder, HOME).write_text(_home(extension), encoding="utf-8", errors="backslashreplace")
     answer = os.open(Path(folder, ANSWER), os.O_WRONLY | os.O_CREAT)
-    write, leave = os.write, os._exit  # as they are now: the import may put anything in their place
+    write, leave = os.write, os._exit  # bound now, since the import may replace them
     faults: list[str] = []
     with tempfile.TemporaryFile(dir=folder) as printed:
         os.dup2(printed.fileno(), 1)
@@ -69,11 +69,11 @@ def main(requested: str, folder: str) -> None:
         if os.fstat(printed.fileno()).st_size:
             faults.append("writes to standard output or error while it is imported")
     write(answer, "\0".join((*faults, END)).encode("utf-8", "backslashreplace"))
-    leave(0)  # threads that the import has left must not keep us
+    leave(0)  # at once: threads of the import must not keep the process alive
 
 
 def _home(extension: aiorts.Extension) -> str:
-    """The file that will be imported, as far as known without importing; "" when unknown."""
+    """The file that will be imported, as far as known without an import; "" when unknown."""
     module = extension.target.partition(":")[0].strip()
     if extension.folder is not None and module.endswith(".py"):
         return str(extension.folder / module)
@@ -94,7 +94,7 @@ _METHODS: Final = (property, classmethod, staticmethod)
 
 
 def _callables() -> dict[str, object]:
-    """Every function and class of every loaded module, and the methods of ours."""
+    """Every function and class of every loaded module, and the methods of aiorts' classes."""
     found: dict[str, object] = {
         f"{module.__name__}.{name}": getattr(module, name) for module, names in _VALUES for name in names
     }
@@ -106,7 +106,7 @@ def _callables() -> dict[str, object]:
                 continue
             found[f"{module_name}.{name}"] = value
             if isinstance(value, type) and value.__module__ == module_name and module_name.startswith("aiorts."):
-                _ = value.__init__  # type: ignore[misc] # has a dataclass of ours write its methods, if it has not yet
+                _ = value.__init__  # type: ignore[misc] # lets a late dataclass make its methods now
                 methods = [(key, one) for key, one in vars(value).items() if callable(one) or isinstance(one, _METHODS)]
                 found.update({f"{module_name}.{name}.{key}": method for key, method in methods})
     return found

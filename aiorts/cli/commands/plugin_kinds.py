@@ -1,4 +1,4 @@
-"""Tests each kind of extension: one table, one function for each."""
+"""The tests of all kinds of extensions: one table, one function for each kind."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from aiorts.types import TimedDouble, check_port_type
 
 
 def fault_of(extension: Extension, found: Any) -> str:
-    """Why an object cannot be used as its kind of extension; "" when it can."""
+    """The fault for which an object cannot be used as its kind of extension; "" when it can."""
     return _TESTS[extension.kind](extension, found)
 
 
@@ -50,7 +50,7 @@ def _codec(extension: Extension, found: Any) -> str:
         back = codec.decode(codec.encode(record))
     except AiortsError as error:
         return str(error)
-    except Exception as error:  # noqa: BLE001 - a plugin's border: whatever its codec does is reported as the plugin's
+    except Exception as error:  # noqa: BLE001 - any exception of a plugin's codec is the plugin's fault
         return f"it fails on a TimedDouble: {type(error).__name__}: {error}"
     return "" if back == record else f"it gives {back!r} back for {record!r}; see aiorts.testing.check_codec"
 
@@ -94,7 +94,7 @@ _TESTS: Final[Mapping[str, Callable[[Extension, Any], str]]] = {
     "codecs": _codec,
     "converters": _fitting(callable, "function that makes a converter of text and two types"),
     "describers": _fitting(callable, "function that describes a component of a path"),
-    "transports": lambda _extension, _found: "",  # there are none yet, and so no rule for them
+    "transports": lambda _extension, _found: "",  # no plugin offers one yet, so there is no rule
     "commands": _fitting(lambda found: isinstance(found, click.Command), "click.Command"),
     "benches": _fitting(_is_bench, "aiorts_bench.Bench"),
     "types": _type,

@@ -18,7 +18,7 @@ from aiorts.late import dataclass
 
 _WORDS: Final = {"benches": "bench"}
 _PLACE: Final = re.compile(r"\(\S+:\d+\)")
-"""Where a fault is, in the result of an import: another extension with the same result has the same fault."""
+"""The place of a fault in the result of an import: another extension with the same result has the same fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def plugins(check: bool, limit: float, as_json: bool) -> int:
 
 
 def _with_rivals(verdict: str, extension: Extension, several: tuple[Extension, ...]) -> str:
-    """The result, with the other plugins that use the same name, which then cannot be used."""
+    """The result, with the other plugins that offer the same name, which makes the name unusable."""
     if len(several) == 1:
         return verdict
     others = " and ".join(f"{one.target} ({one.source})" for one in several if one is not extension)
@@ -81,7 +81,7 @@ def _with_rivals(verdict: str, extension: Extension, several: tuple[Extension, .
 
 
 def _problems(catalogue: Catalogue) -> Iterator[tuple[str, str]]:
-    """Source and fault of everything that could not be read, and of each name that cannot be used."""
+    """The source and the fault of each plugin that could not be read, and of each name that cannot be used."""
     yield from ((problem.source, problem.reason) for problem in catalogue.problems)
     yield from clashes(catalogue, tuple(getattr(click.get_current_context().find_root().command, "own", ())))
 

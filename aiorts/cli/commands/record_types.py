@@ -1,4 +1,4 @@
-"""Describes record types for people and tools (fields, defaults, group, OpenRTM's name); `aiorts types`."""
+"""Descriptions of record types for people and tools (fields, defaults, group, OpenRTM's name); `aiorts types`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _WIDEST: Final = 64
 
 
 def group_of(cls: type) -> str:
-    """The group of a type: basic, extended, interface (as in OpenRTM), extra (ours), ros, or user."""
+    """The group of a type: basic, extended, interface (as in OpenRTM), extra (of aiorts), ros, or user."""
     package, _, group = cls.__module__.rpartition(".")
     if package == "aiorts.types.ros":
         return "ros"
@@ -37,13 +37,13 @@ def group_of(cls: type) -> str:
 
 
 def origin_of(cls: type) -> str:
-    """The place in OpenRTM that defines it, "" when there is none."""
+    """The place in OpenRTM that defines the type, "" when there is none."""
     idl = _IDL.get(group_of(cls), "")
     return f"RTC::{cls.__name__} in {idl}" if idl else ""
 
 
 def example_of(cls: type) -> str:
-    """A line that filters read, made of the type's defaults; "" for a type that no line can carry."""
+    """A line that filters read, made from the type's defaults; "" for a type that no line can carry."""
     if issubclass(cls, Enum):
         return ""
     try:
@@ -51,7 +51,7 @@ def example_of(cls: type) -> str:
         sample = with_tm(sample, _TM) if has_tm(cls) else sample
         line = line_of("input0", sample)
         LineReader({"input0": cls}).sample(line, 0)
-    except Exception:  # noqa: BLE001 - the border of a user's own constructor, and it may have fields without a default
+    except Exception:  # noqa: BLE001 - a user's constructor may raise anything, or need fields without a default
         return ""
     return line
 
@@ -116,7 +116,7 @@ def types(pattern: str, group: str | None, modules: tuple[str, ...], as_json: bo
     broken = load_declared(lambda name: _fits(name, pattern))
     listed = _listed(pattern, group)
     if not listed and not broken:
-        load_declared()  # it may be a record that is only a field of another
+        load_declared()  # the type may be declared only as a field of another
         listed = _listed(pattern, group)
     if not listed and (pattern or group):
         names = {cls.__name__.lower(): cls.__name__ for cls in all_types().values()}
@@ -137,7 +137,7 @@ def _listed(pattern: str, group: str | None) -> list[type]:
 
 
 def _fits(name: str, pattern: str) -> bool:
-    """Whether a full name, or the class name at its end, is what the pattern says."""
+    """Whether a full name, or the class name at its end, matches the pattern."""
     from fnmatch import fnmatchcase
 
     wanted = pattern.lower()
@@ -150,7 +150,7 @@ def _near(pattern: str, names: dict[str, str]) -> str:
 
 
 def short_of(cls: type) -> str:
-    """The fields, or the members of an enumeration, in one short line."""
+    """The fields, or the members of an enum, in one short line."""
     if issubclass(cls, Enum):
         text = f"enum {', '.join(member.name for member in cls)}"
     else:

@@ -126,7 +126,7 @@ def run(
         if watch and options.simulate:
             raise click.UsageError("--watch: no file can change while virtual time passes; leave --simulate out")
         if (found.streams or printed) and sys.stdout is not None and sys.stdout.isatty():
-            options = replace(options, status=False)  # its samples are what is looked at, and go past the line
+            options = replace(options, status=False)  # the samples are printed there, and would break the line
         if log.levels.default <= logging.WARNING:
             for text in found.doubts:
                 log.tell("W-OPTION", text, level="warning")
@@ -166,7 +166,7 @@ def run(
 
 @contextlib.contextmanager
 def _alone_there(summary: Summary | None) -> Iterator[Callable[[int], int]]:
-    """Redirect standard output to standard error; yield a function that prints the document there instead."""
+    """Redirect standard output to standard error; yields a function that prints the document on standard output."""
     if summary is None:
         yield lambda status: status
         return

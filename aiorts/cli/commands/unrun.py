@@ -1,4 +1,4 @@
-"""Shared by the commands that look at a system without running it."""
+"""Helpers of the commands that look at a system without running it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from aiorts.system import SystemFile
 
 
 def catalogue_of(system: SystemFile | None) -> Catalogue:
-    """The extensions for this command, and those of the system file's folders."""
+    """The extensions for this command, with those of the system file's plugin folders."""
     return named(() if system is None else system.plugin_paths)
 
 
 @contextlib.contextmanager
 def quietly() -> Iterator[None]:
-    """Send what component files print at import to standard error: standard output belongs to the command."""
+    """Redirect prints of imported component files to standard error: standard output belongs to the command."""
     if sys.stderr is None:
         yield
         return

@@ -1,4 +1,4 @@
-"""What a command makes goes to standard output, or whole into a file."""
+"""Output of a command: to standard output, or whole into a file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from aiorts.errors import ConfigurationError
 
 
 def give(output: str | None, text: str, *, force: bool = True) -> None:
-    """Print the text, or write it to the file that `-o` names, which may only be there already with `force`."""
+    """Print the text, or write it to the file that `-o` names; an existing file needs `force`."""
     if output is None or output == "-":
         click.echo(text, nl=False)
     else:

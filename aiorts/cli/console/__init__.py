@@ -1,1 +1,1 @@
-"""Input and output of all commands: names, error lines with codes, quotes of files, JSON, completion."""
+"""Input and output of all commands: names, error lines with codes, excerpts of files, JSON, completion."""

@@ -1,4 +1,4 @@
-"""`--var` and `--remap`: what a command line says of a system file before the file is read as a system."""
+"""`--var` and `--remap`: choices of the command line that are applied before a file is read as a system."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from aiorts.system import Choices
 
 
 def choices_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Give a command both options; it gets them as one argument, `choices`."""
+    """Add both options to a command; it gets them as one argument, `choices`."""
 
     @click.option("--var", "variables", multiple=True, metavar="NAME=VALUE", help="Set a variable of the system file.")
     @click.option(

@@ -1,4 +1,4 @@
-"""Completes words on the command line, by click's protocol, and prints the shell scripts for that.
+"""Completion of words on the command line, by click's protocol, and the shell scripts for it.
 
 It runs at each press of the Tab key: it imports only what the word needs, and offers nothing after any error.
 """
@@ -19,7 +19,7 @@ Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 SHELLS: Final = ("bash", "zsh", "fish")
 _VARIABLE: Final = "_AIORTS_COMPLETE"
 _OF_TYPES: Final = frozenset(("-i", "-o", "-p", "--inputport", "--outputport", "--port", "--selection-type"))
-"""Options of components that take a record type, also with a number behind it."""
+"""Options of components that take a record type, also with a number after it."""
 _WHERE: Final = {
     "bash": 'eval "$(aiorts completion bash)" in ~/.bashrc',
     "zsh": 'eval "$(aiorts completion zsh)" in ~/.zshrc, after compinit',
@@ -28,12 +28,12 @@ _WHERE: Final = {
 
 
 def items(words: Iterable[str] | Mapping[str, Any], incomplete: str) -> list[CompletionItem]:
-    """The words that begin with the incomplete one."""
+    """The completions: the words that begin with the incomplete one."""
     return [CompletionItem(word) for word in words if word.startswith(incomplete)]
 
 
 def type_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Completes record types."""
+    """Complete record types."""
     import aiorts.types.ros  # noqa: F401 - loaded late
     from aiorts.kernel.extensions.finders import declared_types
     from aiorts.types import all_types
@@ -43,7 +43,7 @@ def type_names(ctx: click.Context, param: click.Parameter, incomplete: str) -> l
 
 
 def subjects(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Completes components by name, record types, and files where neither fits."""
+    """Complete components by name, record types, and files where neither fits."""
     from aiorts import Catalogue
 
     found = items(Catalogue.default().extensions("components"), incomplete) + type_names(ctx, param, incomplete)
@@ -51,7 +51,7 @@ def subjects(ctx: click.Context, param: click.Parameter, incomplete: str) -> lis
 
 
 def targets(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Completes components by name, and files where none fits."""
+    """Complete components by name, and files where none fits."""
     from aiorts import Catalogue
 
     found = items(Catalogue.default().extensions("components"), incomplete) if incomplete else []
@@ -59,7 +59,7 @@ def targets(ctx: click.Context, param: click.Parameter, incomplete: str) -> list
 
 
 def completer_of(flags: Iterable[str]) -> Complete | None:
-    """The completion for the value of a component's option with these flags; None is click's own."""
+    """The completion function for the value of a component's option with these flags; None is click's own."""
     return type_names if _OF_TYPES.intersection(flags) else None
 
 

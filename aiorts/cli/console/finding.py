@@ -1,4 +1,4 @@
-"""What a check has found, as lines for a person: of `aiorts check`, and of `aiorts run` for a file that cannot run."""
+"""Findings of a check as lines for people: for `aiorts check`, and for `aiorts run` of a file that cannot run."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ if TYPE_CHECKING:
     from aiorts.system import Finding
 
 _QUOTED: Final = 100
-"""Characters quoted of a line."""
+"""The number of characters that are quoted of a line."""
 
 
 def text_of(one: Finding) -> str:
-    """Place, key, cause and remedy in a line, without the code."""
+    """The place, key, cause and remedy of a finding in a line, without the code."""
     return f"{one.place}: {one.where}: {one.message}" if one.where else f"{one.place}: {one.message}"
 
 
 def line_of(one: Finding) -> str:
-    """The whole line."""
+    """The whole line of a finding, with its code."""
     return cut(printed(f"aiorts: {one.code}: {text_of(one)}"))
 
 
 def below(one: Finding) -> list[str]:
-    """The line of the file around the place with a mark under it, and what would mend it."""
+    """The line of the file around the place with a mark under it, and the suggested repair."""
     found = []
     if one.quote:
         first = max(0, one.column - 1 - _QUOTED // 2) if len(one.quote) > _QUOTED else 0

@@ -1,4 +1,4 @@
-"""Prints to standard output: text without control characters, tables, strict JSON."""
+"""Printing to standard output: text without control characters, tables, strict JSON."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from aiorts.cli.console.report import printed
 
 
 def say(text: str) -> None:
-    """Print lines; characters that do not print, or that the encoding lacks, as numbers.
+    """Print lines; unprintable characters, and those that the encoding lacks, as numbers.
 
     Raises:
-        OSError: standard output takes nothing any more.
+        OSError: standard output cannot be written any more.
     """
     stream = sys.stdout
     if stream is None:
@@ -28,7 +28,7 @@ def say(text: str) -> None:
 
 
 def say_now(text: str) -> None:
-    """Print lines, and have whoever reads them get them at once."""
+    """Print lines and flush them, so that a reader gets them at once."""
     say(text)
     if sys.stdout is not None:
         sys.stdout.flush()
@@ -42,7 +42,7 @@ def say_json(value: Any) -> None:
 
 
 def say_either(value: Any, text: Callable[[], str], *, as_json: bool) -> None:
-    """Print a value as a JSON document, or what says it to people."""
+    """Print a value as a JSON document, or its text for people."""
     if as_json:
         say_json(value)
     else:
@@ -57,7 +57,7 @@ def say_line(value: Any) -> None:
 
 
 def plain(value: Any) -> Any:
-    """A value that JSON can carry: numbers that are not finite and enumerations by name, everything else as text."""
+    """A value that JSON can carry: enums and numbers that are not finite by name, all other types as text."""
     if isinstance(value, Enum):
         return value.name
     if isinstance(value, float):
@@ -72,7 +72,7 @@ def plain(value: Any) -> Any:
 
 
 def counted(count: int, what: str) -> str:
-    """So many of something, in words."""
+    """A count with its noun, in the plural unless it is 1."""
     return f"{count} {what}{'s' * (count != 1)}"
 
 

@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 
 ENVIRONMENT: Final = "AIORTS_PLUGINS"
-"""Folders, separated as in PATH; those of the command line come before them."""
+"""The variable with plugin folders, separated as in PATH; those of the command line come first."""
 
 
 def catalogue_of(more: Iterable[Path] = ()) -> Catalogue:
-    """The extensions for this command: installed ones, those of the folders for every command, and of `more`."""
+    """The extensions for this command: of installed packages, of the folders for every command, and of `more`."""
     known = Catalogue.default()
     added = [folder for folder in more if folder not in known.folders]
     return Catalogue((*known.folders, *added)) if added else known
 
 
 def use_environment() -> None:
-    """Make every command use the folders of the environment."""
+    """Make every command use the plugin folders of the environment."""
     Catalogue(map(_path, filter(None, os.environ.get(ENVIRONMENT, "").split(os.pathsep)))).make_default()
 
 
@@ -47,15 +47,15 @@ plugins_option = click.option(
     metavar="DIR",
     type=click.Path(exists=True, file_okay=False),
     help=f"A folder with plugins that are not installed; repeat for more, or set {ENVIRONMENT}.",
-    is_eager=True,  # before --help, which lists the commands of plugins, and whatever loads a type
+    is_eager=True,  # before --help, which lists plugins' commands, and before options that load a type
     expose_value=False,
     callback=_named,
 )
-"""Belongs to the group of all commands, and to each command that loads types (`with_plugins`)."""
+"""The option of the group of all commands, and of each command that loads types (`with_plugins`)."""
 
 
 def with_plugins(command: click.Command) -> click.Command:
-    """The command, which from now on has the option --plugins; of a group, each of its commands has it."""
+    """Add the option --plugins to a command, or to each command of a group; returns the command."""
     if isinstance(command, click.Group):
         for one in command.commands.values():
             with_plugins(one)

@@ -1,7 +1,7 @@
-"""Quotes the line of typed text that has a mistake, with a mark under the place.
+"""A quote of the line with a mistake in typed text, with a mark under the place.
 
-Every character is printed in a known number of columns, so that the mark is at its place: tabs, control characters and
-those outside the stream's encoding as escapes, wide characters as two columns. A long line is cut.
+Each character is printed in a known number of columns, so that the mark is at its place: tabs, control characters and
+characters outside the stream's encoding as escapes, wide characters as two columns. A long line is cut.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def cells_of(text: str) -> int:
 
 
 def _cell(character: str, encoding: str) -> str:
-    """One character as it is printed."""
-    # A combining character has no column of its own, and a mark under none is under another.
+    """The printed form of one character."""
+    # A combining character has no column of its own: a mark for it would stand under another character.
     if not character.isprintable() or unicodedata.combining(character):
         return ascii(character)[1:-1]
     return character.encode(encoding, "backslashreplace").decode(encoding)

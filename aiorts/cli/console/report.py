@@ -1,6 +1,6 @@
-"""Reports errors on standard error, one line each: `aiorts: E-CODE: where: cause; what to do`.
+"""Reports of errors on standard error, one line each: `aiorts: E-CODE: where: cause; what to do`.
 
-Tracebacks are printed only on request. A standard error that is closed or full is no further error.
+Tracebacks are printed only on request. A closed or full standard error causes no further error.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ from aiorts.errors import AiortsError, ComponentError, format_error
 from aiorts.kernel.loop.origins import in_brackets, origin_of
 
 LONGEST: Final = 600
-"""Characters of a line; every message of aiorts is shorter, long are the texts of others that are quoted in it."""
+"""Characters of the longest line; messages of aiorts are shorter, but texts of others that they quote may be long."""
 _END: Final = 200
-"""Characters kept of the end of a line."""
+"""Characters that are kept at the end of a cut line."""
 _USUAL: Final = 240
-"""Characters of a line up to which all is shown as it is; in a longer one each long value is shortened."""
+"""Characters up to which a line is printed unchanged; in a longer line each long value is shortened."""
 _VALUE: Final = re.compile(r"""(?<![\w\\])(?:'(?:[^'\\]|\\.)*+'|"(?:[^"\\]|\\.)*+")(?!\w)|[^\s'"]{101,}+""")
-"""A text in quotes, or a long one without blanks."""
+"""A text in quotes, or a long text without blanks."""
 _LONGEST_VALUE: Final = 100
 _PATH: Final = re.compile(
     r"""((?<![^\s'"(=])'[^'/]{0,200}/[^']{1,4096}'|(?<![^\s'"(=])[^\s'"(),;/]{0,200}/[^\s'"(),;]{1,4096})"""
 )
 """A word, or a text in quotes, with a slash in it."""
 _LONGEST_PATHS: Final = 8192
-"""Characters of all paths of a line: what has more is not made of paths."""
+"""Characters of all paths of a line; a line with more is cut without regard to paths."""
 _CODED: Final = re.compile(r"aiorts: ([EWN]-[A-Z-]+|critical|error|warning|info|debug)(?=: )")
 _COLOURS: Final = {"e": "red", "c": "red", "w": "yellow", "n": "cyan", "i": "green", "d": "blue"}
-"""By the first letter of a code or level."""
+"""The colours by the first letter of a code or level."""
 ADVICE: Final = "; --debug shows the traceback"
 
 
 def advice_on(error: BaseException, *, debug: bool) -> str:
-    """The advice for an exception that a component raised; what aiorts refuses explains itself."""
+    """The advice for an exception of a component's code; errors of aiorts explain themselves."""
     explained = isinstance(error, AiortsError) and not isinstance(error, ComponentError)
     return "" if explained or debug else ADVICE
 
@@ -60,13 +60,13 @@ def report_error(error: BaseException, *, verbose: bool) -> None:
 
 
 def place_of(error: BaseException) -> str:
-    """The place of an exception with a colon, from its notes; "" without one."""
+    """The place of an exception, from its notes, with a colon after it; "" without a note."""
     notes = [note for note in getattr(error, "__notes__", ()) if "\n" not in note]
     return "".join(f"{note}: " for note in notes[:1])
 
 
 def marked_in(error: BaseException) -> list[str]:
-    """The text and a mark under the place, for a mistake in typed text."""
+    """The quoted text and a mark under the place, for a mistake in typed text."""
     if isinstance(error, AiortsError) and error.typed is not None:
         from shutil import get_terminal_size
 
@@ -81,7 +81,7 @@ def code_of(error: BaseException) -> str:
 
 
 def cause_of(error: BaseException) -> str:
-    """The text of the error."""
+    """The text of an error, for errors of aiorts without the name of the class."""
     text = format_error(error)
     return text.partition(": ")[2] or text if issubclass(type(error), AiortsError) else text
 
@@ -102,9 +102,9 @@ def shortened(text: str) -> str:
 
 
 def cut(line: str) -> str:
-    """A line of at most LONGEST characters, its paths not counted, cut before its end. A path is whole.
+    """A line cut to at most LONGEST characters, without counting its paths; its end and whole paths are kept.
 
-    Where it is long, each value in quotes and each long word is shortened before words are cut.
+    In a long line each value in quotes and each long word is shortened before words are cut.
     """
     if len(line) <= _USUAL:
         return line
@@ -127,7 +127,7 @@ def cut(line: str) -> str:
         last = text[max(len(first), tail - at) :]
         gap = "..." if len(first) + len(last) < len(text) else ""
         if gap and number and not first:
-            gap = f" {gap}"  # ".../x.py" would be a path, and not the one
+            gap = f" {gap}"  # ".../x.py" would look like another path
         if gap and number < len(parts) - 1 and not last:
             gap = f"{gap} "
         kept.append(f"{first}{gap}{last}")
@@ -141,7 +141,7 @@ def _short(value: re.Match[str]) -> str:
 
 
 def has_colours(stream: TextIO | None) -> bool:
-    """Whether text on this stream is coloured: on a terminal, unless NO_COLOR is set; elsewhere with FORCE_COLOR."""
+    """Whether text on a stream is coloured: on a terminal, unless NO_COLOR is set; elsewhere with FORCE_COLOR."""
     if stream is None or os.environ.get("NO_COLOR"):
         return False
     if os.environ.get("FORCE_COLOR", "0") not in ("", "0"):
@@ -164,7 +164,7 @@ def painted(line: str) -> str:
 
 
 def say(*lines: str) -> None:
-    """Print lines on standard error, as far as it takes them."""
+    """Print lines on standard error, where it can be written."""
     stream = sys.stderr
     if stream is None or not lines:
         return

@@ -1,6 +1,6 @@
-"""Resolves a name of the command line: a type as text (`kernel/extensions/type_names.py`) or a record type.
+"""The component or record type that a word means: a name, or a type as text (`kernel/extensions/type_names.py`).
 
-It imports the module with that name, creates nothing and runs no hook.
+The module of the type is imported; no component is created and no hook runs.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ class Subject:
 
     @property
     def is_component(self) -> bool:
-        """Whether it is a component, else it is a record type."""
+        """Whether the class is a component, else it is a record type."""
         return issubclass(self.cls, Component)
 
 
 def find_subject(name: str, folders: Iterable[Path] = ()) -> Subject:
-    """The component or record type of this name.
+    """Find the component or record type of this name.
 
     Raises:
-        UnknownTypeError: there is none (the message has near names), or several types have the name.
+        UnknownTypeError: there is none (the text has near names), or several types have the name.
         PluginError: it cannot be loaded.
     """
     catalogue = catalogue_of(folders)
@@ -74,7 +74,7 @@ def _of_type(name: str, catalogue: Catalogue) -> Subject:
     except UnknownTypeError as error:
         if "more than once" in str(error) or isinstance(error.__cause__, DeclarationError):
             raise
-        load_declared()  # it may be a record that is only a field of another
+        load_declared()  # the type may be declared only as a field of another
         if not is_known(name):
             raise _unknown(name, catalogue) from None
         cls = find_type(name)
@@ -82,7 +82,7 @@ def _of_type(name: str, catalogue: Catalogue) -> Subject:
 
 
 def load_declared(fits: Callable[[str], bool] = lambda _: True) -> list[str]:
-    """Import the types that plugins declare whose full name fits; what is wrong with those that are broken."""
+    """Import the types declared by plugins whose full name fits; returns the faults of those that cannot be loaded."""
     broken = []
     for name in filter(fits, declared_types()):
         try:
@@ -95,7 +95,7 @@ def load_declared(fits: Callable[[str], bool] = lambda _: True) -> list[str]:
 def _unknown(name: str, catalogue: Catalogue) -> UnknownTypeError:
     components = list(catalogue.extensions("components"))
     types = [full.rpartition(".")[2] for full in all_types()]
-    # By the last word of ROS's names, which others take when they have the same.
+    # Keyed by the last word of ROS's names; a type or component of that name takes precedence.
     named = sorted((*types, *components), key=lambda one: "/" not in one)
     lowered = {one.lower().rpartition("/")[2]: one for one in named}
     if hint := named_in_project(name, "components", "types"):

@@ -1,1 +1,1 @@
-"""`aiorts demo`: a small system that runs from the installed package alone, and its files as a start."""
+"""`aiorts demo`: a small system that runs from the installed package alone, and its files to start from."""

@@ -1,4 +1,4 @@
-"""Draws a strip chart of ASCII characters: one line for each moment, time goes down."""
+"""A strip chart of ASCII characters: one line for each moment, time goes down."""
 
 from __future__ import annotations
 

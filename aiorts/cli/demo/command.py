@@ -1,4 +1,4 @@
-"""The command `aiorts demo`: runs it, prints its source, or saves its files without overwriting any."""
+"""The command `aiorts demo`: runs the demo, prints its source, or saves its files without overwriting any."""
 
 from __future__ import annotations
 

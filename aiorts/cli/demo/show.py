@@ -1,6 +1,6 @@
-"""Runs the demo: motor, controller, a FlexiFilter and a gauge, live and again in virtual time.
+"""Run the demo: motor, controller, a FlexiFilter and a gauge, live and again in virtual time.
 
-Every figure it prints is counted or measured in this run.
+Every printed figure is counted or measured in this run.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from aiorts.testing import simulate
 from aiorts.types import TimedLong
 
 _TARGETS = (150.0, 250.0)
-"""rad/s, each for a second; then a second with a load."""
+"""Target speeds in rad/s, each for a second; then follows a second with a load."""
 _SECONDS = 3.0
 _LOAD = 3.0
 _LINE_EVERY = 0.1
@@ -50,11 +50,11 @@ class Gauge(Component):
 
 @dataclass
 class _Result:
-    """The measurements of a run; times in seconds."""
+    """The measurements of one run; times in seconds."""
 
     speeds: list[int] = field(default_factory=list)
     ledger: tuple[int, int, int, int] = (0, 0, 0, 0)
-    """Written, delivered, dropped, buffered."""
+    """The counts written, delivered, dropped, buffered."""
     cycles: int = 0
     overruns: int = 0
     lateness_mean: float = 0.0
@@ -63,7 +63,7 @@ class _Result:
 
 
 def show(say: Callable[[str], None]) -> int:
-    """Run the demo and print it line by line; 0 when its promises were kept, else 1."""
+    """Run the demo and print it line by line; returns 0 when its promises were kept, else 1."""
     width = get_terminal_size((80, 24)).columns
     say(f"A motor and its controller, {RATE:g} cycles a second, live ({_SECONDS:g} s):")
     say(f"{'s':>4} {'rpm':>5}  0{'rpm':>{max(8, min(width, 80) - 20)}} {_MOST:g}")

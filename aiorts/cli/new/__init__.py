@@ -1,1 +1,1 @@
-"""The command `aiorts new`: a plugin to begin with, from the ports, parameters and services that it is to have."""
+"""The command `aiorts new`: writes a plugin to begin with, from the wanted ports, parameters and services."""

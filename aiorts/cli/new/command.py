@@ -80,7 +80,7 @@ def new(
 
 
 def _write(place: Path, texts: Mapping[str, str]) -> None:
-    """Make the folder whole, or not at all."""
+    """Write the folder as a whole or not at all."""
     if place.exists() or place.is_symlink():
         raise ConfigurationError(f"{place}: is there already; nothing was written, choose another name")
     try:

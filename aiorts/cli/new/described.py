@@ -1,4 +1,4 @@
-"""A design from a file of others, which a plugin reads: `aiorts new NAME --from FILE`."""
+"""A design from a foreign file, which a plugin reads: `aiorts new NAME --from FILE`."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _LONGEST_DOC: Final = 1000
 
 
 def read(path: Path, catalogue: Catalogue) -> ComponentDescription:
-    """What a file describes, read by the plugin that offers to read files of its ending.
+    """Read the description in a file with the plugin that offers to read files of its ending.
 
     Raises:
-        PluginError: no plugin does, or the plugin cannot be loaded or returns something else.
+        PluginError: no plugin offers this, or the plugin cannot be loaded or returns something else.
         AiortsError: the file cannot be read, or is wrong.
     """
     ending = path.suffix.removeprefix(".").lower()
@@ -46,10 +46,10 @@ def read(path: Path, catalogue: Catalogue) -> ComponentDescription:
 
 
 def design_of(found: ComponentDescription, name: str) -> tuple[Design, list[str]]:
-    """The component that a description is of, to be made under a name, and what of it is left out.
+    """Make the design of a described component, under a name; returns it with notes on all that is left out.
 
     Raises:
-        ConfigurationError: it has what no component can have; says where.
+        ConfigurationError: the description has something that no component can have; the text says where.
     """
     notes = list(found.notes)
     used = {*IMPORTED, pascal(name), *(one.name for one in found.parameters)}
@@ -87,7 +87,7 @@ def design_of(found: ComponentDescription, name: str) -> tuple[Design, list[str]
 
 
 def _told_apart(ports: Sequence[PortDescription], notes: list[str]) -> Iterator[PortDescription]:
-    """The ports, an out-port with the name of an in-port renamed: all ports of a component have names of their own."""
+    """The ports; an out-port with the name of an in-port is renamed, since a component's ports need different names."""
     ins = {one.name for one in ports if one.direction == "in"}
     taken = {one.name for one in ports}
     for one in ports:
@@ -104,7 +104,7 @@ def _told_apart(ports: Sequence[PortDescription], notes: list[str]) -> Iterator[
 def _port(one: PortDescription, used: set[str], notes: list[str]) -> tuple[str, Port]:
     try:
         cls = find_type(one.type)
-        has_tm(cls)  # refuses what is no record
+        has_tm(cls)  # raises where the type is no record
     except AiortsError as error:
         raise ConfigurationError(
             f"{one.where}: port {one.name}: {error}; a plugin (--plugins) can offer a record type of this name"
@@ -140,7 +140,7 @@ def _parameter(one: ParameterDescription, notes: list[str]) -> Parameter:
 
 
 def _attribute(label: str, fallback: str, used: set[str]) -> str:
-    """A name for an attribute as near to a label as can be."""
+    """A free name for an attribute, as near to the label as possible."""
     plain = re.sub(r"\W+", "_", label, flags=re.ASCII).strip("_") or fallback
     for own in (label, plain, f"{plain}_", f"{fallback}_{plain}"):
         try:
@@ -156,7 +156,7 @@ def _attribute(label: str, fallback: str, used: set[str]) -> str:
 
 
 def _label(label: str, own: str, where: str, notes: list[str]) -> str:
-    """The name of a port where it is another than its attribute's."""
+    """The name of a port where it differs from its attribute's, else ""."""
     if _LABEL.fullmatch(label):
         return "" if label == own else label
     notes.append(f"{where}: a port cannot be called {label!r:.80} here; it is {own}")
@@ -164,7 +164,7 @@ def _label(label: str, own: str, where: str, notes: list[str]) -> str:
 
 
 def _docstring(text: str) -> str:
-    """The text on one line, as it can stand in a docstring."""
+    """The text on one line, escaped for a docstring."""
     return _line(text).replace("\\", "\\\\").replace('"', "'")
 
 

@@ -1,4 +1,4 @@
-"""What a new component is to be: read from the words of the command line; it writes nothing."""
+"""The design of a new component, read from the words of the command line; this module writes nothing."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def _number(text: str) -> float:
 _KINDS: Final[Mapping[str, tuple[Callable[[str], Any], Any]]] = MappingProxyType(
     {"bool": (_truth, False), "int": (int, 0), "float": (_number, 0.0), "str": (str, "")}
 )
-"""How a parameter of each kind is read, and its default."""
+"""The reader of a parameter of each kind, and its default."""
 IMPORTED: Final = frozenset(
     ("Any", "Component", "InPort", "Mapping", "OutPort", "Param", "Protocol", "Provided", "Required")
 )
-"""Names that the file of a component may import."""
+"""Names that the component's file may import."""
 _TAKEN: Final = frozenset(("ask", "self", "types", *(name for name in dir(Component) if not name.startswith("_"))))
 
 
@@ -48,21 +48,21 @@ class Port:
     """A data port."""
 
     name: str
-    """Of the attribute."""
+    """The name of the attribute."""
     cls: type
     label: str = ""
-    """Of the port, where it is not the attribute's."""
+    """The name of the port, where it differs from the attribute's."""
     unit: str = ""
     doc: str = ""
 
     @property
     def type(self) -> str:
-        """The name of its type."""
+        """The name of the port's type."""
         return self.cls.__name__
 
     @property
     def module(self) -> str:
-        """Where it is imported from."""
+        """The module from which the type is imported."""
         module = full_name(self.cls).partition(":")[0]
         return "aiorts.types" if module.startswith("aiorts.types.") else module
 
@@ -77,13 +77,13 @@ class Service:
     interface: str
     """The name of the protocol."""
     label: str = ""
-    """Of the port, where it is not the attribute's."""
+    """The name of the port, where it differs from the attribute's."""
     doc: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter."""
+    """A parameter of the component."""
 
     name: str
     default: Any
@@ -93,7 +93,7 @@ class Parameter:
     widget: str = ""
 
     def declared(self) -> Any:
-        """What would stand in a class body; DeclarationError where that cannot be."""
+        """The declaration as in a class body; DeclarationError where it is not valid."""
         spec = Param(self.default, unit=self.unit, doc=self.doc, constraint=self.constraint or None, widget=self.widget)
         type("Checked", (Component,), {self.name: spec})
         return spec
@@ -101,26 +101,26 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A component that is to be made."""
+    """The design of a component to write."""
 
     name: str
-    """Of the folder, the project and the command."""
+    """The name of the folder, the project and the command."""
     ins: tuple[Port, ...] = ()
     outs: tuple[Port, ...] = ()
     params: tuple[Parameter, ...] = ()
     services: tuple[Service, ...] = ()
     flexi: bool = False
-    """Whether its ports follow from parameters."""
+    """Whether the component's ports follow from parameters."""
     doc: str = ""
-    """What the component is for."""
+    """The purpose of the component, for its docstring."""
     offered: str = ""
-    """The name that it is found by, where that is not the class's."""
+    """The name of its entry point, where it differs from the class's."""
     rate: float = 10.0
-    """Hz of the system file."""
+    """Hz of the context in the system file."""
 
     @property
     def type(self) -> str:
-        """The name that it is found by."""
+        """The name of its entry point."""
         return self.offered or self.cls
 
     @property
@@ -144,7 +144,7 @@ def design(
     flexi: bool = False,
     described: Design | None = None,
 ) -> Design:
-    """The component of these words.
+    """Make the design of a component from words of the command line.
 
     Args:
         name: letters, digits, - and _.
@@ -152,12 +152,12 @@ def design(
         params: "NAME[:KIND][=DEFAULT]", KIND bool, int, float or str.
         services: "NAME[:provided]" or "NAME:required".
         flexi: ports follow from parameters; then there are none of `ins` and `outs`.
-        described: what a file says of it, to which all this is added.
+        described: the design from a file, to which the words are added.
 
     Raises:
-        ConfigurationError: says which word is wrong, and what is expected.
+        ConfigurationError: a word is wrong; the text names it and what is expected.
         UnknownTypeError: there is no such type.
-        DeclarationError: it is no record.
+        DeclarationError: a type is no record.
     """
     if not _NAME.fullmatch(name) or len(name) > _LONGEST:
         raise ConfigurationError(f"{name!r:.80}: expected a name of letters, digits, - and _ that begins with a letter")
@@ -180,7 +180,7 @@ def design(
 
 
 def pascal(name: str) -> str:
-    """The name as classes have it."""
+    """The name in the form of class names."""
     return "".join(word[0].upper() + word[1:] for word in _WORDS.findall(name))
 
 
@@ -189,7 +189,7 @@ def _port(option: str, word: str) -> Port:
     if not sign or not type_name:
         raise ConfigurationError(f"{option} {word!r:.80}: expected PORT:TYPE, such as {name or 'pose'}:TimedPose2D")
     cls = find_type(type_name)
-    has_tm(cls)  # refuses what is no record
+    has_tm(cls)  # raises where the type is no record
     return Port(attribute(option, name), cls)
 
 
@@ -217,7 +217,7 @@ def _service(word: str) -> Service:
 
 
 def attribute(option: str, name: str) -> str:
-    """A name that an attribute of a component can have."""
+    """Check a name for an attribute of a component; returns it."""
     if not name.isidentifier() or not name.isascii() or name.startswith("_") or len(name) > _LONGEST:
         raise ConfigurationError(f"{option} {name!r:.80}: expected a name of letters, digits and _, as in Python")
     if keyword.iskeyword(name) or name in _TAKEN:

@@ -1,4 +1,4 @@
-"""The files of a plugin with one component, as text; it writes nothing."""
+"""The files of a plugin with one component, as text; this module writes nothing."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from aiorts.types import TimedDouble, has_tm
 from aiorts.wire import split_sample
 
 _RATE: Final = 10.0
-"""Hz of what the system file feeds it with, at the most."""
+"""The highest rate in Hz at which the system file feeds the component."""
 _WIDTH: Final = 120
-"""Of a line."""
+"""Characters of the longest line."""
 
 
 def files_of(design: Design) -> dict[str, str]:
-    """Path below the folder -> text."""
+    """The text of each file, by its path below the folder."""
     package = design.package
     return {
         "pyproject.toml": _pyproject(design),
@@ -158,7 +158,7 @@ _FLEXI: Final = '''\
 
 
 def _imports(ports: Iterable[Port]) -> Iterator[str]:
-    """The lines that import their types, in the order that ruff gives them."""
+    """The lines that import the types of ports, in the order of ruff."""
     found: dict[str, set[str]] = {}
     for port in ports:
         found.setdefault(port.module, set()).add(port.type)
@@ -200,7 +200,7 @@ def _declarations(design: Design) -> Iterator[str]:
 
 
 def _call(head: str, arguments: list[str]) -> Iterator[str]:
-    """A call in a class body, in the form that ruff gives it."""
+    """A call in a class body, as ruff formats it."""
     inside = ", ".join(arguments)
     if len(line := f"    {head}({inside})") <= _WIDTH:
         yield line
@@ -222,7 +222,7 @@ def _type_of(values: tuple[Any, ...]) -> str:
 
 
 def literal(value: Any) -> str:
-    """A value as Python writes it, in the form that ruff gives it."""
+    """A value as a Python literal, as ruff formats it."""
     if isinstance(value, tuple):
         return f"({', '.join(map(literal, value))}{',' * (len(value) == 1)})"
     if not isinstance(value, str):
@@ -255,7 +255,7 @@ def _cycle(design: Design) -> Iterator[str]:
 
 
 def _pairs(design: Design) -> tuple[dict[Port, list[Port]], list[Port]]:
-    """For each in-port the out-ports that pass on what comes, of the same type; and the other out-ports."""
+    """The out-ports that pass on the samples of each in-port, of the same type; and the other out-ports."""
     pairs: dict[Port, list[Port]] = {port: [] for port in design.ins}
     alone: list[Port] = []
     for out in design.outs:

@@ -1,1 +1,1 @@
-"""What a command does while a system runs: signals, status line, log, dump, the end."""
+"""The runtime of commands that run a system: signals, status line, log, dump, the end."""

@@ -1,4 +1,4 @@
-"""A component that runs alone, by `aiorts run` or as a filter: its context, and the standard streams at its ports."""
+"""The run of a single component, by `aiorts run` or as a filter: its context, and the standard streams at its ports."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from aiorts.system import FrameInput, LiveInput, StandardInput
 
 DEFAULT_RATE: Final = 10.0
-"""Hz of a component without in-ports that says nothing else."""
+"""Hz of a component without in-ports that declares no rate."""
 LOSSLESS: Final[Mapping[str, Any]] = {"length": 1000, "full": "block", "timeout": None}
-"""How a component alone is connected with standard input and standard output."""
+"""The options by which a component alone is connected with standard input and output."""
 _LONGEST: Final = 1_000_000
 
 
 def check_rate(rate: float | None) -> None:
-    """Raise ConfigurationError unless `--rate` is a rate, or was not given."""
+    """Raise ConfigurationError unless `--rate` is a valid rate or was not given."""
     if rate is not None:
         try:
             PeriodicContext(rate=rate)
@@ -39,13 +39,13 @@ def check_rate(rate: float | None) -> None:
 
 
 def context_for(component: Component, catalogue: Catalogue, rate: float | None) -> Context:
-    """The context that its class asks for in `alone`; else one for its data, or a periodic one where none can come.
+    """Make the context that the class declares in `alone`; else an event context, or without in-ports a periodic one.
 
     Args:
-        rate: Hz, which win over what the class says; None is no wish.
+        rate: Hz, which take precedence over the class; None: not given.
 
     Raises:
-        DeclarationError: `alone` is no table of a context.
+        DeclarationError: `alone` is no valid table of a context.
     """
     table: Any = type(component).alone
     where = f"{type(component).__name__}.alone"
@@ -71,7 +71,7 @@ def context_for(component: Component, catalogue: Catalogue, rate: float | None) 
 
 
 def takes_data(component: Component) -> bool:
-    """Whether it has an in-port."""
+    """Whether the component has an in-port."""
     return any(isinstance(port, InPort) for port in component.ports.values())
 
 
@@ -81,23 +81,23 @@ def outs_of(component: Component) -> dict[str, type]:
 
 
 async def connect_output(kernel: Kernel, component: Component, sink: Component) -> None:
-    """Connect its out-ports with the in-ports of the same names of what writes to standard output."""
+    """Connect the component's out-ports with the in-ports of the same names of the sink of standard output."""
     await kernel.add(sink)
     for name in outs_of(component):
         await kernel.connect(component.ports[name], sink.ports[name], **LOSSLESS)
 
 
 def input_is_given() -> bool:
-    """Whether standard input is a pipe or a file; a terminal, a socket, or a device such as /dev/null feeds nobody."""
+    """Whether standard input is a pipe or a file; a terminal, a socket, or a device such as /dev/null is not read."""
     try:
         mode = os.fstat(sys.stdin.fileno()).st_mode
     except (AttributeError, ValueError, OSError):
-        return False  # started without
+        return False  # started without standard input
     return stat.S_ISFIFO(mode) or stat.S_ISREG(mode)
 
 
 async def connect_input(kernel: Kernel, component: Component, ends: Ends, **how: Any) -> StandardInput | FrameInput:
-    """What reads standard input, connected with the in-ports of the component; to be started last, with `end_with`.
+    """Add the reader of standard input and connect it with the in-ports; the caller starts it last, with `end_with`.
 
     Args:
         how: `count` and `optional`, see `Incoming` and `StandardInput`.
@@ -110,7 +110,7 @@ async def connect_input(kernel: Kernel, component: Component, ends: Ends, **how:
         return any(unread_at(component.ports[name]) for name in outs)
 
     source = await kernel.add(ends.source(ins, ordered=ordered, held_up=held_up, **how))
-    # One that takes what it can pair leaves the rest, and must not keep us from reading what that waits for.
+    # A component that pairs samples leaves the rest unread; this must not stop the reading of those that it waits for.
     ways = LOSSLESS if ordered or len(ins) == 1 else {**LOSSLESS, "length": _LONGEST}
     for name in ins:
         await kernel.connect(source.ports[name], component.ports[name], **ways)
@@ -122,7 +122,7 @@ async def connect_input(kernel: Kernel, component: Component, ends: Ends, **how:
 async def connect_live(
     kernel: Kernel, component: Component, ends: Ends, stream: Stream, *, count: int | None
 ) -> LiveInput:
-    """What takes the samples of another process, connected with the only in-port of the component; as `connect_input`.
+    """Add the source of another process's samples and connect it with the only in-port; as `connect_input`.
 
     Raises:
         WiringError: there are several in-ports, or the samples are of another type.
@@ -142,13 +142,13 @@ async def connect_live(
 
 
 def end_with(kernel: Kernel, component: Component, source: Component | None) -> None:
-    """Have the run end when something is in error, or the component has finished, though more could be read."""
+    """End the run when a component is in error, or this one has finished although more could be read."""
     ending: list[asyncio.Task[None]] = []
 
     async def leave(source: Component) -> None:
         source.finish()
         for port in list(source.ports.values()):
-            for connector in list(port.connectors):  # what was read and nobody takes any more
+            for connector in list(port.connectors):  # drops what the component takes no more
                 await kernel.disconnect(connector)
 
     def check_end(_event: object = None) -> None:

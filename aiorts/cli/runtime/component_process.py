@@ -1,6 +1,6 @@
-"""The process of one component: a kernel that the kernel which started it operates over a socket.
+"""The process of one component: a kernel that its starting kernel operates over a socket.
 
-It has no socket that others could find, and ends with the one that it was started with.
+It has no socket that others can find, and ends with the socket that it was started with.
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ from aiorts.services import ServiceConnector, ServicePort
 
 _REPORT_SECONDS: Final = 5.0
 _ASKED: Final = operations_of("components", "configuration", "contexts", "lifecycle")
-"""The operations that every process is asked for; the whole table would be a part of its start."""
+"""The operations that every process needs; importing the whole table would delay its start."""
 
 
 def main() -> None:
-    """Do as the kernel at the other end of the socket says, until that ends. `prepare` was called before."""
+    """Serve the kernel at the other end of the socket until that ends. `prepare` was called before."""
     sock = socket.socket(fileno=DESCRIPTOR)
     first = First.receive(sock)
     sys.path[:] = first.path
     _log_to_stderr(first.log_level)
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(line_buffering=True)  # what it prints is seen at once, also when it crashes next
+        sys.stdout.reconfigure(line_buffering=True)  # prints are seen at once, even if it crashes next
     run(_Process(first, sock).serve(), loop=first.loop)
 
 
@@ -76,7 +76,7 @@ class _Process:
         self._over = asyncio.Event()
         self._parent: Peer | None = None
         self._told = False
-        """Whether the kernel that started this process knows the ports: then it hears of changes."""
+        """Whether the kernel that started this process has asked for the ports: then changes are reported to it."""
         self._reports: set[asyncio.Task[None]] = set()
         self._own: dict[str, Callable[..., Awaitable[Any]]] = {
             "bind": self._bind,
@@ -87,7 +87,7 @@ class _Process:
             "give": self._give,
             "retire": self._retire,
         }
-        """The operations of a component's process that the control table lacks, or answers otherwise."""
+        """The operations that the control table lacks, or carries out otherwise."""
 
     async def serve(self) -> None:
         first = self._first
@@ -110,7 +110,7 @@ class _Process:
             self._session.end()
 
     def _is_greeted(self, _: asyncio.Future[None]) -> None:
-        if self._parent is None:  # the connection is over before the other kernel has said who it is
+        if self._parent is None:  # the connection ended before the other kernel said hello
             self._over.set()
 
     def _present(self, peer: Peer, up: bool) -> None:
@@ -133,7 +133,7 @@ class _Process:
             return done(await (self._run(name, given) if own is None else own(**given)))
         except AiortsError as error:
             return refused(error)
-        except Exception as error:  # noqa: BLE001 - a hook of the component may raise anything
+        except Exception as error:  # noqa: BLE001 - a hook of the component may raise any exception
             return refused(ComponentError(format_error(error)))
 
     async def _run(self, name: str, given: dict[str, Any]) -> Any:
@@ -150,12 +150,12 @@ class _Process:
         return value
 
     async def _configure(self, **given: Any) -> list[list[Any]]:
-        """Put parameters in force; returns the ports of the component: a busy process is asked once for both."""
+        """Put parameters in force; returns the ports of the component, so that a busy process is asked only once."""
         await self._run("configure", given)
         return described(self._component)
 
     async def _bind(self, required: str, provided: str) -> str:
-        """Connect an interface that the component requires; the connector's name."""
+        """Connect an interface that the component requires; returns the connector's name."""
         made: ServiceConnector
         component = self._component
         ends = [end for port in component.ports.values() if isinstance(port, ServicePort) for end in port.interfaces]
@@ -167,15 +167,15 @@ class _Process:
         return self._kernel.components[self._first.component]
 
     async def _hold(self, holds: bool) -> None:
-        """Have the in-ports take samples whatever its state is, or no longer."""
+        """Make the in-ports take samples in any state of the component, or end that."""
         (hold if holds else release)(self._component)
 
     async def _state(self) -> dict[str, Any]:
-        """What its attributes are."""
+        """The attributes of the component, for its next instance."""
         return state_of(self._component)
 
     async def _unread(self) -> list[Any]:
-        """What is unread, by in-port and writer; it is taken out."""
+        """Take out the unread samples; returns them by in-port and writer."""
         ports = [port for port in self._component.ports.values() if isinstance(port, InPort)]
         return [
             [port.name, str(getattr(one.out, "far", "")), [packed(sample, port.path) for sample in taken(one)]]
@@ -184,11 +184,11 @@ class _Process:
         ]
 
     async def _give(self, state: dict[str, Any]) -> None:
-        """Have these attributes."""
+        """Set these attributes of the component."""
         await give_state(self._kernel, self._component, state)
 
     async def _retire(self, context: str) -> None:
-        """End the members: they read what is unread before, and what they write last has arrived."""
+        """End the members: they first read all unread samples, and their last samples have arrived on return."""
         runner, budget = self._kernel.contexts[context].runner, StopBudget(self._kernel.loop)
         await runner.retire(tuple(runner.members), budget)
         await self._links.ends.sent(self._kernel.connectors.values(), budget.rest)
@@ -221,12 +221,12 @@ class _Process:
 
 
 def _overdue(context: Context) -> OverdueHook | None:
-    """The hook of its member that runs longer than its deadline."""
+    """The hook of the context's member that runs longer than its deadline."""
     return next(filter(None, map(context._overdue, context.runner.members)), None)
 
 
 def _unsent(_message: object, _sent: object) -> None:
-    """Nothing is sent by a session: operations that stream are not asked for."""
+    """Send nothing: no operation of this session streams."""
 
 
 def _log_to_stderr(level: int) -> None:

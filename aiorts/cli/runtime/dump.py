@@ -1,8 +1,8 @@
-"""What SIGUSR1 prints: the stacks of all threads, the state of the system, the tasks; it changes nothing.
+"""The dump at SIGUSR1: the stacks of all threads, the state of the system, the tasks; it changes nothing.
 
-The stacks come from the interpreter itself, at once, whatever blocks it. The rest follows when Python runs again,
-between two instructions of whoever runs: nothing here takes a lock or counts anything, so that figures of a connector
-that is being used at this moment may be torn.
+The interpreter itself prints the stacks at once, whatever blocks it. The rest follows when Python runs again, between
+two instructions of the running code. The dump takes no lock, so the figures of a connector in use at this moment may
+be inconsistent.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def dump(kernel: Kernel | None, loop: asyncio.AbstractEventLoop | None) -> None:
-    """Write the state on standard error, past the streams: a signal may have come in the middle of a write."""
+    """Write the state to the descriptor of standard error, not its stream: the signal may have interrupted a write."""
     lines = [*_thread_stacks(), *(state_of(kernel) if kernel is not None else ["no system runs yet"])]
     if loop is not None:
         lines += _tasks(loop)
@@ -46,7 +46,7 @@ def dump(kernel: Kernel | None, loop: asyncio.AbstractEventLoop | None) -> None:
 
 @contextlib.contextmanager
 def dumping_stacks() -> Iterator[None]:
-    """Have the interpreter print every thread's stack at SIGUSR1, before Python's own handler is called."""
+    """Let the interpreter print every thread's stack at SIGUSR1, before Python's own handler is called."""
     try:
         if not hasattr(faulthandler, "register"):
             raise ValueError
@@ -61,7 +61,7 @@ def dumping_stacks() -> Iterator[None]:
 
 
 def state_of(kernel: Kernel) -> list[str]:
-    """Components, contexts and connectors of a kernel, a line each."""
+    """The components, contexts, connectors and services of a kernel, a line each."""
     return [
         repr(kernel),
         *map(_component, tuple(kernel.components.values())),
@@ -117,7 +117,7 @@ def _spans(what: str, spans: Iterable[int]) -> str:
 
 
 def _thread_stacks() -> Iterable[str]:
-    """Who is who among the stacks above."""
+    """The names of the threads in the stacks above."""
     for thread in threading.enumerate():
         if thread.ident is not None:
             yield f"thread 0x{thread.ident:016x} is {thread.name}"
@@ -127,7 +127,7 @@ def _tasks(loop: asyncio.AbstractEventLoop) -> Iterable[str]:
     try:
         tasks = asyncio.all_tasks(loop)
         running = asyncio.current_task(loop)
-    except RuntimeError:  # they change too fast
+    except RuntimeError:  # the set of tasks changes too fast
         return
     for task in sorted(tasks, key=lambda task: task.get_name()):
         if task is running:
@@ -140,7 +140,7 @@ def _tasks(loop: asyncio.AbstractEventLoop) -> Iterable[str]:
 
 
 def where_now() -> str:
-    """The line that the main thread runs, with words before it; empty when it waits for events."""
+    """A text with the line that the main thread runs; empty when it waits for events."""
     found = _outside(sys._current_frames().get(threading.main_thread().ident or 0))
     if found is None:
         return ""
@@ -148,7 +148,7 @@ def where_now() -> str:
 
 
 def _outside(frame: FrameType | None) -> FrameType | None:
-    """The innermost frame of a component's code: below it is a hook's caller, and above it only what it called."""
+    """The innermost frame of a component's code, or None."""
     while frame is not None:
         name: Any = frame.f_globals.get("__name__") or ""
         top = str(name).partition(".")[0]

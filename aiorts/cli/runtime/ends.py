@@ -1,4 +1,4 @@
-"""The ends of a filter: what feeds its in-ports and takes from its out-ports, as JSON lines or as frames of a codec."""
+"""The ends of a filter: the source of its in-ports and the sink of its out-ports, for JSON lines or frames."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     from aiorts.wire import Codec
 
 _SINGLY = 10
-"""Bad lines of one reason that are told one by one."""
+"""Bad lines of one reason that are reported one by one."""
 _REASONS = 100
-"""That are counted side by side."""
+"""Reasons that are counted at the same time."""
 
 
 class Ends:
     """Standard input and standard output in one form.
 
     Args:
-        codec: the name of a codec; None is JSON lines. PluginError when there is no such codec.
+        codec: the name of a codec; None is JSON lines. PluginError: there is no such codec.
     """
 
     def __init__(self, codec: str | None) -> None:
@@ -33,24 +33,24 @@ class Ends:
 
         self._is_live = False
         self.bad = False
-        """Whether anything was."""
+        """Whether a line, frame or sample was bad."""
         self._told: dict[str, list[int]] = {}
-        """By reason: how many were bad for it, how many of them were told, and the number of the last."""
+        """The counts by reason: bad items, those that were reported, and the number of the last one."""
 
     def source(self, ports: Mapping[str, type], **how: Any) -> StandardInput | FrameInput:
-        """What feeds these in-ports. ConfigurationError for frames from a terminal."""
+        """Make the component that feeds these in-ports. ConfigurationError for frames from a terminal."""
         if self._codec is None:
             return StandardInput("stdin", ports, self._complain, **how)
         _check(sys.stdin, "input")
         return FrameInput("stdin", ports, self._codec, self._complain, **how)
 
     def live(self, ports: Mapping[str, type], stream: Stream, *, count: int | None) -> LiveInput:
-        """What feeds this in-port with the samples of another process."""
+        """Make the component that feeds this in-port with the samples of another process."""
         self._is_live = True
         return LiveInput("live", ports, stream, self._complain, -1, count=count)
 
     def _complain(self, number: int, why: str) -> None:
-        """Tell of a bad one. Of many that are bad for one reason the first are told, then how many there are by now."""
+        """Report a bad item. Of many with one reason the first are reported, then only their growing number."""
         self.bad = True
         if len(self._told) >= _REASONS and why not in self._told:
             self.report_rest()
@@ -64,7 +64,7 @@ class Ends:
             self._report_more(why, told)
 
     def report_rest(self) -> None:
-        """Say how many more there were than has been told."""
+        """Report the number of bad items that were not reported yet."""
         for why, told in self._told.items():
             if told[0] > told[1]:
                 self._report_more(why, told)
@@ -83,7 +83,7 @@ class Ends:
         report(code, f"standard input, {item} {what}")
 
     def sink(self, ports: Mapping[str, type], **how: Any) -> StandardOutput | FrameOutput:
-        """What takes from these out-ports. ConfigurationError for frames to a terminal."""
+        """Make the component that takes from these out-ports. ConfigurationError for frames to a terminal."""
         if self._codec is None:
             return StandardOutput("stdout", ports, **how)
         _check(sys.stdout, "output")

@@ -1,4 +1,4 @@
-"""Which components of a run failed for good: the exit status is by that, also when it happens while all is stopped."""
+"""The components of a run that failed for good, also during its end: they decide the exit status."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from aiorts.events import ComponentRemoved, HookFailed, StateChanged
 from aiorts.system import ended_in_error
 
 _LAST = ("on_deactivated", "on_shutdown", "on_finalize")
-"""Hooks that leave a component in no other state when they fail: what they were to do in the end was not done."""
+"""Hooks whose failure does not put a component into error, although its end was not completed."""
 
 
 class Failures:
-    """Hears of a kernel's failures from now on, and forgets what was made good before the end."""
+    """A record of a kernel's failures, which forgets those that are repaired before the end."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel
@@ -24,16 +24,16 @@ class Failures:
 
     @property
     def in_error(self) -> dict[str, BaseException | None]:
-        """Who ended in error, by name, and for what."""
+        """The components that ended in error, each with its error."""
         return dict(self._in_error)
 
     @property
     def unfinished(self) -> bool:
-        """Whether a component failed on its way out, without an error that says so."""
+        """Whether a component failed in one of its last hooks, and `in_error` does not cover that failure."""
         return any(name not in self._in_error or hook != "on_deactivated" for name, hook in self._unfinished)
 
     def end(self) -> None:
-        """Nobody is helped from now on: the kernel is about to close."""
+        """Note that the kernel is about to close: later failures cannot be repaired."""
         self._ending = True
         self._in_error |= ended_in_error(self._kernel)
 
@@ -52,7 +52,7 @@ class Failures:
         if event.hook in _LAST:
             self._unfinished.add((event.component, event.hook))
         elif self._ending and event.hook != "on_initialize":
-            # A task, say, of a component that is in no context any more and has no state that could be error.
+            # For example a task of a component that is in no context any more, and so cannot be in error.
             self._in_error.setdefault(event.component, event.error)
 
     def _removed(self, event: ComponentRemoved) -> None:

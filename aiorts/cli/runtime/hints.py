@@ -1,4 +1,4 @@
-"""What a run tells though nothing has failed: samples that were lost unseen, data that cannot come, a missing await."""
+"""Hints of a run in which nothing has failed: samples that were lost unseen, data that cannot come, a missing await."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from aiorts.model.profile import ConnectorProfile
 
 Tell: TypeAlias = Callable[[str, str], None]
-"""Takes a code and a message."""
+"""A function that takes a code and a message."""
 _LEFT: Final = ("inactive", "disconnected")
-"""The reasons of samples that wait when the reader or the connection ends."""
+"""The drop reasons of samples that wait when the reader or the connection ends."""
 
 
 class Drops:
-    """Losses of the connectors that are to deliver every sample, counted before the kernel ends and said afterwards."""
+    """The losses of connectors that are to deliver every sample, noted before the kernel's end, reported after it."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._before = [
@@ -36,7 +36,7 @@ class Drops:
         """A line for each connector and reason.
 
         Args:
-            every: also where a reader in a context with a rate leaves samples out, and where they are few.
+            every: whether to include a reader in a context with a rate that skips samples, and small numbers.
         """
         for connector, before, on_events in self._before:
             ledger = connector.statistics
@@ -51,23 +51,23 @@ class Drops:
 
 
 def _is_for_all(profile: ConnectorProfile) -> bool:
-    """Whether it is to deliver every sample, and not the newest only."""
+    """Whether a connector is to deliver every sample, not only the newest."""
     if profile.dataflow is Dataflow.PULL:
         return False
     return profile.subscription is Subscription.FLUSH or profile.push in (Push.ALL, Push.FIFO)
 
 
 def _on_events(kernel: Kernel, connector: Connector) -> bool:
-    """Whether the reader runs because a sample came, so that it may be expected to see each."""
+    """Whether the reader runs in event contexts, so that it is expected to see each sample."""
     reader = kernel.components.get(connector.in_.path.partition(".")[0])
     return reader is not None and bool(reader.contexts) and all(one.kind == "event" for one in reader.contexts)
 
 
 def unfed(kernel: Kernel, advice: str) -> str:
-    """What to say of a component alone that waits for data which cannot come; empty when it does not.
+    """The hint for a component alone that waits for data which cannot come; empty when it does not wait so.
 
     Args:
-        advice: how it gets data.
+        advice: the text that says how it gets data.
     """
     for component in kernel.components.values():
         ports = [port for port in component.ports.values() if isinstance(port, InPort)]
@@ -82,9 +82,9 @@ def unfed(kernel: Kernel, advice: str) -> str:
 
 @contextlib.contextmanager
 def unawaited_reported(tell: Tell) -> Iterator[list[str]]:
-    """Meanwhile a coroutine that was never awaited is told in a line that names its component and what to write.
+    """Report each coroutine that was never awaited in a line that names its component and what to write.
 
-    The list has what was told so.
+    The yielded list has these lines.
     """
     told = list[str]()
 

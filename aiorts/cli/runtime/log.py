@@ -1,8 +1,8 @@
-"""The log of one run: what components, libraries and the command itself say, as lines for a person or a program.
+"""The log of one run: messages of components, libraries and the command itself, as lines for a person or a program.
 
-A `Line` is decided once, and each sink writes it in its form: standard error, and a file where one is named; then
-standard error is told of warnings and errors only. While the command runs this is a handler of Python's logging, and
-afterwards nothing of it is left. Nothing here raises because nobody takes the lines.
+Each `Line` is made once, and each sink writes it in its form: standard error, and a log file where one is named; then
+standard error gets only warnings and errors. The log is a handler of Python's logging while the command runs, and is
+removed without trace afterwards. A sink that cannot be written raises no exception here.
 """
 
 from __future__ import annotations
@@ -43,27 +43,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One thing that was said."""
+    """One message of the log."""
 
     time_ns: int
-    """On the clock of the system, nanoseconds since the epoch."""
+    """The time by the system's clock, in nanoseconds since the epoch."""
     level: str
     message: str
     component: str = ""
     context: str = ""
     hook: str = ""
     code: str = ""
-    """Of an error; empty for what is none."""
+    """The code of an error; empty for other messages."""
     error: BaseException | None = None
     advice: str = ""
     times: str = ""
     below: tuple[str, ...] = ()
-    """Lines for a person that follow."""
+    """Further lines for a person, below this one."""
 
     @property
     def where(self) -> str:
-        """Who said it, with a colon behind it, unless the message begins with that."""
-        dot = "." if self.hook.isidentifier() else ": "  # a task has no name of a hook
+        """The component and hook with a colon after it; "" where the message begins with them."""
+        dot = "." if self.hook.isidentifier() else ": "  # the name of a task is no identifier
         where = f"{self.component}{dot}{self.hook}: " if self.code and self.hook else f"{self.component}: "
         named = (where, f"{self.component}.")
         return "" if not self.component or self.message.startswith(named) else where
@@ -73,10 +73,10 @@ class Log(logging.Handler):
     """The log of one run, from `with` to its end.
 
     Args:
-        on_output_error: asked when the system refused what a component wrote; it returns True to say nothing of it.
+        on_output_error: called when the write of a component failed; it returns True to suppress the message.
 
     Raises:
-        ConfigurationError: the log file cannot be had; on entering.
+        ConfigurationError: on entering; the log file cannot be opened, or another process has it.
     """
 
     def __init__(self, options: Options, on_output_error: Callable[[OSError], bool]) -> None:
@@ -87,7 +87,7 @@ class Log(logging.Handler):
         self._now_ns: Callable[[], int] = time.time_ns
         self._kernel: Kernel | None = None
         self._failures: dict[str, tuple[str, int]] = {}
-        """By component: the context, and when."""
+        """The last failure of each component: the context, and the time in nanoseconds."""
         self._file: LogFile | None = None
 
     # -- from beginning to end -------------------------------------------------------------------------------------
@@ -113,7 +113,7 @@ class Log(logging.Handler):
         self.close()
 
     def attach(self, kernel: Kernel) -> None:
-        """From now on it is this kernel's system that speaks, by this kernel's clock."""
+        """Take lines of this kernel's system from now on, by this kernel's clock."""
         from aiorts.events import ComponentAdded, HookFailed
 
         self._kernel = kernel
@@ -126,14 +126,14 @@ class Log(logging.Handler):
         self._failures[event.component] = event.context, self._now_ns()
 
     def has_failed(self, component: str, *, just_now: bool) -> bool:
-        """Whether a failure of this component was told; just now is within the last second, its line still in sight."""
+        """Whether a failure of this component was logged; `just_now`: within the last second, its line in sight."""
         if component not in self._failures:
             return False
         return not just_now or self._now_ns() - self._failures[component][1] < 1_000_000_000
 
     def _set_level(self, event: ComponentAdded) -> None:
-        """A logger of its own for each, which is known to nobody else: what is not wanted is not even counted."""
-        assert self._kernel is not None  # noqa: S101 - it is its bus that calls
+        """Give a component a logger of its own, unknown to logging: lines below its level are not even counted."""
+        assert self._kernel is not None  # noqa: S101 - the kernel's bus calls this
         log = self._kernel.components[event.component].log
         logger = logging.Logger(log.logger.name, self.levels.of(event.component))
         logger.parent = log.logger
@@ -142,20 +142,20 @@ class Log(logging.Handler):
     # -- what is said ----------------------------------------------------------------------------------------------
 
     def tell(self, code: str, message: str, *, component: str = "", level: str = "error") -> None:
-        """A line of the command itself."""
+        """Log a line of the command itself."""
         self._write(Line(self._now_ns(), level, message, component, code=code))
 
     def failed(self, error: BaseException) -> None:
-        """That the run failed, and why."""
+        """Log that the run failed, and why."""
         advice = advice_on(error, debug=self._options.debug)
         message = f"{place_of(error)}{cause_of(error)}{in_brackets(origin_of(error))}"
         self._write(Line(self._now_ns(), "error", message, code=code_of(error), error=error, advice=advice))
 
     def refused(self, error: BaseException, findings: Iterable[Finding]) -> None:
-        """That a system file cannot run: everything that is wrong with it, as far as that was found."""
+        """Log that a system file cannot run: all its errors that were found."""
         found, text = list(findings), str(error).replace("\n", " ")
         same = [one for one in found if one.cause in text]
-        if all(one.where.startswith("--set") for one in same):  # the error knows the place in what was typed
+        if all(one.where.startswith("--set") for one in same):  # the error has the place in the typed text
             self.failed(error)
             found = [one for one in found if one not in same]
         for one in found:
@@ -165,7 +165,7 @@ class Log(logging.Handler):
             self._write(line)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Never raises: `handleError` of logging writes a traceback, which nobody asked for."""
+        """Log a record; never raises, since `handleError` of logging would print an unwanted traceback."""
         component = str(getattr(record, "component", ""))
         error = record.exc_info[1] if record.exc_info else None
         if record.levelno < self.levels.of(component):
@@ -186,7 +186,7 @@ class Log(logging.Handler):
         return Line(self._now_ns(), level, cause, component, context, hook, code_of(error), error, advice, times)
 
     def _context_of(self, component: str) -> str:
-        """The context of a component that is in one alone."""
+        """The context of a component that is in exactly one, else ""."""
         found = None if self._kernel is None else self._kernel.components.get(component)
         contexts = () if found is None else found.contexts
         return contexts[0].name if len(contexts) == 1 else ""

@@ -1,6 +1,6 @@
-"""A file that lines are appended to: one process at a time has it, and a disk that is full breaks nothing.
+"""A log file to which lines are appended: one process at a time has it, and a full disk does not stop the run.
 
-Each line is one write of the system, so nothing is lost with the process, however it ends.
+Each line is one system call, so no line is lost with the process, however it ends.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ class LogFile:
     """An open log file.
 
     Args:
-        complain: told once for each time that lines begin to be lost.
-        lost: the line that says how many were, when there is room again.
+        complain: called once each time that lines begin to be lost.
+        lost: makes the line with the number of lost lines, when there is room again.
 
     Raises:
-        ConfigurationError: it cannot be opened, or another process has it.
+        ConfigurationError: the file cannot be opened, or another process has it.
     """
 
     def __init__(self, path: Path, complain: Callable[[str], None], lost: Callable[[int], str]) -> None:
@@ -36,7 +36,7 @@ class LogFile:
         self._torn = False
         self._descriptor = -1
         try:
-            # Without waiting: a pipe that nobody reads would hold us up here forever.
+            # Non-blocking: a pipe without a reader would block here without end.
             self._descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK, 0o666)
             os.set_blocking(self._descriptor, True)
             self._take()
@@ -48,12 +48,12 @@ class LogFile:
             raise ConfigurationError(f"--log-file {path}: {_why(path, error)}") from None
 
     def _take(self) -> None:
-        """Only a file is taken: anybody may write to a terminal, to a pipe or to nowhere."""
+        """Lock the file for this process; a terminal, a pipe or /dev/null is shared."""
         if not stat.S_ISREG(os.fstat(self._descriptor).st_mode):
             return
         try:
             import fcntl
-        except ImportError:  # not POSIX: two may write to it
+        except ImportError:  # not POSIX: two processes may write to it
             return
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -68,7 +68,7 @@ class LogFile:
                 raise
 
     def write(self, line: str) -> None:
-        """Append a line, given without its end; never raises."""
+        """Append a line, given without its newline; never raises."""
         text = f"{line}\n"
         if self._lost:
             text = f"{chr(10) if self._torn else ''}{self._lost_line(self._lost)}\n{text}"
@@ -89,7 +89,7 @@ class LogFile:
             self._complain(f"--log-file {self.path}: {why}; lines are lost until there is room, the run goes on")
 
     def close(self) -> None:
-        """Let go of it; idempotent."""
+        """Close the file; idempotent."""
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             try:
@@ -99,15 +99,15 @@ class LogFile:
 
 
 def holder_of(status: os.stat_result) -> int | None:
-    """The process that has locked the file; None when the system does not tell."""
+    """The number of the process that has locked the file; None when the system does not tell."""
     try:
         lines = _LOCKS.read_text(encoding="ascii").splitlines()
     except (OSError, ValueError):
         return None
     for line in lines:
         fields = line.split()
-        # 1: FLOCK  ADVISORY  WRITE 4711 08:01:1234 0 EOF; with "->" behind the number it waits. Not all file systems
-        # give the device that stat gives, so that the inode decides.
+        # 1: FLOCK  ADVISORY  WRITE 4711 08:01:1234 0 EOF; "->" after the number marks a waiting process. Not all file
+        # systems give the device that stat gives, so the inode decides.
         if len(fields) > 5 and fields[1] == "FLOCK" and fields[5].rpartition(":")[2] == str(status.st_ino):
             return int(fields[4]) or None
     return None

@@ -1,4 +1,4 @@
-"""How a system is run, as values: what the command line says, checked before anything is loaded."""
+"""The options of a run as values: from the command line, checked before anything is loaded."""
 
 from __future__ import annotations
 
@@ -21,57 +21,57 @@ _LEVELS: Final[Mapping[str, int]] = {name: getattr(logging, name.upper()) for na
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How a system is run."""
+    """The options of a run."""
 
     loop: str = "auto"
     duration: float | None = None
-    """Seconds of the system's time after which it ends."""
+    """Seconds of the system's time after which the run ends."""
     verbose: bool = False
-    """Short for the log level info."""
+    """Whether the log level is info, where none is given."""
     debug: bool = False
-    """Tracebacks, and a kernel that checks threads and copies samples."""
+    """Whether tracebacks are printed, and the kernel checks threads and copies samples."""
     simulate: bool = False
     speed: float | None = None
     lenient: bool = False
-    """A component that ended in error does not make the exit status 3."""
+    """Whether a component that ended in error leaves the exit status as it is, not 3."""
     log_level: str = ""
-    """As `levels_of` reads it."""
+    """The levels in the form that `levels_of` reads."""
     log_file: Path | None = None
     log_format: str = "text"
     """"text" or "json"."""
     tell_drops: bool = False
-    """Tell of every sample that a connection was to deliver and did not."""
+    """Whether every sample is reported that a connection was to deliver and did not."""
     post_mortem: bool = False
-    """With `debug`: a debugger where a component failed, where a person sits at a terminal."""
+    """Whether `debug` opens a debugger where a component failed, if a person sits at a terminal."""
     status: bool = False
-    """Show what the system does in one line, where standard error is a terminal."""
+    """Whether a status line is shown, where standard error is a terminal."""
 
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """From which level on a line of the log is shown: as logging counts them, 10 is debug and 50 critical."""
+    """The lowest levels of shown log lines, in the numbers of logging: 10 is debug and 50 critical."""
 
     default: int
     components: Mapping[str, int]
 
     @property
     def lowest(self) -> int:
-        """What somebody may want to see."""
+        """The lowest level of all."""
         return min((self.default, *self.components.values()))
 
     def of(self, component: str) -> int:
-        """The level of a component; of everything else for ""."""
+        """The level of a component; "" is everything else."""
         return self.components.get(component, self.default)
 
     def check(self, known: Collection[str]) -> None:
-        """Click's error for a component that the system does not have."""
+        """Raise click's error for a component that the system does not have."""
         for name in self.components:
             if name not in known:
                 raise _bad(f"no component {name[:60]!r} in this system; {suggestion(name, known)}")
 
 
 def checked(options: Options) -> Options:
-    """The options, or click's error for one that has no meaning."""
+    """Check the options; click's error for one that has no meaning."""
     for name, flag in (("speed", "--speed"), ("duration", "--for")):
         value = getattr(options, name)
         if value is not None and not 0.0 < value < float("inf"):
@@ -83,7 +83,7 @@ def checked(options: Options) -> Options:
 
 
 def levels_of(options: Options) -> Levels:
-    """What `--log-level warning,pid0=debug`, `-v` and `--debug` ask for; click's error for any other word."""
+    """The levels of `--log-level warning,pid0=debug`, `-v` and `--debug`; click's error for any other word."""
     default = logging.DEBUG if options.debug else logging.INFO if options.verbose else logging.WARNING
     components = {}
     stated = False
@@ -109,7 +109,7 @@ def _bad(what: str) -> click.BadParameter:
 
 
 def with_clock(options: Options, clock: ClockEntry) -> Options:
-    """The options with the clock of a system file, where the command line says nothing of it."""
+    """The options with the clock of a system file, where the command line gives none."""
     if options.simulate or options.speed is not None:
         return options
     return replace(options, simulate=clock.kind == "simulated", speed=clock.speed)

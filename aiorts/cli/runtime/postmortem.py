@@ -1,6 +1,6 @@
-"""The debugger at the frame that failed, while everything else on the loop stands still; only where a person sits.
+"""The debugger at the frame that failed, with the loop standing still; only where a person sits at a terminal.
 
-It is `pdb`; leaving it lets the system go on. Ctrl-C in it is the debugger's, and the terminal is given back as it was.
+It is `pdb`; the system goes on when it is left. Ctrl-C in it is the debugger's, and the terminal is restored after it.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ def is_possible() -> bool:
 
 
 class PostMortem:
-    """Args: quietly: what keeps others from the terminal meanwhile."""
+    """The debugger. Args: quietly: a context manager that keeps other output from the terminal meanwhile."""
 
     def __init__(self, quietly: Callable[[], AbstractContextManager[object]]) -> None:
         self._quietly = quietly
         self._settings = _settings()
 
     def look(self, where: str, error: BaseException | None) -> None:
-        """Have a person look at where this was raised. What aiorts found wrong in a file has no such place."""
+        """Open the debugger where an error was raised; an error that aiorts found in a file has no such place."""
         if error is None or (isinstance(error, AiortsError) and error.__cause__ is None and not where):
             return
         trace = error.__traceback__
@@ -58,7 +58,7 @@ class PostMortem:
                 signal.signal(signal.SIGINT, before)
 
     def restore(self) -> None:
-        """Give the terminal back as it was: the process ends from inside the debugger."""
+        """Restore the terminal, where the process ends from inside the debugger."""
         if self._settings is not None:
             import termios
 

@@ -1,6 +1,6 @@
 """`aiorts run --print PORT`: prints the samples of out-ports of a system as JSON lines.
 
-It adds no component to the system. Where standard output is not read for long, the writers wait.
+No component is added to the system. Where standard output is not read for long, the writers wait.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
     from aiorts.kernel.loop.deadlines import StopBudget
 
 _MOST: Final = 1000
-"""Samples that may wait to be printed, of all ports; and at each port behind them."""
+"""Samples that may wait to be printed, of all ports together; and as many at each port."""
 
 
 class Printing(KernelService):
-    """Prints the samples of the out-ports that `wanted` names.
+    """The service that prints the samples of the out-ports that `wanted` names.
 
-    Each port's are in order; those of several ports are in the order in which they were sent as long as standard output
-    keeps up.
+    The samples of each port are in order. Samples of several ports are in the order in which they were sent, as long as
+    standard output keeps up.
     """
 
     name = "print"
     wanted: tuple[str, ...] = ()
-    """COMPONENT.PORT, with * and ?."""
+    """Names COMPONENT.PORT, with * and ?."""
     _over = False
     _task: asyncio.Task[None] | None = None
 
     @classmethod
     def prepare(cls, ports: tuple[str, ...], kernel: Kernel) -> None:
-        """Give the kernel this service, which prints these out-ports."""
+        """Attach this service to the kernel, to print these out-ports."""
         kernel.service(cls).wanted = ports
 
     async def starting(self) -> None:
@@ -96,5 +96,5 @@ class Printing(KernelService):
         self._some.set()
         await asyncio.wait({self._task}, timeout=budget.left)
         if self._task.done() and not self._task.cancelled():
-            self._task.result()  # a fault of its own is the service's
+            self._task.result()  # raises a fault of the task as the service's
         self._task.cancel()

@@ -1,4 +1,4 @@
-"""`aiorts kernel`: the program of a process that runs one component; a kernel starts it, and nobody else."""
+"""`aiorts kernel`: the program of a process that runs one component; only a kernel starts it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The options of `aiorts run` that services bring; no service is imported before somebody asks what there is."""
+"""The options of `aiorts run` that services offer; services are imported only for help and for an unknown option."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from aiorts.model.declared import Option, options_of
 from aiorts.system import Choices, load
 
 _KEY: Final = "aiorts.service options"
-"""Where a context of click keeps the options by service, once somebody asked for them."""
+"""The key under which a click context keeps the options by service, once they were looked up."""
 _ARGS: Final = "aiorts.arguments"
-"""Where it keeps the arguments of the command line, which lead to plugins."""
+"""The key under which it keeps the arguments of the command line, which lead to plugins."""
 
 
 class RunCommand(click.Command):
-    """A command with the options of services, found for its help or where an option is none of its own."""
+    """A command with the options of services, which are looked up for its help or for an unknown option."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Its own, and those of services as far as they were asked for."""
+        """The command's own parameters, and those of services that were looked up."""
         found: Mapping[str, list[click.Option]] = ctx.meta.get(_KEY, {})
         return [*super().get_params(ctx), *(option for options in found.values() for option in options)]
 
     def make_parser(self, ctx: click.Context) -> Any:
-        """The parser; an option that it does not know may be a service's."""
+        """Wrap click's parser: an option that it does not know may be a service's."""
         parser: Any = super().make_parser(ctx)
         parse = parser.parse_args
 
@@ -53,7 +53,7 @@ class RunCommand(click.Command):
         return parser
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Its own options, and those of each service under the service's name."""
+        """Write the command's own options, and those of each service under the service's name."""
         ctx.meta.pop(_KEY, None)
         super().format_options(ctx, formatter)
         found, faults = _found(ctx.meta.get(_ARGS, ()), super().get_params(ctx))
@@ -67,7 +67,7 @@ class RunCommand(click.Command):
 
 
 def chosen(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The settings among what a command line gave, by service; they are taken out of it."""
+    """Take the settings of services out of the given parameters; returns them by service."""
     found: dict[str, dict[str, Any]] = {}
     for word in [word for word in given if "." in word]:
         value = given.pop(word)
@@ -78,14 +78,14 @@ def chosen(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def option_faults(service: str, settings: type, own: Iterable[click.Parameter]) -> dict[str, str]:
-    """By its flag: what keeps an option of a service from being one of the command that has the options `own`."""
+    """The faults, by flag, of a service's options that cannot be options of a command with the options `own`."""
     return _sorted_out({service: settings}, own)[1]
 
 
 def _found(args: Iterable[str], own: Iterable[click.Parameter]) -> tuple[dict[str, list[click.Option]], dict[str, str]]:
-    """The options of each service that has some, and what is wrong with others by their flags.
+    """The options of each service that has some, and the faults of unusable options by flag.
 
-    Of what is installed, and of the folders that `args` lead to.
+    The services are those of installed packages, and of the folders that `args` lead to.
     """
     catalogue = catalogue_of(_folders(list(args)))
     settings = {}
@@ -93,14 +93,14 @@ def _found(args: Iterable[str], own: Iterable[click.Parameter]) -> tuple[dict[st
         try:
             settings[name] = load_service(catalogue.find("services", name)).settings
         except AiortsError:
-            continue  # `aiorts plugins --check` says what is wrong with it
+            continue  # `aiorts plugins --check` reports its fault
     return _sorted_out(settings, own)
 
 
 def _sorted_out(
     settings: Mapping[str, type], own: Iterable[click.Parameter]
 ) -> tuple[dict[str, list[click.Option]], dict[str, str]]:
-    """The options that can be used by service, and by its flag why another cannot."""
+    """The usable options by service, and the faults of the others by flag."""
     owners = {flag: ["`aiorts run` itself"] for option in own for flag in _flags(option)}
     faults: dict[str, str] = {}
     made: dict[str, list[click.Option]] = {}
@@ -130,19 +130,19 @@ def _flags(option: click.Parameter) -> tuple[str, ...]:
 
 
 def _folders(args: Sequence[str]) -> list[Path]:
-    """Where a command line says that plugins are: after --plugins, and beside a system file."""
+    """The plugin folders of a command line: those after --plugins, and those of a system file."""
     folders = [Path(word) for word in _after("--plugins", args)]
     for word in args:
         if is_file(word):
             try:
                 folders += load(word, (), Choices(tuple(_after("--var", args)))).plugin_paths
             except AiortsError:
-                continue  # the run says what is wrong with it
+                continue  # the run reports its errors
     return folders
 
 
 def _after(option: str, args: Sequence[str]) -> Iterator[str]:
-    """The values of an option, whichever way they are written."""
+    """The values of an option, written as "--option VALUE" or "--option=VALUE"."""
     yield from (after for word, after in pairwise(args) if word == option)
     yield from (word.removeprefix(f"{option}=") for word in args if word.startswith(f"{option}="))
 
@@ -156,5 +156,5 @@ def _option(service: str, name: str, one: Option, kind: Any) -> click.Option:
     elif several:
         kind = str
     option = click.Option([flag], type=kind, multiple=several, help=one.described, default=None)
-    option.name = f"{service}.{name}"  # no argument of a function: `chosen` takes it out
+    option.name = f"{service}.{name}"  # not the name of an argument: `chosen` takes it out
     return option

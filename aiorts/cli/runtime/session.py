@@ -1,4 +1,4 @@
-"""Running a system to its end: what `aiorts run` and the filters have in common, signals, log and exit status."""
+"""The run of a system to its end, for `aiorts run` and the filters: signals, log and exit status."""
 
 from __future__ import annotations
 
@@ -45,49 +45,49 @@ from aiorts.system import Ending, Finding
 __all__ = ("Construct", "Options", "Run", "checked", "execute", "log_of", "prepared")
 
 Construct: TypeAlias = Callable[[Kernel], Coroutine[Any, Any, None]]
-"""Makes the system in a kernel."""
+"""A function that makes the system in a kernel."""
 _INITIALIZE_SECONDS = 30.0
-"""What a component may take to be initialised: one that hangs is told of, and not waited for till somebody looks."""
+"""Seconds for a component's on_initialize; one that hangs is reported then, not waited for without end."""
 _FULL = (errno.ENOSPC, errno.EIO)
 _FILE_FAULTS = (ConfigurationError, DeclarationError, InvalidNameError, PluginError, UnknownTypeError, WiringError)
 
 
 def _nothing(_error: BaseException) -> None:
-    """A refusal that is told to no caller."""
+    """Do nothing: the default of `Run.refused`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What belongs to one run."""
+    """The parts of one run."""
 
     construct: Construct
     components: int
-    """How many there will be: once they are there the garbage collector looks at them for the last time."""
+    """The number of components; once they exist, the garbage collector runs over them for the last time."""
     options: Options
     stopper: Stopper
     log: Log
-    """The run's log, which its caller has begun."""
+    """The run's log, which the caller has entered."""
     catalogue: Catalogue | None = None
-    """The types that the kernel is asked for by name."""
+    """The catalogue of types for the kernel, or None for the default."""
     unfed_advice: str = ""
-    """For a component alone, what to do when it waits for data that cannot come."""
+    """The advice for a component alone that waits for data which cannot come."""
     streams: tuple[str, ...] = ()
-    """Components that are the command's own standard streams."""
+    """The names of the components that are the command's own standard streams."""
     errors: Callable[[], Sequence[Finding]] = tuple
-    """Asked when the system cannot be made: all that is wrong with its file."""
+    """The function that finds all errors of the file, called when the system cannot be made."""
     watch: Watch | None = None
-    """Applies what is changed in its files while it runs."""
+    """The watch that applies changes in the files while the system runs, or None."""
     refused: Callable[[BaseException], None] = _nothing
     """Called with the error of a system that cannot be made."""
 
     def warn(self, code: str, message: str) -> None:
-        """A line of the command itself, unless only errors are asked for."""
+        """Log a warning of the command itself, unless only errors are wanted."""
         if self.log.levels.default <= logging.WARNING:
             self.log.tell(code, message, level="warning")
 
 
 def prepared(make: Construct, *steps: Callable[[Kernel], None]) -> Construct:
-    """Make the system after these steps, each of which gives the kernel a service."""
+    """Compose a function that makes the system after these steps, each of which gives the kernel a service."""
 
     async def made(kernel: Kernel) -> None:
         for step in steps:
@@ -98,7 +98,7 @@ def prepared(make: Construct, *steps: Callable[[Kernel], None]) -> Construct:
 
 
 def execute(run: Run) -> int:
-    """Open a kernel, have the system made in it, run it to its end; the exit status."""
+    """Open a kernel, make the system in it and run it to its end; returns the exit status."""
     try:
         with unawaited_reported(run.log.tell) as unawaited:
             status = _run(run)
@@ -108,15 +108,15 @@ def execute(run: Run) -> int:
 
 
 def log_of(options: Options, stopper: Stopper) -> Log:
-    """The log of a run; what a component could not write ends it, or makes it fail."""
+    """Make the log of a run; a failed write of a component ends the run, or makes it fail."""
     return Log(options, lambda error: _output_error(error, stopper))
 
 
 def refuse(log: Log, error: BaseException, found: Sequence[Finding], status: int) -> int:
-    """Tell why a system cannot be made, with all that is wrong with its file; the exit status.
+    """Log why a system cannot be made, with all errors of its file; returns the exit status.
 
     Args:
-        status: where the file itself is not wrong: a component that cannot be constructed is none of its mistakes.
+        status: the exit status where the file has no error; a component that cannot be constructed is none of the file.
     """
     log.refused(error, found)
     return exits.REFUSED if any(one.code != ComponentError.code for one in found) else status
@@ -151,7 +151,7 @@ async def _session(run: Run) -> int:
         if issubclass(type(event.error), HookAbandoned):
             left.append(event)
         elif issubclass(type(event.error), OutputError):
-            stopper.request(exits.FAILED)  # an end condition that counts written samples would never come
+            stopper.request(exits.FAILED)  # a run that ends by the number of written samples would never end
 
     kernel.bus.subscribe(HookFailed, note)
     _freeze_when_made(kernel, run.components)
@@ -173,7 +173,7 @@ async def _session(run: Run) -> int:
                 debugger.look("", error)
         elif built:
             kernel.registry.mark_assembled()
-            gc.freeze()  # what activation made; without a collection, since contexts run by now
+            gc.freeze()  # the objects of activation; without a collection, since contexts run by now
             may_wait = options.duration is None and not failures.in_error
             if run.unfed_advice and may_wait and (hint := unfed(kernel, run.unfed_advice)):
                 run.warn("W-UNFED", hint)
@@ -185,7 +185,7 @@ async def _session(run: Run) -> int:
         failures.end()
         stopper.watch(_status(kernel, status, error, failures, run))
     every = options.tell_drops or run.log.levels.default <= logging.INFO
-    # Where its output failed, the line about that says that samples are lost.
+    # Where the output failed, its own line says that samples are lost.
     cut_off = stopper.output_failed or stopper.status in (exits.FAILED, exits.BROKEN_PIPE)
     for line in () if drops is None or cut_off else drops.lines(every=every):
         run.warn("W-DROPPED", line)
@@ -198,9 +198,9 @@ async def _session(run: Run) -> int:
 
 
 def _freeze_when_made(kernel: Kernel, components: int) -> None:
-    """Have the garbage collector look once at what the system is made of, before any context runs, and never again.
+    """Run the garbage collector once over the objects of the system, before any context runs, then exempt them from it.
 
-    A collection of a million live objects takes 20 ms and more, in which no deadline is met. The process is ours.
+    A collection of a million live objects takes 20 ms and more, in which no deadline is met. The process is our own.
     """
     left = components
 
@@ -212,13 +212,13 @@ def _freeze_when_made(kernel: Kernel, components: int) -> None:
         nonlocal left
         left -= 1
         if left == 0:
-            asyncio.get_running_loop().call_soon(freeze)  # not an observer's time, which is looked at
+            asyncio.get_running_loop().call_soon(freeze)  # not in the observer, whose time is monitored
 
     kernel.bus.subscribe(ComponentAdded, count)
 
 
 def _over(kernel: Kernel, duration: float | None) -> asyncio.Future[None]:
-    """Done `duration` seconds after the first context runs: what a start waits for counts, what is made before not."""
+    """A future that is done `duration` seconds after the first context runs: waits at start count, making does not."""
     running = asyncio.Event()
     unsubscribe = kernel.bus.subscribe(ContextStarted, lambda _event: running.set())
 
@@ -231,7 +231,7 @@ def _over(kernel: Kernel, duration: float | None) -> asyncio.Future[None]:
             await asyncio.Event().wait()
         else:
             await kernel.sleep(duration)
-            kernel.request_stop(kernel.exit_status)  # contexts that are never idle leave turns to the end from now on
+            kernel.request_stop(kernel.exit_status)  # from now on contexts that are never idle leave turns for the end
 
     return asyncio.ensure_future(count())
 
@@ -242,13 +242,13 @@ def _not_yet(kernel: Kernel) -> str:
 
 
 async def _unless_stopped(kernel: Kernel, work: Any, over: asyncio.Future[None]) -> tuple[bool, BaseException | None]:
-    """Whether the work was done before the end was asked for or the time was over, and what it raised."""
+    """Do the work until a stop is requested or the time is over; returns whether it was done, and its error."""
     doing = asyncio.ensure_future(work)
     stopping = asyncio.ensure_future(kernel.wait_stop_requested())
     await asyncio.wait({doing, stopping, over}, return_when=asyncio.FIRST_COMPLETED)
     done = doing.done()
     if stopping.done():
-        over.cancel()  # that the end takes a while is not told as a start that did
+        over.cancel()  # a slow end must not be reported as a slow start
     for task in (doing, stopping):
         task.cancel()
     await asyncio.wait({doing, stopping}, timeout=2.5)
@@ -257,7 +257,7 @@ async def _unless_stopped(kernel: Kernel, work: Any, over: asyncio.Future[None])
 
 
 async def _until_end(kernel: Kernel, run: Run, over: asyncio.Future[None], ending: Ending) -> int:
-    """Wait until it ends, or is to end; it has failed when samples were lost at its end."""
+    """Wait until the system ends, or a stop is requested; returns FAILED when samples were lost at the end."""
     finishing = asyncio.ensure_future(ending.wait())
     waiting: set[asyncio.Future[Any]] = {finishing, asyncio.ensure_future(kernel.wait_stop_requested()), over}
     done, _ = await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
@@ -272,7 +272,7 @@ async def _until_end(kernel: Kernel, run: Run, over: asyncio.Future[None], endin
 
 
 def _tells_slow(kernel: Kernel, run: Run) -> Callable[[Sequence[Connector]], float | None]:
-    """Tells for whom the run still waits after its sources have ended; returns for how many seconds at the most."""
+    """Make the function that reports the connectors still waited for; it returns the longest wait in seconds."""
 
     def tell(waiting: Sequence[Connector]) -> float | None:
         longest = min((one.patience for one in kernel.services if one.patience is not None), default=None)
@@ -287,9 +287,9 @@ def _tells_slow(kernel: Kernel, run: Run) -> Callable[[Sequence[Connector]], flo
 
 
 def _status(kernel: Kernel, status: int, error: BaseException | None, failures: Failures, run: Run) -> int:
-    """The exit status of the run, as far as it has come; a failure at the end counts as much as one before.
+    """The exit status of the run so far; a failure at the end counts as much as an earlier one.
 
-    What was refused before the start stays refused, whatever a service finds when it ends.
+    A run that was refused before its start stays refused, whatever a service reports at its end.
     """
     if error is not None and status == exits.REFUSED:
         return status
@@ -302,12 +302,12 @@ def _status(kernel: Kernel, status: int, error: BaseException | None, failures: 
 
 
 def _is_dead(name: str, error: BaseException | None, run: Run) -> bool:
-    """Whether a component failed, and not a stream of the command, which has none to write to or read from any more."""
+    """Whether a component itself failed, not a stream of the command or its output."""
     return name not in run.streams and getattr(error, "code", "") != "E-OUTPUT"
 
 
 def _report_failed(failed: Mapping[str, BaseException | None], run: Run) -> None:
-    """Name each that ended in error once more, if its own line was long ago; one alone ends with its line."""
+    """Log again each component that ended in error, if its own line was long ago; not for a component alone."""
     for name, error in failed.items():
         if not run.log.has_failed(name, just_now=run.components > 1):
             cause = "" if error is None else f": {cause_of(error)}{in_brackets(origin_of(error, installed=True))}"
@@ -315,7 +315,7 @@ def _report_failed(failed: Mapping[str, BaseException | None], run: Run) -> None
 
 
 def _output_error(error: OSError, stopper: Stopper) -> bool:
-    """What is to be done when a component could not write; True when there is nothing to say of it.
+    """React to a failed write of a component; returns True when it is not to be logged.
 
     A reader of standard output that has gone ends the run quietly; a full disk is a failure of the run.
     """

@@ -1,8 +1,8 @@
-"""A line at the bottom of the terminal that tells how the system does, rewritten a few times in a second.
+"""The status line at the bottom of the terminal, rewritten a few times in a second.
 
-A thread of its own draws it, so that it goes on while the loop is held up, and says so; the figures come from the loop.
-What else is written by way of `sys.stdout` and `sys.stderr` finds the line gone. Nothing of the terminal is changed,
-and nothing waits for a terminal that was stopped.
+A thread draws the line, so that it also shows when the loop is held up; the figures come from the loop. The line is
+erased before other output through `sys.stdout` and `sys.stderr`. The modes of the terminal are not changed, and the
+program never waits for a stopped terminal.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 
 _PERIOD: Final = 0.25
 _HELD: Final = 1.0
-"""Seconds without an answer of the loop after which the line says so."""
+"""Seconds without an answer of the loop after which the line shows that it is held up."""
 _SHARE: Final = 100
-"""The loop counts for us for a hundredth of its time at most, however big the system is."""
+"""The loop spends at most one part in so many of its time on the figures, for any size of the system."""
 _ERASE: Final = b"\r\x1b[K"
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What the line tells, at one moment."""
+    """The figures of the line at one moment."""
 
     active: int = 0
     in_error: int = 0
     delivered: int = 0
     dropped: int = 0
     late_ns: int | None = None
-    """At worst, of all contexts with a rate; None without any."""
+    """The worst lateness of all contexts with a rate; None without any."""
     overruns: int = 0
     silent: int = 0
     """Connectors with `max_gap` whose writers are silent."""
@@ -56,7 +56,7 @@ def is_wanted() -> bool:
 
 
 def text_of(elapsed_s: float, now: Figures, rate: float | None, held_s: float = 0.0) -> list[str]:
-    """The parts of the line, the most telling first; `rate` is samples in a second, `elapsed_s` the system's time."""
+    """The parts of the line, the most important first; `rate` is samples in a second, `elapsed_s` the system's time."""
     minutes, seconds = divmod(int(elapsed_s), 60)
     parts = [f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"]
     if held_s:
@@ -75,7 +75,7 @@ def text_of(elapsed_s: float, now: Figures, rate: float | None, held_s: float = 
 
 
 def fitted(parts: Iterable[str], columns: int) -> str:
-    """As many whole parts as fit beside the cursor, of the first what fits."""
+    """As many whole parts as fit before the cursor; the first part is cut."""
     line = ""
     for part in parts:
         longer = f"{line}  {part}" if line else part[: max(0, columns - 1)]
@@ -86,19 +86,19 @@ def fitted(parts: Iterable[str], columns: int) -> str:
 
 
 class StatusLine:
-    """The line, for as long as `with` lasts; entered on the kernel's loop."""
+    """The status line during a `with` block, which is entered on the kernel's loop."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel
         self._loop = asyncio.get_running_loop()
         self._descriptor = sys.stderr.fileno()
-        self._lock = threading.RLock()  # a signal's handler may come in the middle
+        self._lock = threading.RLock()  # a signal's handler may interrupt a holder and need it, too
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._draw_always, name="aiorts status", daemon=True)
         self._drawn = False
         self._paused = 0
         self._midway = False
-        """Somebody wrote a part of a line."""
+        """Whether other output left an unfinished line."""
         self._began_ns = kernel.clock.monotonic_ns()
         self._figures = Figures()
         self._rate: float | None = None
@@ -122,7 +122,7 @@ class StatusLine:
     # -- drawing ---------------------------------------------------------------------------------------------------
 
     def erase(self) -> None:
-        """Take the line away until it is drawn the next time; waits for nothing."""
+        """Erase the line until it is drawn the next time; never waits for long."""
         if self._lock.acquire(timeout=0.1):
             try:
                 if self._drawn and self._can_write():
@@ -133,7 +133,7 @@ class StatusLine:
 
     @contextlib.contextmanager
     def hidden(self, text: str = "\n") -> Iterator[None]:
-        """Without the line while `text` is written."""
+        """Hide the line while `text` is written."""
         with self._lock:
             self.erase()
             yield
@@ -142,7 +142,7 @@ class StatusLine:
 
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
-        """Without the line, and with the streams as they were, until it is over."""
+        """Hide the line and restore the original streams during the block."""
         self._paused += 1
         self.erase()
         guarded = sys.stdout, sys.stderr
@@ -171,9 +171,9 @@ class StatusLine:
     def _may_draw(self) -> bool:
         try:
             if os.tcgetpgrp(self._descriptor) != os.getpgrp():
-                return False  # in the background of a shell: the terminal is somebody else's
+                return False  # in the background of a shell: the terminal belongs to another process
         except OSError:
-            pass  # not the terminal that controls us
+            pass  # not the controlling terminal of this process
         return self._can_write()
 
     def _can_write(self) -> bool:
@@ -206,7 +206,7 @@ class StatusLine:
             self._loop.call_soon_threadsafe(self._count)
 
     def _count(self) -> None:
-        """On the loop."""
+        """Take new figures; on the loop."""
         began = time.monotonic()
         figures = figures_of(self._kernel)
         passed = began - self._answered
@@ -218,7 +218,7 @@ class StatusLine:
 
 
 def figures_of(kernel: Kernel) -> Figures:
-    """How the system does; called on its loop."""
+    """The present figures of the system; called on its loop."""
     active = in_error = delivered = dropped = overruns = silent = 0
     late_ns = None
     for component in kernel.components.values():
@@ -239,7 +239,7 @@ def figures_of(kernel: Kernel) -> Figures:
 
 
 def _guarded(stream: Any, line: StatusLine) -> Any:
-    """A stream of a terminal, that hides the line while something is written; any other is left as it is."""
+    """A terminal's stream that hides the line during writes; other streams are returned as they are."""
     try:
         shown = stream is not None and os.isatty(stream.fileno())
     except (OSError, ValueError, AttributeError):

@@ -1,9 +1,9 @@
-"""Who asked this process to end, and how long the end may take.
+"""The end of the process: requests to stop, and the limit of the time that a stop may take.
 
-The first SIGINT, SIGTERM or SIGHUP asks the kernel for an orderly stop, the second ends the process at once, also when
-the event loop is blocked: Python runs the handler between two instructions of whatever blocks it. Once a stop began,
-the process is gone within `LONGEST_STOP` seconds, whatever threads or hooks are left. SIGUSR1 tells what goes on, and
-ends nothing. SIGQUIT is left to the system.
+The first SIGINT, SIGTERM or SIGHUP asks the kernel for an orderly stop. The second ends the process at once, even when
+the event loop is blocked: Python runs the handler between two instructions of the blocking code. Once a stop began, the
+process ends within `LONGEST_STOP` seconds, whatever threads or hooks are left. SIGUSR1 prints a dump and ends nothing.
+SIGQUIT is left to the system.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 
-# Not of `threading`: its locks may be held by whoever a signal's handler has interrupted.
+# Not from `threading`: code that a signal's handler interrupts may hold its locks.
 from _thread import LockType, allocate_lock, start_new_thread
 from collections.abc import Callable, Iterator
 from itertools import count
@@ -34,11 +34,11 @@ _WATCHING: Final[list[Stopper]] = []
 
 
 class Stopper:
-    """What asks one run of a system to end.
+    """The requests to end one run of a system.
 
-    status: what a signal, or a reader that has gone, makes the exit status; None when nobody has asked.
-    output_failed: whether what the system said was lost, because a disk is full.
-    last_words: called before the process is ended at once; may not wait for anything.
+    status: the exit status by a signal, or by a reader that has gone; None when no end was requested.
+    output_failed: whether output of the system was lost, because a disk is full.
+    last_words: functions that are called before the process is ended at once; they may not wait.
     """
 
     def __init__(self) -> None:
@@ -49,19 +49,19 @@ class Stopper:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._lingers = False
         self._over: LockType | None = None
-        """The lock that is released when the end that is watched has come; None: no end is watched."""
+        """The lock that is released when the watched end has come; None: no end is watched."""
         self._outcome = exits.FAILED
         self._signals = count()
 
     def attach(self, kernel: Kernel) -> None:
-        """From now on it is this kernel that is asked."""
+        """Send requests to this kernel from now on, also one that came before."""
         self._kernel = kernel
         self._loop = asyncio.get_running_loop()
         if self.status is not None:
             kernel.request_stop(self.status)
 
     def request(self, status: int) -> None:
-        """Ask for the end; the first who asks decides the status. From any thread, and from a signal handler."""
+        """Request the end; the first request decides the status. From any thread, and from a signal handler."""
         if self.status is not None:
             return
         self.status = status
@@ -72,7 +72,7 @@ class Stopper:
                 self._loop.call_soon_threadsafe(self._kernel.request_stop, status)
 
     def watch(self, status: int) -> None:
-        """The end has begun: see to it that it comes."""
+        """Watch an end that has begun: a process that is late is ended by force."""
         self._outcome = status
         if self._over is None:
             self._over = over = allocate_lock()
@@ -81,21 +81,21 @@ class Stopper:
             start_new_thread(self._end_late, (over,))
 
     def _end_late(self, over: LockType) -> None:
-        # Each watch has its own lock: with one for all, a new watch took the release that was meant for another.
+        # Each watch has its own lock: with one for all, a new watch took the release for another.
         if over.acquire(timeout=LONGEST_STOP):
-            return  # the run is over, and the process has other things to do
+            return  # the run is over, and the process goes on
         what = f"not everything ended in {LONGEST_STOP} s{where_now()}; the process ends now"
         self.end_now(self._outcome if self.status is None else self.status, f"aiorts: E-STOP: {what}\n")
 
     def end_now(self, status: int, text: str = "") -> None:
-        """End the process here, without waiting for anything: what is left would keep the interpreter from its end.
+        """End the process at once, without waiting: leftover threads would keep the interpreter from its end.
 
         Args:
-            text: said on standard error, if that takes it.
+            text: printed on standard error, if that can be written.
         """
         told = allocate_lock()
         told.acquire()
-        # In a thread: nobody may read, and who was interrupted in the middle of a write holds the stream.
+        # In a thread: the stream may have no reader, or code interrupted in a write may hold it.
         start_new_thread(self._say_last, (text, told))
         told.acquire(timeout=0.2)
         os._exit(status)
@@ -111,7 +111,7 @@ class Stopper:
         told.release()
 
     def linger(self, status: int) -> None:
-        """Let services of the run wait, such as one that still shows it; a signal ends that, and no limit of time."""
+        """Let services that still show the run go on, without a limit of time; a signal ends them."""
         if self._kernel is None or self.status is not None:
             return
         self.over()
@@ -125,14 +125,14 @@ class Stopper:
             self.watch(status)
 
     def over(self) -> None:
-        """The run has ended: what is left of the process is no affair of it any longer."""
+        """Note that the run has ended: the process is not watched any more."""
         over, self._over = self._over, None
         if over is not None:
             over.release()
 
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
-        """Take the signals, and give them back as they were."""
+        """Handle the signals during the block, and restore the earlier handlers after it."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -153,7 +153,7 @@ class Stopper:
     def _handle(self, number: int, frame: object) -> None:
         if self._lingers:
             raise KeyboardInterrupt
-        # Counted in one step: the second signal may come in the middle of the first one's handler.
+        # Counted in one step: the second signal may interrupt the handler of the first.
         if next(self._signals) or self.status is not None or self._kernel is None:
             self.end_now(exits.of_signal(number))
         self.request(exits.of_signal(number))
@@ -163,6 +163,6 @@ class Stopper:
 
 
 def watch_no_more() -> None:
-    """The runs are over, and their process goes on with other things: it is not to be ended for their sake."""
+    """End all watches: the runs are over and the process goes on, so it must not be ended for them."""
     while _WATCHING:
         _WATCHING.pop().over()

@@ -1,4 +1,4 @@
-"""`aiorts run --json`: one JSON document at the end of a run, of what it was and how it ended."""
+"""`aiorts run --json`: one JSON document at the end of a run, with its profile and outcome."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 
 class Summary:
-    """The outcome of a run as JSON: status, errors and profile; the error alone of a run that never began."""
+    """The outcome of a run as JSON: status, errors and profile; for a run that never began, its error."""
 
     def __init__(self) -> None:
         self._found: dict[str, Any] = {"errors": {}, "profile": None}
 
     def refused(self, error: BaseException) -> None:
-        """Keep the error for which nothing was run."""
+        """Keep the error for which the run was refused."""
         code, text = ComponentError.code, format_error(error)
         if isinstance(error, AiortsError):
             code, text = error.code, str(error)
@@ -36,7 +36,7 @@ class Summary:
 
 
 class _Look(KernelService):
-    """Looks at the kernel before it stops, and at its connectors once everything has."""
+    """The service that takes the profile before the kernel stops, and its connectors again after all contexts have."""
 
     found: dict[str, Any]
 

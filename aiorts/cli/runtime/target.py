@@ -1,6 +1,6 @@
-"""What `aiorts run` is asked to run: a system file, or one component alone in a context that fits it.
+"""The target of `aiorts run`: a system file, or one component alone in a context that fits it.
 
-Everything is loaded and checked here, before a kernel is opened.
+The target is loaded and checked here, before a kernel is opened.
 """
 
 from __future__ import annotations
@@ -54,34 +54,34 @@ from aiorts.system.checks.whole import NOTHING_RUNS
 from aiorts.system.text.places import Key
 
 Settings: TypeAlias = Mapping[str, Mapping[str, Any]]
-"""What services are to go by, by the service's name and the setting's."""
+"""The settings of services, by the service's name and the setting's."""
 _SYSTEM_CLOCK: Final = ClockEntry()
 _INPUT: Final = "stdin"
 _OUTPUT: Final = "stdout"
-"""The names of what reads and writes the samples of a component alone."""
+"""The names of the components that read and write the samples of a component alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What is run: made in a kernel by `make`."""
+    """A checked target; `make` makes it in a kernel."""
 
     names: tuple[str, ...]
-    """Of the components."""
+    """The names of the components."""
     catalogue: Catalogue
     make: Callable[[Kernel], Any]
     clock: ClockEntry = _SYSTEM_CLOCK
     unfed: str = ""
-    """Of a component alone: what to do when it waits for data that cannot come."""
+    """The advice for a component alone that waits for data which cannot come."""
     doubts: tuple[str, ...] = ()
-    """Of a system file: what it says that does nothing."""
+    """The warnings about options of a system file that do nothing."""
     streams: tuple[str, ...] = ()
-    """Components that are the command's own: what reads and writes the samples of a component alone."""
+    """The names of the command's own components, which read and write the samples of a component alone."""
     ends: Ends | None = None
-    """Of a component alone that standard input feeds: they say at the end what was bad about it."""
+    """The ends of a component alone that standard input feeds; they report bad lines at the end."""
     plan: Blueprint | None = None
-    """Of a system file."""
+    """The blueprint of a system file; None for a component alone."""
     read: Callable[[], Blueprint] | None = None
-    """Reads a system file once more."""
+    """The function that reads the system file again; None for a component alone."""
 
 
 def find_target(
@@ -95,19 +95,19 @@ def find_target(
     fed: bool = False,
     count: int | None = None,
 ) -> Target:
-    """The system file or component that `text` names, loaded and checked.
+    """Load and check the system file or component that `text` names.
 
     Args:
         changes: parameters as "component.param=value"; for a component alone also "param=value".
         rate: Hz, for a component alone.
-        quiet: whether the samples of a component alone are left alone, in place of written to standard output.
-        services: what options say, by service.
-        choices: variables of a system file, and ports in the place of others.
+        quiet: whether the samples of a component alone are not written to standard output.
+        services: the settings from options, by service.
+        choices: variables of a system file, and replacements of ports.
         fed: whether a component alone reads standard input.
         count: samples of a component alone after which the run ends: those printed, else those read.
 
     Raises:
-        AiortsError: says what is wrong with it. click.UsageError: options that do not go together.
+        AiortsError: the target is wrong; the text says how. click.UsageError: options that do not go together.
     """
     if text.endswith(".py") and Path(text).is_file():
         raise ConfigurationError(f"{text}: no system file; {_give_class(Path(text))}")
@@ -129,13 +129,13 @@ def find_target(
 
 
 def _fed_by(text: str, folders: Sequence[Path]) -> str:
-    """How this component gets data."""
+    """The advice how this component gets data."""
     plugins = "".join(f"--plugins {shlex.quote(str(folder))} " for folder in folders)
     return f"feed it JSON lines: ... | aiorts run {plugins}{shlex.quote(text)}"
 
 
 def is_file(text: str) -> bool:
-    """Whether this word of a command line is a system file."""
+    """Whether a word of the command line is a system file."""
     if text.endswith(".toml") or not text:
         return True
     try:
@@ -207,20 +207,20 @@ def errors_of(
     *,
     running: bool = False,
 ) -> tuple[Finding, ...]:
-    """All that is wrong with what `text` names, if that is a system file that can be read.
+    """Find all errors of the system file that `text` names; none where it is no system file.
 
     Args:
-        running: whether a system runs meanwhile, whose standard output this is.
+        running: whether a system runs meanwhile, which owns standard output.
     """
     if not is_file(text) or text.endswith(".py"):
         return ()
     from aiorts.system import check  # late: only a file that cannot run is looked at in this way
 
-    # What its components print when they are made once more.
+    # Components may print when they are made again.
     with contextlib.nullcontext() if running else contextlib.redirect_stdout(sys.stderr):
         found = check(text, changes, catalogue_of().folders, choices)
     wrong = [one for one in found if one.severity == "error"]
-    # What the command line says is no mistake of the file.
+    # A mistake on the command line is none of the file.
     return tuple(replace(one, code=ConfigurationError.code) if one.where.startswith("--") else one for one in wrong)
 
 
@@ -231,7 +231,7 @@ def _doubts(system: SystemFile) -> Iterator[tuple[Key, str]]:
 
 
 def _activated(system: SystemFile) -> Sequence[str]:
-    """Who is made active when the system is built; where nobody is, all that somebody else may make active."""
+    """The components that become active when the system is built; where there are none, all members of contexts."""
     members = [(name, context.activate) for context in system.contexts.values() for name in context.members]
     started = [entry.name for entry in system.components.values() if entry.start is not None]
     active = [name for name, activate in members if activate]
@@ -239,7 +239,7 @@ def _activated(system: SystemFile) -> Sequence[str]:
 
 
 def _settings(ready: Sequence[str], program: str, runs: str, file: Settings, options: Settings) -> Settings:
-    """What services are to go by besides the file: those of every run, and what options say."""
+    """The settings of services besides those of the file: those of every run, and those from options."""
     always: Settings = {
         "watch_loop": {},
         "supervision": {"ready": ready},
@@ -279,7 +279,7 @@ def _alone(
     name = cls.__name__.lower()
     draft = construct(cls, name)
     setting = _setting(draft, changes)
-    later = "ports_for" in declarations(cls).overrides  # ports that it has with its parameters
+    later = "ports_for" in declarations(cls).overrides  # ports that exist once its parameters are set
     sends = outs_of(draft) or later
     fed = fed and (takes_data(draft) or later)
     shown = shown and bool(sends) and (fed or not takes_data(draft))
@@ -313,7 +313,7 @@ def _alone(
         if ends is not None and takes_data(component):
             read = None if shown and outs_of(component) else count
             source = await connect_input(kernel, component, ends, optional=context.kind != "event", count=read)
-        with contextlib.suppress(ComponentError):  # its on_activated failed: it is in error, as it would be later on
+        with contextlib.suppress(ComponentError):  # on_activated failed: the component is in error
             await kernel.start(context, component, activate=True)
         if source is not None:
             await kernel.start(EventContext(), source, activate=True)
@@ -330,7 +330,7 @@ def _runs(cls: type[Component]) -> str:
 
 
 def _setting(draft: Component, changes: Iterable[str]) -> Setting:
-    """What `--set` says of it, checked; ConfigurationError names every mistake."""
+    """Check the parameters of `--set` for a component; ConfigurationError names every mistake."""
     params: dict[str, Any] = {}
     name = draft.name
     for text in changes:

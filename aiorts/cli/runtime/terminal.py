@@ -1,4 +1,4 @@
-"""What a run does on a terminal besides its lines: the status line, and the debugger where something failed."""
+"""The terminal of a run besides its lines: the status line, and the debugger where a component failed."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def on_terminal(kernel: Kernel, options: Options, stopper: Stopper) -> Iterator[PostMortem | None]:
-    """While a system runs; yields the debugger where one is wanted. On the kernel's loop."""
+    """Show the status line while a system runs; yields the debugger where one is wanted. On the kernel's loop."""
     with contextlib.ExitStack() as stack:
         quietly: Callable[[], AbstractContextManager[object]] = contextlib.nullcontext
-        # In virtual time nobody looks on: it is over as soon as it can be.
+        # A run in virtual time is over too soon for a status line.
         if options.status and not options.simulate and status.is_wanted():
             line = stack.enter_context(status.StatusLine(kernel))
             stopper.last_words.append(line.erase)
@@ -49,7 +49,7 @@ def _debugger(
 
 
 def _watch(kernel: Kernel, debugger: PostMortem) -> Callable[[], None]:
-    """Look at every component that goes to error; its line in the log has been written by then."""
+    """Open the debugger for every component that goes to error, after its line in the log; returns the unsubscriber."""
 
     def note(event: StateChanged) -> None:
         component = kernel.components.get(event.component)

@@ -1,4 +1,4 @@
-"""`aiorts run --watch`: what is changed in the files of a system is applied to the system that runs."""
+"""`aiorts run --watch`: applies changes in the files of a system to the running system."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
     from aiorts.system import Blueprint, Finding, Wanted
 
 WINDOW: Final = 5.0
-"""Seconds for which the system is measured, unless somebody says otherwise."""
+"""Seconds for which the system is measured, unless --window is given."""
 _SETTLED: Final = 0.2
-"""Seconds for which a file has to be the same before it is read."""
+"""Seconds for which a file has to be unchanged before it is read."""
 _MOST: Final = 200
-"""Files of a folder that are looked at."""
+"""Files of a folder that are watched at most, of each kind."""
 _OURS: Final = Path(aiorts.__file__).resolve().parent
 T = TypeVar("T")
 
 
 class Watch:
-    """Looks at the files that a system was made of, and applies what is changed in them.
+    """A watch on the files of a system, which applies changes in them.
 
     Args:
         plan: the system as it is built.
-        read: reads its file anew.
-        errors: finds all that is wrong with the file.
+        read: reads the system file again.
+        errors: finds all errors of the file.
         window: seconds for which the system is measured before and after a change.
     """
 
@@ -47,17 +47,17 @@ class Watch:
         self._files = set(plan.system.files)
         self._sources = _sources(plan.types.values())
         self._bad = False
-        """Whether the file could not be read when it was read last."""
+        """Whether the last reading of the system file failed."""
         self._near: Mapping[Path, bytes] = {}
-        """What lay beside the file when it was read last."""
+        """The digests of the files in the same folders at the last reading."""
         self._seen = self._look()
-        """The files as they were when something was done about them last."""
+        """The digests of the files as they were last handled."""
         self._code = {path: self._seen[path] for path in self._sources}
-        """The files of components as the code that runs was read from them."""
+        """The digests of the component files from which the running code was read."""
 
     @contextlib.asynccontextmanager
     async def beside(self, kernel: Kernel, log: Log) -> AsyncIterator[None]:
-        """Apply changes while this lasts."""
+        """Apply changes during the block."""
         following = asyncio.ensure_future(self._follow(kernel, log))
         try:
             yield
@@ -83,11 +83,11 @@ class Watch:
                     self._sources |= _sources(map(type, kernel.components.values()))
                     before, known = await _aside(self._look), {**self._near, **now}
                     self._code = {path: before[path] for path in self._sources} | self._code
-                    # What came while the file was read may be what it needs: it counts as changed.
+                    # A file that came during the reading may be one that the system file needs: it counts as changed.
                     self._seen = {one: known.get(one, b"" if self._bad else found) for one, found in before.items()}
 
     def _look(self) -> Mapping[Path, bytes]:
-        """What tells whether files have changed; what a bad file names, and is not there, may come beside it."""
+        """The digests of the watched files; after a failed reading also of the files next to them."""
         paths = self._files | self._sources
         return {path: _digest(path) for path in paths} | (self._look_near() if self._bad else {})
 
@@ -96,7 +96,7 @@ class Watch:
         return {path: _digest(path) for folder in folders for path in _written_in(folder)}
 
     async def _take(self, kernel: Kernel, log: Log, changed: Mapping[Path, bytes]) -> None:
-        """Do what these files, which are such now, ask for; what is wrong with them is told."""
+        """Apply the changes of these files, given with their digests; errors are logged."""
         try:
             for path, digest in changed.items():
                 if digest != self._code.get(path):
@@ -128,14 +128,14 @@ class Watch:
             log.failed(error)
 
     async def _reload(self, kernel: Kernel, log: Log, path: Path) -> None:
-        """Replace the code of all types of a file; where there is no component of it, it is imported when one comes."""
+        """Replace the code of all types of a file; a file without a component is imported again when one comes."""
         from aiorts.reload import file_of, forget_file
 
         kinds = [one for one in dict.fromkeys(map(type, kernel.components.values())) if file_of(one) == path]
         for kind in kinds:
             try:
                 done = await kernel.reload(kind, window=self._window)
-            except StateError as error:  # the other types have their newer code all the same
+            except StateError as error:  # the other types still get their new code
                 log.tell("", str(error), level="warning")
                 continue
             log.tell("", f"~ reload {done.kind}: {', '.join(one.component for one in done.components)}", level="info")
@@ -154,7 +154,7 @@ class Watch:
                 for step in plan.steps:
                     log.tell("", f"{step.sign} {step.text}", level="info")
                 done = await kernel.apply(wanted, window=self._window)
-            except BusyError:  # somebody else applies a plan
+            except BusyError:  # another client applies a plan
                 await asyncio.sleep(_SETTLED)
                 continue
             for note in done.notes:
@@ -173,7 +173,7 @@ class Watch:
         return wanted(plan)
 
     def _measure(self, kernel: Kernel) -> None:
-        """From now on have at hand how the system does."""
+        """Begin to measure the system for the comparison of windows."""
         from aiorts.planning import Planning
 
         if self._window:
@@ -181,7 +181,7 @@ class Watch:
 
 
 def _sources(kinds: Iterable[type[Component]]) -> set[Path]:
-    """The files of these types, without what is installed."""
+    """The files of these types, except those of installed packages."""
     from aiorts.reload import file_of
 
     found = (file_of(kind) for kind in kinds)
@@ -193,7 +193,7 @@ def _written_in(folder: Path) -> list[Path]:
 
 
 def _digest(path: Path) -> bytes:
-    """Of what is in a file; b"" where it cannot be read."""
+    """The digest of a file's content; b"" where it cannot be read."""
     try:
         return sha256(path.read_bytes()).digest()
     except OSError:
@@ -201,7 +201,7 @@ def _digest(path: Path) -> bytes:
 
 
 async def _aside(work: Callable[[], T]) -> T:
-    """What it returns, from a thread; who is cancelled does not wait for it."""
+    """Run a function in a thread and return its result; a cancelled caller does not wait for it."""
     from anyio import to_thread
 
     return await to_thread.run_sync(work, abandon_on_cancel=True)

@@ -1,4 +1,4 @@
-"""Commands for running systems: each opens a short session with the kernels that are meant, and ends.
+"""Commands for running systems: each opens a short session with the kernels that it needs, and ends.
 
-What is imported here decides how long a command takes: no event loop, no numpy, no kernel.
+Imports here decide how long a command takes: no event loop, no numpy, no kernel.
 """

@@ -1,4 +1,4 @@
-"""`aiorts batch`: several commands for what runs, one after the other, over one session."""
+"""`aiorts batch`: runs several commands for running kernels, one after the other, in shared sessions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from aiorts.errors import AiortsError
 
 _HERE: Final = __name__.rpartition(".")[0]
 _LONGEST: Final = 65_536
-"""Characters of a line: `shlex` takes the square of its length, 17 s for 1 MB."""
+"""Characters of the longest line: `shlex` takes time by the square of the length, 17 s for 1 MB."""
 
 
 @click.command(short_help="Carry out commands for what runs, from a file.")
@@ -53,7 +53,7 @@ def batch(ctx: click.Context, file: str, dry_run: bool, keep_going: bool, as_jso
 
 
 class _Done:
-    """The commands that were carried out."""
+    """The runner of the commands, with the outcome of each."""
 
     def __init__(self, ctx: click.Context, place: str, *, keep_going: bool, as_json: bool) -> None:
         self._ctx, self._place = ctx, place
@@ -62,10 +62,10 @@ class _Done:
         self._commands: list[dict[str, Any]] = []
 
     def check(self, number: int, line: str) -> list[str]:
-        """The words of a line; none of one that is blank.
+        """Check a line; returns its words, none for a blank line.
 
         Raises:
-            UsageError: it is too long, its quotes are open, or it is no command for what runs.
+            UsageError: the line is too long, its quotes are open, or it is no command for running kernels.
         """
         words = _words(line, f"{self._place}:{number}")
         if not words:
@@ -78,7 +78,7 @@ class _Done:
         return words
 
     def carry_out(self, number: int, line: str, *, dry_run: bool) -> int:
-        """Carry out a line, or look whether it is a command; the status."""
+        """Carry out a line, or only check whether it is a command; returns the status."""
         output, status, why = io.StringIO(), exits.DONE, None
         words = [line[:60]]
         try:
@@ -103,7 +103,7 @@ class _Done:
         return status
 
     def end(self) -> int:
-        """Say how it went; the status of the first that failed."""
+        """Print the outcome; returns the status of the first command that failed."""
         failed = [one["status"] for one in self._commands if one["status"]]
         if self._as_json:
             say_json({"commands": self._commands, "failed": len(failed)})
@@ -120,7 +120,7 @@ def _words(line: str, place: str) -> list[str]:
     """The words of a line, without `aiorts` before them.
 
     Raises:
-        UsageError: it is too long, or its quotes are open.
+        UsageError: the line is too long, or its quotes are open.
     """
     if len(line) > _LONGEST:
         long = f"a line of {len(line)} characters; at most {_LONGEST} are taken; give long values in a file"

@@ -1,4 +1,4 @@
-"""`aiorts call` and `goal`: methods of services of what runs."""
+"""`aiorts call` and `goal`: call methods of services in running kernels."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def goal(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> in
 
 
 def _given(one: Found, path: str, words: tuple[str, ...]) -> dict[str, Any]:
-    """The path as the kernel has it, and the arguments."""
+    """The arguments of the operation: the path within the kernel, and the method's arguments."""
     one.check("port")
     if "." not in one.port:
         raise AbsentError(f"{path}: is a port; expected COMPONENT.PORT.METHOD")
@@ -79,13 +79,13 @@ def _given(one: Found, path: str, words: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _value(word: str) -> str:
-    """The value of NAME=VALUE; any other word is one as it is."""
+    """The value of NAME=VALUE; any other word is a value itself."""
     name, sign, value = word.partition("=")
     return value if sign and name.isidentifier() else word
 
 
 def _json(word: str) -> Any:
-    """What a word is as a JSON list or object; None where it is neither."""
+    """The JSON list or object that a word spells; None where it is neither."""
     from json import loads
 
     if not word.startswith(("{", "[")):

@@ -1,4 +1,4 @@
-"""`aiorts comp` and `exit`: components of what runs are created, removed, made members of composites."""
+"""`aiorts comp` and `exit`: create and remove components of running kernels, and change members of composites."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ exit_ = _removing("exit")
 
 
 def absolute(kind: str) -> str:
-    """A type as text, its file counted from the current folder: that of the kernel may be another."""
+    """A type with its file as an absolute path, since the kernel's current folder may be another."""
     file, sign, name = kind.rpartition(":")
     file = file if sign else name
     if not file.endswith(".py"):
@@ -110,13 +110,13 @@ def right_for(values: Iterable[str], *, code: bool = False) -> RightName:
     """The right for a call with values that users give: "code" where one is a text, since that may name a file.
 
     Args:
-        code: whether code is named anyway.
+        code: whether the call names code anyway.
     """
     return "code" if code or any(map(_has_text, values)) else "operate"
 
 
 def _has_text(value: str) -> bool:
-    """Whether a value, or a value inside one that is JSON, is a text."""
+    """Whether a value is a text, or JSON that contains one."""
     if _NO_TEXT.fullmatch(value):
         return False
     if not value.lstrip().startswith(("{", "[")):
@@ -130,7 +130,7 @@ def _has_text(value: str) -> bool:
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """The texts in JSON. A key is one where it cannot be the name of a parameter or field."""
+    """The texts in a JSON value; also keys that cannot be the name of a parameter or field."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, list):
@@ -141,7 +141,7 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def pairs(words: tuple[str, ...]) -> dict[str, str]:
-    """NAME=VALUE words by name."""
+    """The values of NAME=VALUE words by name."""
     found: dict[str, str] = {}
     for word in words:
         name, sign, value = word.partition("=")

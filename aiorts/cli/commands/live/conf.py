@@ -1,4 +1,4 @@
-"""`aiorts conf`: parameters and configuration sets of what runs."""
+"""`aiorts conf`: shows and changes parameters and configuration sets in running kernels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from aiorts.spelling import suggestion
 
 _LONGEST: Final = 4 * 1024 * 1024
 _PART: Final = 16_000
-"""Characters that are sent as one text."""
+"""Characters of a file that are sent as one text."""
 _FILE: Final = click.Path(dir_okay=False, allow_dash=True)
 
 
@@ -80,7 +80,7 @@ def conf(
 
 
 def _chosen(one: Found, parameters: Sequence[Any], wanted: Sequence[str]) -> list[Any]:
-    """The parameters of these names, as they were asked for. AbsentError: there is no such one."""
+    """The parameters of the wanted names, in that order. AbsentError: a name is unknown."""
     known = {param["name"]: param for param in parameters}
     for name in wanted:
         if name not in known:
@@ -90,7 +90,7 @@ def _chosen(one: Found, parameters: Sequence[Any], wanted: Sequence[str]) -> lis
 
 
 def _values(changes: tuple[str, ...]) -> dict[str, dict[str, str]]:
-    """The values by set; "" is the active one."""
+    """The values of the changes by set; "" is the active set."""
     values: dict[str, dict[str, str]] = {}
     for change in changes:
         key, sign, text = change.partition("=")
@@ -128,10 +128,10 @@ def _file(found: Kernels, name: str, dump: str | None, load: str | None, timeout
 
 
 def text_of(file: str) -> str:
-    """The text of a small file; of standard input for -.
+    """The text of a small file, or of standard input for "-".
 
     Raises:
-        ConfigurationError: it cannot be read, or is too long.
+        ConfigurationError: the file cannot be read, or is too long.
     """
     from pathlib import Path
 

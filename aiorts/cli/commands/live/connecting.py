@@ -1,4 +1,4 @@
-"""`aiorts connect` and `disconnect`: connectors of what runs."""
+"""`aiorts connect` and `disconnect`: make, list and end connectors of running kernels."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from aiorts.model.options import OWN_KEYS, OWN_OPTIONS
 
 
 def _with_options(command: Callable[..., int]) -> Callable[..., int]:
-    """An option of the command for each option of `Kernel.connect`."""
+    """Add an option to the command for each option of `Kernel.connect`."""
     command = click.option("--adapt", is_flag=True, help="Put a FlexiFilter between ports that do not fit.")(command)
     for key in reversed((*(one for one in OWN_KEYS if one != "adapt"), "strict")):
         command = click.option(f"--{key.replace('_', '-')}", key, metavar="X", help=f"The same as {key}=X.")(command)
@@ -91,14 +91,14 @@ def disconnect(words: tuple[str, ...], timeout: float, as_json: bool) -> int:
 
 
 def port_of(found: Kernels, word: str, *, whole: bool = False) -> Found:
-    """The port that a word means; with `whole` a component is one as well. AbsentError: it means something else."""
+    """Find the port, or with `whole` the component, that a word means. AbsentError: it means something else."""
     one = found.find(word)
     one.check("port", *(("component",) if whole else ()))
     return one
 
 
 def _maker(ports: list[Found]) -> Running:
-    """The kernel that has, or makes, their connectors: that of all, or that of the writer, which makes a link."""
+    """The kernel that has or makes the connectors of ports: the kernel of all, or the writer's, which makes a link."""
     if len({one.running.name for one in ports}) == 1:
         return ports[0].running
     directions = [_direction(one) for one in ports]
@@ -115,7 +115,7 @@ def _direction(port: Found) -> str:
 
 
 def _seen(port: Found, running: Running) -> str:
-    """The path of a port for the kernel that connects it."""
+    """The path of a port as the kernel `running` names it."""
     if port.running is running:
         return port.path
     if not port.running.links:
@@ -169,7 +169,7 @@ def _text(one: Mapping[str, Any], *, ledger: bool) -> str:
         *([f"  through {one['between']}"] if one.get("between") else []),
     ]
     joined = one.get("both_ends") or ""
-    if ledger and (not joined or joined.startswith("not known")):  # else of another moment: the two would disagree
+    if ledger and (not joined or joined.startswith("not known")):  # two ledgers of different moments disagree
         text.append(f"  {ledger_text(one['ledger'])}")
     if joined:
         text.append(f"  both ends: {joined}")
@@ -179,7 +179,7 @@ def _text(one: Mapping[str, Any], *, ledger: bool) -> str:
 
 
 def _said(options: Mapping[str, Any], end: str) -> str:
-    """The options of one end that are in force, in words."""
+    """The options in force at one end, in words."""
     there = {key: options[key] for key, one in OWN_OPTIONS.items() if one.end == end and key in options}
     return ", ".join(
         f"{key} {str(value).lower() if isinstance(value, bool) else value}"

@@ -1,4 +1,4 @@
-"""`aiorts ctx`: execution contexts of what runs."""
+"""`aiorts ctx`: lists and changes execution contexts of running kernels."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from aiorts.errors import AbsentError
 
 
 def complete_contexts(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-    """Completes names of contexts that run."""
+    """Complete names of running contexts."""
     from aiorts.cli.console.completion import items
 
     with kernels(timeout=0.1) as found:
@@ -130,11 +130,11 @@ def _change(
 
 
 def _context(found: Kernels, word: str) -> tuple[Running, str]:
-    """The kernel and the name of the context that a word means.
+    """Find the kernel and the name of the context that a word means.
 
     Raises:
-        AbsentError: nothing has the name.
-        AmbiguousError: several have.
+        AbsentError: no context has the name.
+        AmbiguousError: several have it.
     """
     if having := found.having("contexts", word):
         return the_one(word, having, [f"{one.name}/{name}" for one, name in having])

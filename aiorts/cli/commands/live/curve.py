@@ -1,4 +1,4 @@
-"""A curve of numbers in a terminal: the last of them, from left to right, drawn again as they come."""
+"""A curve of the latest numbers in a terminal, drawn again as numbers come."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _CLEAR: Final = "\x1b[K"
 
 
 class Curve:
-    """Draws what is added, on a terminal again and again in place, elsewhere once at the end."""
+    """A curve of the added numbers: on a terminal it is redrawn in place, elsewhere drawn once at the end."""
 
     def __init__(self, title: str, stream: TextIO | None) -> None:
         self._title = title
@@ -30,7 +30,7 @@ class Curve:
         self._rows = 0
 
     def add(self, seconds: float, value: float, missed: int) -> None:
-        """A number, when it was sent, and how many were missed so far."""
+        """Add a number with the time in seconds at which it was sent, and the number of missed samples so far."""
         if math.isfinite(value):
             self._points.append((seconds, value))
         self._missed = missed
@@ -38,7 +38,7 @@ class Curve:
             self._draw()
 
     def end(self) -> None:
-        """Draw what is there for the last time."""
+        """Draw the curve for the last time."""
         self._draw()
 
     def _draw(self) -> None:

@@ -1,4 +1,4 @@
-"""Which connectors a word of a command line means: a connector by its name or its ports, or all of a port's."""
+"""The connectors that a word of a command line means: one by its name or its ports, or all of a port."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from aiorts.late import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Edge:
-    """A connector of samples that runs."""
+    """A connector of data ports in a running kernel."""
 
     name: str
     out: str
@@ -23,24 +23,24 @@ class Edge:
 
     @property
     def path(self) -> str:
-        """Both ports."""
+        """The paths of both ports, with " -> " between them."""
         return f"{self.out} -> {self.in_}"
 
 
 def edges(names: Mapping[str, Any]) -> dict[str, Edge]:
-    """The connectors of a kernel by name, of what the operation `names` said."""
+    """The connectors of a kernel by name, from the answer of the operation `names`."""
     wires = names["connectors"].items()
     return {name: Edge(name, ports[0], ports[1]) for name, ports in wires if len(ports) == 2}
 
 
 def find_edges(found: Kernels, word: str) -> tuple[Running, tuple[Edge, ...]]:
-    """The connectors that a word means, of one kernel: "a.out->b.in", a connector's name, or "a.out" for all of a port.
+    """Find the connectors of one kernel by a word: "a.out->b.in", a connector's name, or "a.out" for all of a port.
 
     * and ? stand for any characters.
 
     Raises:
-        AbsentError: there is none.
-        AmbiguousError: they are of several kernels; says which.
+        AbsentError: no connector fits the word.
+        AmbiguousError: connectors of several kernels fit; the text lists them.
         NoAnswerError: the kernel that is meant does not answer.
     """
     kernel, _, path = word.rpartition("/")
@@ -64,7 +64,7 @@ def _means(path: str, edge: Edge) -> bool:
 
 
 def complete_edge(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-    """Completes ports and connectors that run."""
+    """Complete ports and connectors of running kernels."""
     from aiorts.cli.console.completion import items
 
     with kernels(timeout=0.1) as found:

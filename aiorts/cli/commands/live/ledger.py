@@ -1,4 +1,4 @@
-"""The ledger of a connector on one line, and how exact a figure of it has to be."""
+"""The ledger of a connector on one line, and the accuracy that its figures need."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 EXACT: Final = 10_000_000
-"""Nanoseconds by which a span of time may be off that is worth its figure."""
+"""Nanoseconds of error up to which a span of time is printed."""
 UP_TO_LINK: Final = ", up to the link"
-"""Behind spans that end where a link takes the sample: the writer's end does not know when it is read."""
+"""The text after spans that end where a link takes the sample: the writer's end does not know the time of the read."""
 
 
 def ledger_text(counts: Mapping[str, Any]) -> str:
-    """What was written, and what became of it; at the writer's end of a link what is known there."""
+    """The counts of a ledger as text; at the writer's end of a link, the counts known there."""
     lost = ", ".join(f"{count} {reason}" for reason, count in counts["dropped"].items() if count)
     arrived = f"delivered {counts['delivered']}"
     if counts["delivered"] is None:

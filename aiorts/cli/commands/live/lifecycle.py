@@ -1,4 +1,4 @@
-"""`aiorts activate`, `deactivate`, `reset`, `stop`: lifecycles of what runs."""
+"""`aiorts activate`, `deactivate`, `reset`, `stop`: lifecycles of components and kernels that run."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from aiorts.cli.commands.live.showing import json_option, say_done, timeout_opti
 from aiorts.cli.commands.live.target import Found, complete, complete_kernels, is_glob, kernels
 
 _DONE: Final = {"activate": {"active"}, "deactivate": {"inactive"}, "reset": {"active", "inactive"}}
-"""The states in which there is nothing left for it to do."""
+"""The states in which an operation has nothing left to do."""
 
 
 def _command(operation: str, text: str) -> click.Command:
-    """The command that does this to each component it is given; of a pattern to those not yet as it leaves them."""
+    """Make the command that does an operation to each named component; a pattern skips those that need it not."""
 
     def to_do(one: Found, context: str | None) -> bool:
         states = one.running.names["components"][one.component]

@@ -1,4 +1,4 @@
-"""`aiorts fsm`: state machines and modes of what runs."""
+"""`aiorts fsm`: shows and changes state machines and modes of running components."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def fsm(component: str, event: str, data: str, mode: str | None, timeout: float,
 
 
 def json_or_text(word: str) -> Any:
-    """What a word says as JSON, the word itself where it is none, None where it is empty."""
+    """A word parsed as JSON; the word itself where it is no JSON, None where it is empty."""
     from json import loads
 
     if not word:

@@ -1,4 +1,4 @@
-"""`aiorts reload`: the code of components that run is replaced."""
+"""`aiorts reload`: replaces the code of running components."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def reload(what: str, kernel: str, cycles: int, seconds: float, window: float, t
 
 
 def _meant(found: Kernels, what: str, kernel: str) -> tuple[Client, str]:
-    """The kernel, and the component or type as it has it."""
+    """The session with the kernel, and the component or type as the kernel names it."""
     path = what if not kernel or "/" in what else f"{kernel}/{what}"
     known = any(what in one.names["components"] for one in found.running)
     if ":" not in what and not what.endswith(".py") and ("/" in what or known):

@@ -1,4 +1,4 @@
-"""`aiorts print` and `aiorts inject`: samples out of what runs, and into it."""
+"""`aiorts print` and `aiorts inject`: samples out of running kernels, and into them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from aiorts.errors import AbsentError, RecordError
 from aiorts.sessions import Client, Stream
 
 _BATCH: Final = 64
-"""Lines that go in one call."""
+"""Lines that are sent in one call."""
 
 
 @click.command("print", short_help="Print the samples of an out-port that runs.")
@@ -87,12 +87,12 @@ def _items(stream: Stream, until: float | None) -> Iterator[Mapping[str, Any]]:
 
 
 def _thinned(items: Iterator[Mapping[str, Any]], rate: float | None) -> Iterator[Mapping[str, Any]]:
-    """At most `rate` of them in a second of the kernel's clock."""
+    """Thin items out to at most `rate` in a second of the kernel's clock."""
     due, step = 0, 0 if rate is None else round(1e9 / rate)
     for item in items:
         now = item["time_ns"]
         if now >= due:
-            due = now + step if now - due >= step else due + step  # one that is late makes none late after it
+            due = now + step if now - due >= step else due + step  # a late item does not delay the next
             yield item
 
 
@@ -136,7 +136,7 @@ def _draw(items: Iterator[Mapping[str, Any]], stream: Stream, title: str, field:
 
 
 def _number(value: Any) -> float | None:
-    """The value if it is a number, else the first number in it."""
+    """The value if it is a number, else the first number in it, else None."""
     if isinstance(value, bool):
         return float(value)
     if isinstance(value, int | float):
@@ -189,7 +189,7 @@ def inject(
         if field:
             raise AbsentError(f"{port}: samples are written whole; name the in-port, {path}")
         how: dict[str, Any] = {"port": path, "full": full, "length": length, "timeout": timeout}
-        # Sums of the whole session, which a batch shares among its lines.
+        # The drops are sums of the whole session, which the lines of a batch share.
         before = {} if no_wait else client.call("inject", lines=[], **how)["dropped"]
         try:
             if value is None and _is_file(sys.stdin):
@@ -220,7 +220,7 @@ def inject(
 
 
 def _constant(value: str, rate: float | None, count: int | None) -> Iterator[tuple[int, list[str]]]:
-    """VALUE once, `count` times, or at a rate; line 1 each time."""
+    """Yield VALUE once, `count` times, or at a rate, always as line 1."""
     if rate is None:
         left = count or 1
         while left > 0:
@@ -235,7 +235,7 @@ def _constant(value: str, rate: float | None, count: int | None) -> Iterator[tup
 
 
 def _batches(stream: TextIO | None) -> Iterator[tuple[int, list[str]]]:
-    """The lines of a stream, as many at a time as are there, and the number of the first."""
+    """Yield the lines of a stream, as many at a time as have come, with the number of the first."""
     if stream is None:
         return
     if stream.isatty():
@@ -251,7 +251,7 @@ def _batches(stream: TextIO | None) -> Iterator[tuple[int, list[str]]]:
 
 
 def _is_file(stream: TextIO | None) -> bool:
-    """Whether it can be read twice."""
+    """Whether the stream is a file, which can be read twice."""
     try:
         return stream is not None and S_ISREG(os.fstat(stream.fileno()).st_mode)
     except (OSError, ValueError):
@@ -259,7 +259,7 @@ def _is_file(stream: TextIO | None) -> bool:
 
 
 def _more(stream: TextIO) -> bool:
-    """Whether another line can be read without waiting, as far as is known."""
+    """Whether another line can be read without waiting; False where it is not known."""
     import select
 
     try:

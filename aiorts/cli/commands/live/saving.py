@@ -1,4 +1,4 @@
-"""`aiorts save`: what runs becomes a system file."""
+"""`aiorts save`: writes a running system as a system file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What commands for what runs have in common: options, JSON documents, what is said where nothing is to be seen."""
+"""The common parts of commands for running kernels: options, JSON documents, hints, the end of what is followed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SECONDS: Final = click.FloatRange(min=0.001)
 
 
 def timeout_option(seconds: float, what: str = "Wait S seconds", flag: str = "--timeout") -> Callable[[C], C]:
-    """--timeout S."""
+    """Make the option --timeout S."""
     return click.option(
         flag,
         type=_SECONDS,
@@ -33,21 +33,21 @@ def timeout_option(seconds: float, what: str = "Wait S seconds", flag: str = "--
 
 
 def json_option(text: str = "One JSON document.") -> Callable[[C], C]:
-    """--json."""
+    """Make the option --json."""
     return click.option("--json", "as_json", is_flag=True, help=text)
 
 
 def _until(_ctx: click.Context, _param: click.Parameter, seconds: float | None) -> float | None:
-    """The moment of `time.monotonic()` at which a command ends, by how long it is to go on."""
+    """The time of `time.monotonic()` at which a command ends, from its duration."""
     return None if seconds is None else time.monotonic() + seconds
 
 
 def following_options(what: str, line: str) -> Callable[[C], C]:
-    """Those of a command that goes on: --count, --once and --for say when it ends, --timeout and --json are as ever.
+    """Make the options of a command that goes on: --count, --once and --for for its end, --timeout and --json.
 
     Args:
-        what: it prints.
-        line: for what a line of --json is.
+        what: the things that it prints, in the plural.
+        line: the thing that a line of --json stands for.
     """
 
     def add(command: C) -> C:
@@ -68,14 +68,14 @@ def following_options(what: str, line: str) -> Callable[[C], C]:
 
 
 def say_done(names: Iterable[str], *, as_json: bool) -> int:
-    """Say to which things something was done, where a document is asked for; the exit status."""
+    """Print the names of changed things, where a JSON document is wanted; returns the exit status."""
     if as_json:
         say_json({"done": [{"name": name} for name in names]})
     return exits.DONE
 
 
 def named(things: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Things by name as documents have them: a list of objects, each with its name."""
+    """Things by name in the form of JSON documents: a list of objects, each with its name."""
     return [{"name": name, **about} for name, about in things.items()]
 
 
@@ -88,7 +88,7 @@ def say_kernels(
     as_json: bool,
     silent: bool = True,
 ) -> int:
-    """Print what each kernel has of a kind, and which kernels do not answer; the exit status."""
+    """Print the things of a kind in each kernel, and the kernels that do not answer; returns the exit status."""
     if as_json:
         say_json(
             {"kernels": named({name: {kind: things} for name, things in listed.items()}), "no_answer": mute(found)}
@@ -102,12 +102,12 @@ def say_kernels(
 
 
 def mute(found: Kernels) -> list[dict[str, Any]]:
-    """The kernels that do not answer, as documents have them."""
+    """The kernels that do not answer, in the form of JSON documents."""
     return [{"name": one.entry.name, "pid": one.entry.pid, "why": one.why} for one in found.silent]
 
 
 def say_silent(found: Kernels) -> None:
-    """Print which kernels do not answer, and that none runs where none does."""
+    """Print the kernels that do not answer; where no kernel runs, print that."""
     for one in found.silent:
         say(f"{one.entry.name}/  {one.why} (process {one.entry.pid})")
     if not found.running and not found.silent:
@@ -118,7 +118,7 @@ def say_silent(found: Kernels) -> None:
 
 
 def say_missed(stream: Stream, what: str, *, as_json: bool) -> None:
-    """Say how many items are missing since the last time, if any are."""
+    """Print the number of items missed since the last call, if there are any."""
     missed, stream.missed = stream.missed, 0
     if missed and as_json:
         say_line({"missed": missed})
@@ -127,26 +127,26 @@ def say_missed(stream: Stream, what: str, *, as_json: bool) -> None:
 
 
 def moment_text(time_ns: int) -> str:
-    """The time of day here, to the millisecond."""
+    """The local time of day, to the millisecond."""
     at = datetime.fromtimestamp(time_ns / 1e9, UTC).astimezone()
     return f"{at:%H:%M:%S}.{at.microsecond // 1000:03d}"
 
 
 def hint(text: str) -> None:
-    """Tell a person on standard error why there is nothing to be seen; a program is told nothing."""
+    """Print a hint on standard error, where that is a terminal: why no output is to be seen."""
     if sys.stderr is not None and sys.stderr.isatty():
         tell(f"aiorts: {text}")
 
 
 class Over(ClosedError):
-    """A part of a kernel that was followed is there no more."""
+    """The followed part of a kernel, or its stream, has ended."""
 
 
 def followed(items: Iterator[T], running: Running, count: int | None) -> Iterator[T]:
-    """The items, `count` of them where it is given, until what gives them has ended, which is said.
+    """Yield the items, at most `count`, until their source has ended, which is printed.
 
     Raises:
-        AbsentError: `count` were asked for, and fewer have come.
+        AbsentError: `count` is given, and fewer have come.
     """
     number = 0
     try:
@@ -160,10 +160,10 @@ def followed(items: Iterator[T], running: Running, count: int | None) -> Iterato
 
 
 def items_of(stream: Stream, until: float | None) -> Iterator[Any]:
-    """What comes of a stream before a time of `time.monotonic()`; it is taken on while this process is held back.
+    """Yield the items of a stream until a time of `time.monotonic()`; a thread reads ahead while this program pauses.
 
     Raises:
-        Over: the stream has ended, or its kernel in order.
+        Over: the stream has ended, or its kernel has ended in order.
         ClosedError: the kernel has ended, or has cut off this process.
     """
     stream.client.read_ahead()
@@ -173,7 +173,7 @@ def items_of(stream: Stream, until: float | None) -> Iterator[Any]:
 
 
 def has_ended(running: Running, error: ClosedError, number: int, count: int | None) -> int:
-    """Say that a kernel, or a part of it, has ended while it was followed; the exit status.
+    """Print that a kernel, or a part of it, has ended while it was followed; returns the exit status.
 
     Raises:
         AbsentError: as `followed`.

@@ -1,4 +1,4 @@
-"""Spans of time, as they are shown."""
+"""Spans of time as text and as JSON."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ def span_text(ns: float) -> str:
 
 
 def within_text(within_ns: int | None) -> str:
-    """The text behind a span that may be off by so much; "?": by too much to show the span."""
+    """The text after a span with this possible error; "?": the error is too large to show the span."""
     if within_ns is None:
         return ""
     return "?" if within_ns > EXACT else f" +- {span_text(within_ns)}"
 
 
 def span_plain(spans: Sequence[int] | None) -> dict[str, int] | None:
-    """Measured spans of a kernel's answer as JSON has them, in nanoseconds."""
+    """Measured spans from a kernel's answer as JSON has them, in nanoseconds."""
     return None if spans is None else SpanFigures(*spans)._asdict()
 
 
 def spans_text(found: Mapping[str, Sequence[int]], *kinds: str) -> str:
-    """Median, 99th percentile and maximum of each of these kinds that there is; "within" is how far the age may be
-    off."""
+    """Median, 99th percentile and maximum of each of these kinds that was measured; "within" is the possible error
+    of the age."""
     texts = []
     for what in (one for one in kinds if one in found):
         spans = SpanFigures(*found[what])
@@ -49,7 +49,7 @@ def read_text(read: Mapping[str, Sequence[int]]) -> str:
 
 
 def read_plain(read: Mapping[str, Sequence[int]] | None) -> dict[str, Any] | None:
-    """The figures of the reader's end of a link as JSON has them; None: that end does not send them."""
+    """The figures of the reader's end of a link as JSON has them; None where that end does not send them."""
     if read is None:
         return None
     within = {"age_within_ns": read["within"][0]} if "within" in read else {}

@@ -1,4 +1,4 @@
-"""Completes what runs on the command line; what a word means there, `aiorts.sessions` knows."""
+"""Completion of words for running kernels on the command line; `aiorts.sessions` resolves the words."""
 
 from __future__ import annotations
 
@@ -54,49 +54,49 @@ def kernels(
     changing: bool = False,
     right: RightName = "",
 ) -> AbstractContextManager[Kernels]:
-    """See `aiorts.sessions.kernels`; the right is by default "operate" where something is changed, else "view"."""
+    """Open sessions as `aiorts.sessions.kernels`; the default right is "operate" with `changing`, else "view"."""
     wanted = right or ("operate" if changing else "view")
     return sessions.kernels(timeout, select, changing=changing, right=wanted)
 
 
 def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-    """Completes what runs: components, their ports after a dot, kernels with a slash."""
+    """Complete names of what runs: components, their ports after a dot, kernels with a slash."""
     return _items(likely(incomplete), incomplete)
 
 
 def complete_fitting(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-    """Completes the ports that fit the one that stands before; where none does, those of other kernels may."""
+    """Complete the ports that fit the port typed before; where none fits, any port, since links may reach others."""
     before = [word for word in ctx.params.get(param.name or "") or () if "=" not in word]
     return _items((before and fitting(before[0], incomplete)) or likely(incomplete), incomplete)
 
 
 def complete_types(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-    """Completes types of components that can be created in what runs, and files where none fits."""
+    """Complete types of components that running kernels can create, and files where no type fits."""
     from click.shell_completion import CompletionItem
 
     return _items(offered(), incomplete) or [CompletionItem(incomplete, type="file")]
 
 
 def complete_params(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-    """Completes PARAM= of the type that the command names."""
+    """Complete PARAM= for the type that the command names."""
     return _items((f"{name}=" for name in offered().get(str(ctx.params.get("type_")), ())), incomplete)
 
 
 def complete_kernels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-    """Completes names of kernels."""
+    """Complete names of kernels."""
     with kernels(PATIENCE) as found:
         return _items((one.name for one in found.running), incomplete)
 
 
 def complete_systems(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-    """Completes names of kernels, and files where none fits."""
+    """Complete names of kernels, and files where no kernel fits."""
     from click.shell_completion import CompletionItem
 
     return complete_kernels(ctx, param, incomplete) or [CompletionItem(incomplete, type="file")]
 
 
 def complete_changes(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-    """Completes PARAM=VALUE for the component that the command names, as far as the sign."""
+    """Complete PARAM= for the component that the command names."""
     with kernels(PATIENCE) as found:
         said = outlines(found, str(ctx.params.get("name") or ""))
         return _items((f"{name}=" for one in said for name in one["params"]), incomplete)

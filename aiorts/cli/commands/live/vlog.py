@@ -1,4 +1,4 @@
-"""`aiorts vlog`: the log of what runs."""
+"""`aiorts vlog`: shows the log of a running kernel, and sets levels."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def vlog(
 
 
 def _meant(found: list[Found], kernel: Any) -> tuple[Running, list[str]]:
-    """The one kernel that is meant, and the components of it; none is all."""
+    """The kernel that the words mean, and its components; an empty list is all."""
     if not found:
         return kernel(), []
     if len({one.client for one in found}) > 1:

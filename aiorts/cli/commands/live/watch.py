@@ -1,4 +1,4 @@
-"""`aiorts watch`: what happens in a kernel, event by event."""
+"""`aiorts watch`: prints the events of a kernel."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _text(item: Mapping[str, Any]) -> str:
 
 
 def _value(value: Any) -> str:
-    """A field in few words: of a part of the profile its name."""
+    """A field as short text: a part of the profile by its name."""
     if isinstance(value, Mapping) and "name" in value:
         return str(value["name"])
     text = str(value)

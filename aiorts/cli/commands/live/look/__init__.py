@@ -1,1 +1,1 @@
-"""Commands that look into what runs and change nothing; what a word means to them, and reports as text."""
+"""Commands that look into running kernels and change nothing; the meaning of their words, and reports as text."""

@@ -1,4 +1,4 @@
-"""`aiorts cat`: everything worth knowing of one thing that runs."""
+"""`aiorts cat`: shows all that is worth knowing of a running component, port, connector, context or kernel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reports of a running kernel as text for people: all worth knowing of one thing, `long` with the rest."""
+"""Reports of a running kernel as text: all that is worth knowing of one thing, with `long` the rest."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from aiorts.model.options import OWN_OPTIONS
 _WIDEST: Final = 60
 _WAYS: Final = {"in": "in", "out": "out", "service": "srv"}
 _USUAL: Final = {key: one.default for key, one in OWN_OPTIONS.items() if not one.shown}
-"""The values of a connector's options that are not worth a word."""
+"""The default values of a connector's options that are not shown."""
 _NO_WORD: Final = ("name", "ports", "extra")
 
 
@@ -22,9 +22,9 @@ def text_of(kind: str, name: str, full: str, report: Mapping[str, Any], *, long:
 
     Args:
         kind: "kernel", "component", "port", "context" or "connector".
-        name: as the kernel calls it.
-        full: the head.
-        report: of `Named.report`.
+        name: the name within the kernel.
+        full: the name with the kernel's, for the head.
+        report: the result of `Named.report`.
         long: with the documentation of parts, everything about connectors, and log lines.
     """
     if kind == "kernel":
@@ -197,7 +197,7 @@ def _connector(name: str, report: Mapping[str, Any], *, long: bool) -> Iterator[
             yield f"  link {state}"
         return
     one = report["connectors"].get(name)
-    if one is None:  # it ended while this was asked
+    if one is None:  # it ended during the request
         return
     options, counts = one["options"], one["ledger"]
     yield f"{one['source']} -> {one['target']}"
@@ -224,22 +224,22 @@ def _off(within_ns: int | None) -> str:
 
 
 def _link_states(report: Mapping[str, Any]) -> Mapping[str, str]:
-    """How far links are, by connector; of a whole kernel, or of a part of it."""
+    """The states of links by connector, in the report of a whole kernel or of a part."""
     return _part(report, "links", "links")
 
 
 def _part(report: Mapping[str, Any], key: str, service: str) -> Mapping[str, Any]:
-    """What a service says: of a part of a kernel it is under the key, of a whole one with the services."""
+    """The report of a service: in the report of a part it stands under `key`, in that of a kernel under "services"."""
     found: Mapping[str, Any] = report[key] if key in report else report.get("services", {}).get(service, {})
     return found
 
 
 def _inside(parts: Iterator[str]) -> Iterator[str]:
-    """The lines two characters to the right."""
+    """The lines, indented by two characters."""
     return (f"  {line}" for part in parts for line in part.split("\n"))
 
 
 def shown(value: Any) -> str:
-    """A value on one line; of a long one its beginning."""
+    """A value on one line; a long one is cut."""
     text = '""' if value == "" else str(value).lower() if isinstance(value, bool) else str(value)
     return text if len(text) <= _WIDEST else f"{text[: _WIDEST - 3]}..."

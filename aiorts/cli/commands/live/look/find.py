@@ -1,4 +1,4 @@
-"""`aiorts find`: what runs and fits."""
+"""`aiorts find`: finds running components and ports."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def find(
     with kernels(timeout) as found:
         searched = [one for one in found.running if not kernel or one.fits(kernel.rstrip("/"))]
         if kernel and not searched:
-            found.kernel(kernel.rstrip("/"))  # says why
+            found.kernel(kernel.rstrip("/"))  # raises the error for an unknown name
         fitting = [
             {"name": f"{one.name}/{path}", **about}
             for one in searched

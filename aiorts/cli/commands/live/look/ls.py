@@ -1,4 +1,4 @@
-"""`aiorts ls`: what runs."""
+"""`aiorts ls`: lists running kernels, their components and ports."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _is_of(running: Running, shown: list[Named]) -> bool:
 
 
 def _document(running: Running, shown: list[Named], *, ports: bool) -> dict[str, Any]:
-    """A kernel with what is meant of it; ports, where they are asked for, by component."""
+    """A kernel with the named parts of it; with `ports` also the ports of each component."""
     meant = [one for one in shown if one.running is running]
     names, whole = running.names, any(one.kind == "kernel" for one in meant)
     of = dict.fromkeys(one.name.partition(".")[0] for one in meant if one.kind in ("component", "port"))
@@ -138,6 +138,6 @@ def _row(names: Mapping[str, Any], component: str, *, long: bool) -> tuple[str, 
 
 
 def _overdue(names: Mapping[str, Any], component: str) -> Mapping[str, Any]:
-    """The late hooks of a component by context; none from a kernel of an earlier release, which does not say them."""
+    """The late hooks of a component by context; empty for a kernel of an earlier release, which reports none."""
     found: Mapping[str, Any] = names.get("overdue", {}).get(component, {})
     return found

@@ -1,4 +1,4 @@
-"""Everything a word may mean to commands that look: a component or port, else a context or connector, else a kernel.
+"""The meaning of a word to commands that look: a component or port, else a context or connector, else a kernel.
 
 A component comes first; `name/` is the kernel of that name.
 """
@@ -17,23 +17,23 @@ from aiorts.spelling import suggestion
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """One thing that runs, of whatever kind."""
+    """One thing that a word means: a kernel, component, port, context or connector."""
 
     running: Running
     kind: str
     """"kernel", "component", "port", "context" or "connector"."""
     name: str
-    """As the kernel calls it; "" for the kernel itself."""
+    """The name within the kernel; "" for the kernel itself."""
     outline: Mapping[str, Any] | None = None
-    """Of a port's component: its type, ports and parameters."""
+    """The outline of a port's component: its type, ports and parameters."""
 
     @property
     def full(self) -> str:
-        """With the kernel's name."""
+        """The name with the kernel's name before it."""
         return f"{self.running.name}/{self.name}"
 
     def report(self) -> Mapping[str, Any]:
-        """What the kernel reports of it: a part of its profile, of the kernel all."""
+        """Ask the kernel for the report of this thing: a part of the profile, for the kernel the whole."""
         client = self.running.client
         if self.kind == "kernel":
             whole: Mapping[str, Any] = client.call("profile")
@@ -45,13 +45,13 @@ class Named:
 
 
 def named(found: Kernels, word: str) -> tuple[Named, ...]:
-    """What a word means; in it, * ? [] stand for any characters.
+    """Find what a word means; in it, * ? [] stand for any characters.
 
     Raises:
         AbsentError: nothing has the name.
-        AmbiguousError: several have it, and it has no such character.
+        AmbiguousError: several have it, and the word has no such character.
         NoAnswerError: nothing has it, and a kernel that may have it does not answer.
-        InvalidNameError: it has more parts than a name.
+        InvalidNameError: the word has more parts than a name.
     """
     meant: list[Named] = []
     missing: Exception | None = None
@@ -99,6 +99,6 @@ def _no_port(one: Found, word: str) -> AbsentError:
 
 
 def outlines(running: Running, *components: str) -> Mapping[str, Any]:
-    """Type, ports and parameters of components, by name; of all where none is given."""
+    """The type, ports and parameters of components, by name; of all components where no name is given."""
     found: Mapping[str, Any] = running.client.call("outline", components=components)
     return found

@@ -1,4 +1,4 @@
-"""A running system for commands that otherwise take a file or a type: which it is, its profile, its parts."""
+"""Running systems for commands that otherwise take a file or a type: their names, profiles and parts."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from aiorts.observe import SystemProfile
 
 BETWEEN: Final = 0.5
-"""Seconds between two profiles that rates are taken from."""
+"""Seconds between the two profiles from which rates are computed."""
 
 
 def is_live(word: str) -> bool:
-    """Whether a word that may be a file is to be looked for among what runs."""
+    """Whether a word that may be a file means a running kernel."""
     return (
         not is_file(word)
         and not word.startswith(".")
@@ -31,10 +31,10 @@ def is_live(word: str) -> bool:
 
 
 def profiles_of(word: str, count: int = 1) -> tuple[str, list[SystemProfile]]:
-    """The name of the kernel that a word means, and as many profiles of it, `BETWEEN` seconds apart.
+    """The name of the kernel that a word means, and `count` profiles of it, `BETWEEN` seconds apart.
 
     Raises:
-        AbsentError: nothing that runs has the name, or it is a part of a kernel.
+        AbsentError: nothing that runs has the name, or it means a part of a kernel.
         AmbiguousError: several things have it.
         NoAnswerError: the kernel does not answer.
     """
@@ -56,12 +56,12 @@ def profiles_of(word: str, count: int = 1) -> tuple[str, list[SystemProfile]]:
 
 
 def report_of(word: str) -> tuple[Named, Mapping[str, Any]] | None:
-    """What runs under this name and its report; None where nothing has it, and it names no kernel that runs.
+    """Find the running thing that a word means; returns it with its report, or None where nothing has the name.
 
     Raises:
-        AmbiguousError: several things have it.
-        AbsentError: it names a kernel, which has no such thing.
-        NoAnswerError: it names a kernel that does not answer.
+        AmbiguousError: several things have the name.
+        AbsentError: the word names a kernel, which has no such thing.
+        NoAnswerError: the word names a kernel that does not answer.
     """
     kernel = word.rpartition("/")[0] or word
     if is_file(word) or ":" in word or not (there := entries()):
@@ -79,7 +79,7 @@ def report_of(word: str) -> tuple[Named, Mapping[str, Any]] | None:
 
 
 def tell_of(word: str, command: str) -> None:
-    """Say on standard error that something that runs has the name, too, and what shows it."""
+    """Print on standard error that a running thing has the name, too, and the command that shows it."""
     if is_file(word) or not entries():
         return
     with kernels() as found:

@@ -1,1 +1,1 @@
-"""Commands that measure what runs, by its counters: no sample is taken, and nothing in the kernel waits for them."""
+"""Commands that measure running systems by their counters: they take no sample, and nothing in the kernel waits."""

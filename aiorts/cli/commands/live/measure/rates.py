@@ -1,4 +1,4 @@
-"""`aiorts hz`, `bw`, `delay`: how many samples pass a connector, how many bytes that is, and how old they are."""
+"""`aiorts hz`, `bw`, `delay`: the samples and bytes that pass a connector each second, and their latency and age."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from aiorts.model.timing import Size, SpanFigures
 from aiorts.sessions import RightName
 
 Show = Callable[[Counters], bool]
-"""Prints what a reading says; False where it says nothing yet."""
+"""A function that prints a reading; it returns False where there is nothing to print yet."""
 _SIZED_EVERY: Final = 1.0
-"""Seconds between two looks at a sample."""
+"""Seconds between two looks at the size of a sample."""
 
 
 def _of_edges(command: Callable[..., int]) -> Any:
-    """What the three have in common: a name, and how long and how often they print."""
+    """Add the common argument and options of the three commands: the name, the interval and the end of printing."""
     made: Any = command
     for option in (
         following_options("intervals", "interval of a connector"),
@@ -56,7 +56,7 @@ def _follow(
     timed: bool = False,
     right: RightName = "view",
 ) -> int:
-    """Read the counters of what a name means until it is enough, or the kernel ends."""
+    """Show readings of the connectors that a name means until `count`, `until`, or the end of the kernel."""
     with kernels(timeout, right=right) as found:
         running, meant = find_edges(found, name)
         show = begin(running, meant)
@@ -166,7 +166,7 @@ def delay(name: str, interval: float, until: float | None, count: int | None, ti
 
         def show(now: Counters) -> bool:
             nonlocal first
-            early, first = first and bool(wanted), False  # nothing was read since it is measured
+            early, first = first and bool(wanted), False  # measuring has just begun, and no sample was read since
             for edge in () if early else meant:
                 found = now["timed"].get(edge.name, {})
                 plain: dict[str, Any] = {what: span_plain(found.get(what)) for what in _TIMED}
@@ -207,11 +207,11 @@ def _spans(found: Mapping[str, Any]) -> str:
 
 
 def _at_read(running: Running, edge: Edge) -> tuple[str, dict[str, Any] | None]:
-    """The figures of the reader's end of a link as text, or why they are not known, and as JSON has them."""
+    """The figures of the reader's end of a link, as text (or why they are not known) and as JSON has them."""
     try:
         (wire,) = running.client.call("connectors", names=[edge.name], both_ends=True)
     except AbsentError:
-        return "", None  # it has ended since
+        return "", None  # the connector has ended since
     read = wire.get("read")
     if read is None:
         return f"at the read: not known (why: aiorts con {edge.out} --both-ends); ", None

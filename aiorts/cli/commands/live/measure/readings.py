@@ -1,4 +1,4 @@
-"""Counters of a kernel, read again and again, and what two readings say: rates, by the kernel's own clock."""
+"""Repeated readings of a kernel's counters, and the rates between two readings, by the kernel's own clock."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def counters_in(answer: Mapping[str, Any]) -> Counters:
 
 
 def readings(client: Client, interval: float, **chosen: object) -> Iterator[Counters]:
-    """The counters, `interval` real seconds apart.
+    """Read the counters, `interval` real seconds apart.
 
     Raises:
         ClosedError: the kernel has ended.
@@ -46,13 +46,13 @@ def rest(client: Client, until: float) -> None:
 
 
 def rate_of(now: Counters, before: Counters, name: str) -> float | None:
-    """Samples a second that a connector was given between two readings; None where that cannot be said."""
+    """Samples a second that were written to a connector between two readings; None where it is not known."""
     new, old = now["connectors"].get(name), before["connectors"].get(name)
     return None if new is None or old is None else per_second(new.written - old.written, now, before)
 
 
 def per_second(more: int, now: Counters, before: Counters) -> float | None:
-    """A count by the kernel's clock; None where another thing has the name and counts from 0, or the clock stood."""
+    """A count per second of the kernel's clock; None where a new thing of this name began at 0, or the clock stood."""
     span_ns = now["at_ns"] - before["at_ns"]
     return None if span_ns <= 0 or more < 0 else more * 1e9 / span_ns
 
@@ -66,10 +66,10 @@ class Rates:
         self._last: tuple[int, int] | None = None
 
     def add(self, at_ns: int, written: int) -> bool:
-        """A reading; whether it ends a window."""
+        """Add a reading; returns whether it ends a window."""
         before, self._last = self._last, (at_ns, written)
         if before is None or written < before[1]:
-            self._first = self._last  # another connector has its name
+            self._first = self._last  # a new connector has the name
             return False
         if at_ns <= before[0]:
             self._last = before
@@ -79,12 +79,12 @@ class Rates:
 
     @property
     def mean(self) -> float:
-        """From the first reading to the last."""
+        """The rate from the first reading to the last."""
         assert self._first is not None and self._last is not None  # noqa: S101, PT018 - a window has ended
         return (self._last[1] - self._first[1]) * 1e9 / (self._last[0] - self._first[0])
 
     def summary(self) -> dict[str, float]:
-        """Rate, minimum, maximum and deviation of the windows, and how many there were."""
+        """Rate, minimum, maximum and standard deviation of the windows, and their number."""
         count = len(self.windows)
         mean = sum(self.windows) / count
         deviation = sqrt(sum((one - mean) ** 2 for one in self.windows) / count)

@@ -1,7 +1,7 @@
-"""The whole terminal, for as long as a `with` block lasts: another page of it, and keys as they are pressed.
+"""The whole terminal during a `with` block: the alternate screen, and keys as they are pressed.
 
-On every way out it is what it was: at the end, with an error, Ctrl-C, SIGTERM, SIGHUP, and while it is stopped with
-Ctrl-Z. It uses the codes that all terminals of today have in common; `curses` is not everywhere.
+The terminal is restored on every way out: at the end, with an error, Ctrl-C, SIGTERM, SIGHUP, and during a stop with
+Ctrl-Z. The module uses the codes that all terminals of today share, since `curses` is not everywhere.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from types import FrameType, TracebackType
 from typing import Any, Final, Self
 
 _ENTER: Final = "\x1b[?1049h\x1b[?25l\x1b[?7l"
-"""Another page, no cursor, long lines are cut."""
+"""The alternate screen, no cursor, long lines are cut."""
 _LEAVE: Final = "\x1b[?7h\x1b[?25h\x1b[?1049l"
 _KEYS: Final = {
     b"\x1b[A": "up",
@@ -40,7 +40,7 @@ _KEYS: Final = {
 }
 
 
-class Ended(BaseException):  # not an error: nobody in between may take it for one
+class Ended(BaseException):  # no Exception: an `except Exception` on the way must not catch it
     """A signal ends the process."""
 
     def __init__(self, number: int) -> None:
@@ -49,7 +49,7 @@ class Ended(BaseException):  # not an error: nobody in between may take it for o
 
 
 def usable() -> bool:
-    """Whether standard input and output are a terminal that can be used so."""
+    """Whether standard input and output are a terminal that `Screen` can use."""
     try:
         import termios  # noqa: F401
     except ImportError:
@@ -59,7 +59,7 @@ def usable() -> bool:
 
 
 class Screen:
-    """See the module."""
+    """The terminal during a `with` block; see the module."""
 
     def __init__(self) -> None:
         self._in, self._out = sys.stdin.fileno(), sys.stdout.fileno()
@@ -92,7 +92,7 @@ class Screen:
         self._restore()
 
     def size(self) -> tuple[int, int]:
-        """Columns and lines."""
+        """The numbers of columns and lines."""
         try:
             found = os.get_terminal_size(self._out)
         except OSError:
@@ -100,16 +100,16 @@ class Screen:
         return found.columns or 80, found.lines or 24
 
     def draw(self, lines: Sequence[str]) -> None:
-        """Have the terminal show these lines and nothing else; those that begin with a title stand out.
+        """Show these lines on the terminal and nothing else.
 
         Raises:
-            OSError: it has gone.
+            OSError: the terminal has gone.
         """
         text = "\x1b[K\r\n".join(lines)
         self._write(f"\x1b[H{text}\x1b[K\x1b[J")
 
     def wait(self, client: int, seconds: float) -> bool:
-        """Wait until a key is pressed, the size has changed, or the descriptor has something: whether it has."""
+        """Wait for a key, a change of size, or data at the descriptor `client`; returns whether it has data."""
         ready = select.select([client, self._in, self._wake_out], [], [], max(0.0, seconds))[0]
         if self._wake_out in ready:
             with contextlib.suppress(BlockingIOError):
@@ -117,7 +117,7 @@ class Screen:
         return client in ready
 
     def pressed(self) -> list[str]:
-        """What was pressed since the last call: a character, or a name such as "up".
+        """The keys that were pressed since the last call: characters, or names such as "up".
 
         Raises:
             Ended: the terminal has gone.
@@ -148,14 +148,14 @@ class Screen:
         if self._shown:
             self._shown = False
             with contextlib.suppress(OSError, termios.error):
-                termios.tcflow(self._out, termios.TCOON)  # Ctrl-S may have stopped it
+                termios.tcflow(self._out, termios.TCOON)  # Ctrl-S may have stopped output
                 self._write(_LEAVE)
             with contextlib.suppress(OSError, termios.error):
                 termios.tcsetattr(self._in, termios.TCSANOW, self._mode or [])
 
     def _restore(self) -> None:
         for number in self._signals:
-            signal.signal(number, signal.SIG_IGN)  # not in the middle of this
+            signal.signal(number, signal.SIG_IGN)  # no signal may interrupt the restoring
         self._hide()
         for number, before in self._signals.items():
             signal.signal(number, before)
@@ -164,7 +164,7 @@ class Screen:
         os.close(self._wake_out)
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
-        """Ctrl-Z: the shell has its terminal as it was, until it lets this go on."""
+        """Stop at Ctrl-Z, with the terminal restored for the shell until the process goes on."""
         self._hide()
         os.kill(os.getpid(), signal.SIGSTOP)
         self._show()
@@ -181,7 +181,7 @@ class Screen:
 
 
 def keys_in(data: bytes) -> list[str]:
-    """The keys in what a terminal sent; what is no key and no character is left out."""
+    """The keys in bytes from a terminal; other escape sequences and unprintable characters are left out."""
     found: list[str] = []
     while data:
         name = next((one for one in sorted(_KEYS, key=len, reverse=True) if data.startswith(one)), None)

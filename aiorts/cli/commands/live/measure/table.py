@@ -1,6 +1,6 @@
-"""What `aiorts top` shows: rows of connectors, contexts and components, sorted, filtered and cut to a terminal.
+"""The tables of `aiorts top`: rows of connectors, contexts and components, sorted, filtered and cut to a terminal.
 
-Two readings of the counters and a view make lines of text; nothing here reads, waits or prints.
+Two readings of the counters and a view make lines of text; this module does not read counters, wait or print.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ KINDS: Final = ("connectors", "contexts", "components")
 SORTS: Final = ("name", "rate", "dropped", "buffered", "late")
 _NONE: Final[Mapping[str, int | None]] = MappingProxyType({})
 _NARROWEST: Final = 12
-"""Columns that are left of a name at the least."""
+"""Columns of a name that are kept at least."""
 _SHORTEST: Final = 3
-"""Lines of a table below which it is not begun: title, one row, how many more."""
+"""Lines of the shortest table: title, one row, and the number of further rows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,25 +34,25 @@ class Row:
     name: str
     """The name of the thing, which is the first column."""
     plain: Mapping[str, Any]
-    """As JSON has it."""
+    """The row as JSON has it."""
     order: Mapping[str, float]
-    """By what it is sorted, the greatest first."""
+    """The values by which it is sorted, the greatest first."""
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What is to be seen of the tables, and in which order."""
+    """The visible part of the tables, and its order."""
 
     kinds: tuple[str, ...] = KINDS
     sort: str = "name"
     reverse: bool = False
     text: str = ""
-    """Only rows with this in the name."""
+    """The text that the names of visible rows contain."""
     first: int = 0
-    """Rows that are scrolled away."""
+    """The number of rows that are scrolled away."""
 
     def rows(self, table: Sequence[Row]) -> list[Row]:
-        """Those that are to be seen."""
+        """The rows that pass the filter, in order."""
         text = self.text.casefold()
         fitting = [row for row in table if text in row.name.casefold()] if text else list(table)
         if self.sort == "name":
@@ -66,10 +66,10 @@ Tables = Mapping[str, Sequence[Row]]
 def tables(
     now: Counters, before: Counters | None, edges: Mapping[str, Edge], waiting: Mapping[str, int | None] = _NONE
 ) -> Tables:
-    """The rows of all tables; rates only where there is a reading before.
+    """The rows of all tables; rates only where there is an earlier reading.
 
     Args:
-        waiting: by the names of links: the samples that wait at either end. A link that is not there has None.
+        waiting: the samples that wait at either end of a link, by its name; None where they are not known.
     """
     old = now if before is None else before
     return {
@@ -83,7 +83,7 @@ def _connector(edge: Edge | None, name: str, now: Counters, old: Counters, waiti
     one: ConnectorCounters = now["connectors"][name]
     before: ConnectorCounters | None = old["connectors"].get(name)
     in_flight = now.get("links", {}).get(name)
-    # Of a link this kernel counts its own end alone.
+    # This kernel counts only its own end of a link.
     buffered = one.buffered if in_flight is None else waiting.get(name)
     rate = rate_of(now, old, name)
     timed = now["timed"].get(name, {})
@@ -132,23 +132,23 @@ def _component(name: str, one: Mapping[str, Any], old: Counters) -> Row:
 
 
 class Column(NamedTuple):
-    """A column of a table: its title, and what it shows of a row as JSON has it."""
+    """A column of a table: its title, and the function that makes a cell of a row as JSON has it."""
 
     title: str
     cell: Callable[[Mapping[str, Any]], str]
     is_words: bool = False
-    """Whether it stands to the left, as numbers do not."""
+    """Whether the column is text, which is aligned to the left; numbers are aligned to the right."""
 
 
 def _number(rate: float | None) -> str:
-    """A rate in few digits."""
+    """A rate with few digits."""
     if rate is None:
         return "-"
     return f"{rate:.0f}" if rate >= 10_000 else f"{rate:.1f}"
 
 
 def _span(spans: str, figure: str) -> Callable[[Mapping[str, Any]], str]:
-    """A span that is measured, of a connector; "..." where nothing was read yet."""
+    """Make the cell of a measured span of a connector; "..." where no sample was read yet."""
 
     def cell(one: Mapping[str, Any]) -> str:
         if one[spans] is None:
@@ -185,7 +185,7 @@ def _calls(one: Mapping[str, Any]) -> str:
 
 
 _NAMED: Final = {"connectors": "CONNECTOR", "contexts": "CONTEXT", "components": "COMPONENT"}
-"""The titles of the first columns, which have the rows' names."""
+"""The titles of the first columns, with the rows' names."""
 _COLUMNS: Final[Mapping[str, tuple[Column, ...]]] = {
     "connectors": (
         Column("RATE/S", lambda one: _number(one["rate"])),
@@ -212,7 +212,7 @@ _COLUMNS: Final[Mapping[str, tuple[Column, ...]]] = {
 
 
 def text_of(found: Tables, view: View) -> list[str]:
-    """All rows, as many lines as it takes."""
+    """All visible rows, as lines."""
     lines: list[str] = []
     for kind in view.kinds:
         rows = view.rows(found[kind])
@@ -222,7 +222,7 @@ def text_of(found: Tables, view: View) -> list[str]:
 
 
 def screen_of(found: Tables, view: View, head: str, foot: str, width: int, height: int) -> list[str]:
-    """Just so many lines, none wider than `width`."""
+    """Exactly `height` lines, none wider than `width`."""
     parts = {kind: view.rows(found[kind]) for kind in view.kinds}
     lines = [head]
     left = height - 2
@@ -239,7 +239,7 @@ def screen_of(found: Tables, view: View, head: str, foot: str, width: int, heigh
 
 
 def _rooms(counts: Sequence[int], left: int) -> list[int]:
-    """Lines for each table with its title: what is short is whole, what is long shares the rest, the first has most."""
+    """The lines for each table with its title: short tables are whole, long ones share the rest, the first has most."""
     wanted = [count + 1 if count else 0 for count in counts]
     rooms = [0] * len(wanted)
     for place in range(len(wanted) - 1, 0, -1):
@@ -248,7 +248,7 @@ def _rooms(counts: Sequence[int], left: int) -> list[int]:
         left -= rooms[place]
     rooms[0] = min(wanted[0], left)
     left -= rooms[0]
-    for place in range(1, len(wanted)):  # what the first does not need
+    for place in range(1, len(wanted)):  # lines that the first table does not need
         more = min(left, wanted[place] - rooms[place])
         rooms[place] += more
         left -= more
@@ -256,9 +256,9 @@ def _rooms(counts: Sequence[int], left: int) -> list[int]:
 
 
 def _columns(kind: str, rows: Sequence[Row], width: int | None = None) -> list[str]:
-    """Title and rows, in columns: names and what is said in words to the left, numbers to the right.
+    """Title and rows in columns: names and text aligned to the left, numbers to the right.
 
-    What is wider than `width` loses its empty columns, then the ends of its names; numbers stay.
+    A table wider than `width` loses its empty columns, then the ends of its names; numbers stay.
     """
     columns = _COLUMNS[kind]
     texts = [[row.name, *(column.cell(row.plain) for column in columns)] for row in rows]
@@ -281,7 +281,7 @@ def _columns(kind: str, rows: Sequence[Row], width: int | None = None) -> list[s
 
 
 def _beyond(widths: Sequence[int], kept: Sequence[int], words: set[int], width: int) -> int:
-    """By how much the columns are too wide; the last may be cut where it is words."""
+    """The width by which the columns exceed `width`; a last column of text does not count, since it may be cut."""
     counted = [place for place in kept if place == 0 or place not in words or place != len(widths) - 1]
     return sum(widths[place] + 2 for place in counted) - 2 - width
 

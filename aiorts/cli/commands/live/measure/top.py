@@ -1,4 +1,4 @@
-"""`aiorts top`: connectors, contexts and components of what runs, again and again; on a terminal in one place."""
+"""`aiorts top`: shows connectors, contexts and components of a kernel at an interval; on a terminal in place."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from aiorts.cli.console.report import printed
 from aiorts.errors import AbsentError, ClosedError, NoAnswerError
 
 _TIMED: Final = 64
-"""Connectors whose latency is asked for at a time: to put the spans in order takes the kernel's time."""
+"""Connectors whose latency is asked for at a time: sorting the spans takes the kernel's time."""
 _ASKED: Final = 64
-"""Links whose reader's kernel is asked at a time."""
+"""Links for which the reader's kernel is asked at a time."""
 _PATIENCE: Final = 5.0
 _FURTHER: Final = 0.5
-"""Seconds in which the counters are there, and in which other kernels are to have answered, too."""
+"""Seconds to wait for the counters (_PATIENCE), and for the answers of other kernels (_FURTHER)."""
 _LATE: Final = 1.5
 """Seconds without an answer after which the screen says so."""
 _FOOT: Final = "q quit  n r d b l sort  i reverse  / filter  0-3 tables  space pause"
@@ -93,7 +93,7 @@ def top(
 
 
 class _Watch:
-    """The last two readings of a kernel, and the call that is under way."""
+    """The last two readings of a kernel, and the calls under way."""
 
     def __init__(self, running: Running) -> None:
         self.name = running.name
@@ -101,10 +101,10 @@ class _Watch:
         self.now: Counters | None = None
         self.before: Counters | None = None
         self.asked_at: float | None = None
-        """When the call was sent whose answer has not come."""
+        """The time at which the unanswered call was sent, or None."""
         self._edges = edges(running.names)
         self._waiting: Mapping[str, int | None] = {}
-        """The samples that wait at either end of each link that is shown, as the other kernel said last."""
+        """The samples that wait at either end of each shown link, by the last answer of the other kernel."""
         self._call = self._names = self._links = 0
 
     def ask(self, view: View) -> None:
@@ -118,12 +118,12 @@ class _Watch:
             ):
                 self._links = self.client.begin("connectors", names=links, both_ends=True)
             if not self._names and not self._edges.keys() >= self.now["connectors"].keys():
-                self._names = self.client.begin("names")  # connectors have come since
+                self._names = self.client.begin("names")  # there are new connectors
         self._call = self.client.begin("statistics", timed=timed)
         self.asked_at = time.monotonic()
 
     def take(self) -> bool:
-        """Read what has come: whether it is the answer.
+        """Read the socket and take answers; returns whether the counters have come.
 
         Raises:
             ClosedError: the kernel has ended.
@@ -134,7 +134,7 @@ class _Watch:
             self._edges = edges(self.client.result(number))
         if self._links and self.client.answered(self._links):
             number, self._links = self._links, 0
-            with suppress(AbsentError):  # a connector has ended since: the next answer is without it
+            with suppress(AbsentError):  # a connector has ended; the next call leaves it out
                 self._waiting = {one["name"]: one.get("waiting") for one in self.client.result(number)}
         if self.asked_at is None or not self.client.answered(self._call):
             return False
@@ -143,10 +143,10 @@ class _Watch:
         return True
 
     def await_answer(self) -> None:
-        """Wait for it, and a little for what other kernels say.
+        """Wait for the counters, and a little for the answers of other kernels.
 
         Raises:
-            NoAnswerError: there is none in time.
+            NoAnswerError: no counters came in time.
             ClosedError: the kernel has ended.
         """
         from select import select
@@ -162,12 +162,12 @@ class _Watch:
             raise NoAnswerError(f"{self.client.entry.address}: no answer")
 
     def tables(self) -> Tables:
-        """What the last readings say."""
-        assert self.now is not None  # noqa: S101 - it has answered
+        """The tables of the last two readings."""
+        assert self.now is not None  # noqa: S101 - the kernel has answered
         return tables(self.now, self.before, self._edges, self._waiting)
 
     def head(self, found: Tables) -> str:
-        """The system in one line."""
+        """The head of the output: the system in one line."""
         assert self.now is not None  # noqa: S101 - as above
         wires = found["connectors"]
         rates = [row.plain["rate"] for row in wires if row.plain["rate"] is not None]
@@ -184,7 +184,7 @@ class _Watch:
 
 
 def _print(watch: _Watch, view: View, *, as_json: bool) -> None:
-    assert watch.now is not None  # noqa: S101 - it has answered
+    assert watch.now is not None  # noqa: S101 - the kernel has answered
     found = watch.tables()
     if as_json:
         moment = {key: watch.now[key] for key in ("time_ns", "at_ns", "simulated")}
@@ -195,19 +195,19 @@ def _print(watch: _Watch, view: View, *, as_json: bool) -> None:
 
 
 class _Live:
-    """The screen: it goes on while the kernel is slow to answer, and hears every key."""
+    """The live screen: it redraws and takes keys also while the kernel is slow to answer."""
 
     def __init__(self, watch: _Watch, view: View, interval: float, count: int | None, until: float | None) -> None:
         self._watch, self._view = watch, view
         self._interval, self._left, self._until = interval, count, until
         self._due = time.monotonic()
         self._typing = False
-        """Whether keys go into the filter."""
+        """Whether keys are typed into the filter."""
         self._paused = False
         self._page = 1
 
     def run(self) -> int:
-        """Until q is pressed or it is enough; the exit status.
+        """Run until q is pressed or the count or time is up; returns the exit status.
 
         Raises:
             ClosedError: the kernel has ended.
@@ -225,7 +225,7 @@ class _Live:
                 return exits.of_signal(1)  # the terminal has gone
 
     def _seconds(self) -> float:
-        """Ask if it is time; how long there is nothing to do then."""
+        """Ask for counters if they are due; returns the seconds until something is due again."""
         now, watch = time.monotonic(), self._watch
         if watch.asked_at is None and now >= self._due and not self._paused:
             watch.ask(self._view)
@@ -256,7 +256,7 @@ class _Live:
         return self._until is not None and time.monotonic() >= self._until
 
     def _press(self, keys: Sequence[str]) -> bool:
-        """Do what keys say: whether that is to end."""
+        """Handle keys; returns whether one of them ends the command."""
         return any(self._heard(key) for key in keys)
 
     def _heard(self, key: str) -> bool:
