@@ -38,8 +38,8 @@ class Operation:
     default."""
     right: Right
     run: Callable[..., Any]
-    """The function that carries it out on the kernel's loop: `run(session, arguments)`, with the stream as third argument
-    where it streams. It returns the result, or an awaitable of it; where it only looks, it does not wait."""
+    """The function that carries it out on the kernel's loop: `run(session, arguments)`, with the stream as third
+    argument where it streams. It returns the result, or an awaitable of it; where it only looks, it does not wait."""
     idempotent: bool = False
     """Whether calling it twice is as good as once."""
     item: Any = None

@@ -37,7 +37,7 @@ class Operators:
         kernel.bus.subscribe(ComponentRemoved, lambda event: self._sessions.pop(event.component, None))
 
     def changed(self, session: object, components: Iterable[str]) -> None:
-        """Make a session the operator of components that it has changed, and of the members of composites among them."""
+        """Make a session the operator of components that it changed, and of the members of composites among them."""
         for name in self._with_leaves(components):
             self._sessions[name] = session
 

@@ -259,7 +259,7 @@ class Stream:
         self._finish = flush
 
     def send(self, item: Any) -> bool:
-        """Send an item; returns False when it was dropped, since `WAITING` items wait, or the client has no room or credit
+        """Send an item; returns False when it was dropped: `WAITING` items wait, or the client has no room or credit
         left. The next item carries the number of dropped ones."""
         if self.ended:
             return False

@@ -1,7 +1,7 @@
 """Change the systems of several kernels to those of files, all or none.
 
-Each kernel changes its own system, whole or not at all, and holds the change open. When all have changed, all are told
-to keep the change; a kernel that hears nothing more takes it back by itself.
+Each kernel changes its own system, whole or not at all, and holds the change open. When all have changed, all are
+asked to keep the change; a kernel that hears nothing more takes it back by itself.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ _SLICE: Final = 0.005
 _VIEW_SECONDS: Final = 0.5
 """Seconds after which the next call that looks is carried out although the last one has no answer."""
 _HELD_SECONDS: Final = 0.1
-"""Seconds after which clients are told that the loop is held up; it is also the interval of repetition."""
+"""Seconds after which clients are notified that the loop is held up; also the interval of repetition."""
 _REST_SECONDS: Final = 0.75
 """Seconds at the end in which clients can read what waits for them."""
 
