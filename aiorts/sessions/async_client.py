@@ -321,6 +321,8 @@ class AsyncStream:
             return self._call
         operation, wait, arguments = self._asked
         call = self._call = await self.client._begin(operation, wait, arguments, streams=True, window=WINDOW)
+        if self.ended:  # by `close`, while the socket took nothing
+            self.client._cancel(call)
         try:
             self.began = (await self.client._next(call, wait)).result()
         except BaseException:

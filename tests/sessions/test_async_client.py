@@ -162,6 +162,21 @@ async def test_a_stream_that_is_left_ends_in_the_kernel(way: str) -> None:
         await until(lambda: not client._session.calls)
 
 
+async def test_a_stream_that_is_closed_before_it_could_begin_ends_in_the_kernel() -> None:
+    async with controlled("early") as kernel, AsyncClient.connect("early", timeout=WAIT) as client:
+        usual = taps(kernel)
+        client._wire.takes.clear()  # as while the kernel takes nothing
+        stream = client.stream("tap", WAIT, port="counter0.out")
+        opening = asyncio.create_task(stream.open())
+        await asyncio.sleep(0)
+        stream.close()
+        client._wire.takes.set()
+        with pytest.raises(ClosedError, match="closed"):
+            await opening
+        await client.call("names")  # the kernel has heard all that was sent before
+        await until(lambda: taps(kernel) == usual and not client._session.calls)
+
+
 async def test_a_stream_that_nobody_reads_is_held_up_and_nothing_else_is() -> None:
     async with (
         controlled("held") as kernel,
