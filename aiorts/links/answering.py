@@ -1,4 +1,4 @@
-"""Answers to what other kernels ask about links: with the versions that this kernel speaks; a refusal is logged."""
+"""Answers to other kernels' questions about links, with the versions that this kernel speaks; a refusal is logged."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 _LOG: Final = KernelLog()
 _LONGEST: Final = 16_384
-"""Bytes of what another kernel says of a connector (its name, ports and options), which is kept as long as it lasts."""
+"""The most bytes of another kernel's description of a connector (name, ports, options), kept as long as it lasts."""
 
 
 def name_of(caller: Caller) -> str:
-    """Of who asks, as the transport knows it."""
+    """The name of the caller's kernel; its identity where no kernel asks."""
     return caller.identity if caller.peer is None else caller.peer.kernel
 
 
@@ -42,7 +42,7 @@ def sent(answer: Answer) -> bytes:
 
 
 def refusal(what: str, caller: Caller, error: WiringError) -> bytes:
-    """The answer that says why it is refused."""
+    """The answer that gives the reason of a refusal, which is logged."""
     _LOG.warning("W-LINK: refused %s of %s: %s", what, name_of(caller), error)
     return sent(Answer(refused=str(error)))
 
@@ -54,22 +54,22 @@ def _check_theirs(path: Path, caller: Caller) -> None:
 
 
 def _check_length(what: str, length: int) -> None:
-    """WiringError: it is longer than what is kept of a connector may be."""
+    """WiringError: a message of this length is longer than this kernel keeps of a connector."""
     if length > _LONGEST:
         raise WiringError(f"{what} of {length:,} bytes; at most {_LONGEST:,} are allowed")
 
 
 def _is_end(port: Port[Any], found: Port[Any]) -> bool:
-    """Whether this port of a connector is this one that was found, or stands for it."""
+    """Whether a connector's port is the port that was found, or stands for it."""
     return port is found or (found.elsewhere is not None and getattr(port, "far", None) == found.elsewhere)
 
 
 class Answering:
-    """The answers of one kernel to those that offer links, ask for offers, and say who has come or left.
+    """The answers of one kernel to offers of links, requests for offers, and news of arrivals and disconnections.
 
     Args:
         read_end: makes the reader's end of a connector.
-        start: what other kernels' numbers of channels begin with.
+        start: the number before the first that this kernel gives to a channel.
     """
 
     def __init__(
@@ -105,21 +105,21 @@ class Answering:
             expected = None if offer is None else self._expected(offer, caller)
             if expected is not None and self._is_of(expected, caller):
                 expected.refused(str(error), self._links.reached_as)
-                return sent(Answer(refused=str(error)))  # it is in the log, as that of the connector
+                return sent(Answer(refused=str(error)))  # logged already, as the connector's refusal
             return refusal("an offer", caller, error)
         if end is not None:
             writer = replace(offer.writer, host="" if caller.peer is None else caller.peer.host)
             agreed = replace(offer, writer=writer, reader_epoch=answer.epoch, number=answer.number, type_text="")
             end.offered(agreed, caller.peer)
         elif (expected := self._expected(offer, caller)) is not None:
-            expected.answer_first(None)  # it has to come again, since the reader does not run yet
+            expected.answer_first(None)  # the offer has to come again: the reader does not run yet
         return sent(answer)
 
     def _accept(self, offer: LinkOffer, caller: Caller) -> tuple[Answer, LinkEnd[ReaderLink] | None]:
         _check_theirs(offer.writer, caller)
-        self._links.reach.carrier(caller.peer)  # LinkError: it is gone, or not found yet, and has to ask again
+        self._links.reach.carrier(caller.peer)  # LinkError: the caller is gone, or not found yet and has to ask again
         writer = replace(offer.writer, host=self._links.reach.host_of(caller.peer))
-        # The name of its end may have no host: which transport finds a kernel first is by chance, at each start.
+        # The end may have a name without a host: chance decides at each start which transport finds a kernel first.
         key = (caller.address, offer.link)
         end = before = self._ends.offered.get(key) or self._expected(offer, caller)
         if end is not None and not end.negotiation.takes_offers:
@@ -144,7 +144,7 @@ class Answering:
             end.negotiation.is_stale(epoch, offer.number)
             if before is not None and before.connector.in_ is found:
                 end.link.take_over(before.link)
-        self._ends.offered.put(key, end)  # which may have had another name there
+        self._ends.offered.put(key, end)  # the end may have had another name there
         self._number = self._number % 0xFFFFFFFF + 1
         return Answer(number=self._number, epoch=end.link.end.epoch), end
 
@@ -153,7 +153,7 @@ class Answering:
         return next(filter(None, map(self._ends.expected.get, self._names(offer, caller))), None)
 
     def _names(self, offer: LinkOffer, caller: Caller) -> list[tuple[str, str]]:
-        """Writer and reader of an offer, with the writer's host in its path and without."""
+        """The names (writer, reader) of an offer: without the writer's host, and with it."""
         hosts = ("",) if caller.peer is None else ("", caller.peer.host)
         reader = str(replace(offer.reader, host="", kernel=self._links.reached_as))
         return [(str(replace(offer.writer, host=host)), reader) for host in hosts]
@@ -163,7 +163,7 @@ class Answering:
         return self._links.peer_of(end.far) == caller.peer
 
     def _awaits(self, end: LinkEnd[ReaderLink], caller: Caller) -> InPort[Any] | None:
-        """The reader of a link that this kernel has asked this caller for, where no component has it."""
+        """The in-port of a link that this kernel requested of the caller, if it belongs to no component; else None."""
         in_ = end.connector.in_
         return in_ if (in_.is_tap or in_.is_far) and end.own and self._is_of(end, caller) else None
 
@@ -176,7 +176,7 @@ class Answering:
     # -- requests --------------------------------------------------------------------------------------------------
 
     async def _requested(self, body: bytes, caller: Caller) -> bytes:
-        """The answer to another kernel that wants one of its in-ports to be connected with an out-port of this one."""
+        """The answer to a request of another kernel to connect one of its in-ports with an out-port of this one."""
         try:
             versions.agreed(name_of(caller), versions_of(body))
             _check_length("a request", len(body))
@@ -211,21 +211,21 @@ class Answering:
             raise WiringError(str(error)) from None
         return Answer()
 
-    # -- who has come or left --------------------------------------------------------------------------------------
+    # -- arrivals and disconnections --------------------------------------------------------------------------------
 
     async def _come(self, body: bytes, caller: Caller) -> bytes:
-        """A component has come that links of this kernel waited for."""
+        """Handle the arrival of a component in another kernel for which links of this kernel waited."""
         component = body.decode(errors="replace")
-        for end in () if caller.peer is None else self._ends.at(caller.peer.kernel, component):  # by whatever way
+        for end in () if caller.peer is None else self._ends.at(caller.peer.kernel, component):  # over any transport
             end.on(LinkEvent.COME)
         self._links.come(component, caller.peer)
         return b""
 
     async def _left(self, body: bytes, caller: Caller) -> bytes:
-        """In the kernel that asks the other end of a link was disconnected."""
+        """Handle the news that the other end of a link was disconnected, in the kernel that asks."""
         (epoch,) = fields(body, (int,), longer=True)
         end = self._ends.by_epoch.get(epoch) if epoch else self._departed(body, caller)
-        if end is not None and not end.own and self._is_of(end, caller):  # its own are connected again
+        if end is not None and not end.own and self._is_of(end, caller):  # this kernel connects its own again
             end.left()
         return b""
 

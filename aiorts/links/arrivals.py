@@ -1,4 +1,4 @@
-"""What other kernels are told: of components that they wait for, and of links that ended while they were away."""
+"""News for other kernels: of components that they wait for, and of links that ended while they were away."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from aiorts.links.transport import Caller, Peer
 
 _AWAITED: Final = 1_000
-"""Components that are not there whose coming one other kernel is told of."""
+"""The most absent components that one other kernel may wait for."""
 _UNTOLD: Final = 1_000
-"""Links that ended while the other kernel was away, of which it is told, at most."""
+"""The most links that are remembered because they ended while their other kernel was away."""
 _STARTED: Final = "{} is being started"
 
 
 class Arrivals:
-    """The components of one kernel that come, as far as other kernels wait for them.
+    """The arrivals of components of one kernel, as far as other kernels wait for them.
 
-    One that a system file or a plan makes has come when it is active, or when all that was made runs: what another
-    kernel wrote to it before would be dropped.
+    A component that a system file or a plan makes has come when it is active, or when all that was made runs: samples
+    that another kernel wrote to it before would be dropped.
     """
 
     def __init__(self, links: Kernels) -> None:
@@ -50,24 +50,24 @@ class Arrivals:
         links.kernel.bus.subscribe(StateChanged, self._state_changed)
 
     def there(self, path: Path, caller: Caller, right: str) -> Port[Any] | Answer:
-        """The port of this kernel that another one means; where it is not there, the other hears when it comes."""
+        """The port that another kernel asks for, or the answer that it is absent; that kernel is told when it comes."""
         kernel, asked = self._links.kernel, str(replace(path, kernel="", host=""))
         try:
             port = kernel.registry.port(asked)
         except WiringError as error:
-            caller.check(right, asked)  # before it is told what there is
+            caller.check(right, asked)  # before the error names the ports that there are
             if path.component in kernel.components or not self._await(path.component, caller.peer):
                 raise
             return Answer(absent=_STARTED.format(path.component) if self._is_expected(path.component) else str(error))
-        caller.check(right, port.path)  # that of a composite has the name that it has in its member
-        # What is written to it would be dropped; what it writes must have a way; calls are answered in any state.
+        caller.check(right, port.path)  # a composite's port has the path of its member's port
+        # Only in-ports wait: samples to them would be dropped. Out-ports need links first; calls are always answered.
         is_coming = isinstance(port, InPort) and self._is_coming(path.component)
         if is_coming and self._await(path.component, caller.peer):
             return Answer(absent=_STARTED.format(path.component))
         return port
 
     def _is_expected(self, component: str) -> bool:
-        """Whether one that is not there is about to be, a restarted one included."""
+        """Whether an absent component is about to be made, or is being restarted by the supervision."""
         from aiorts.supervision import Supervising  # late: few kernels supervise
 
         supervising = self._links.kernel.attached(Supervising)
@@ -75,7 +75,7 @@ class Arrivals:
         return component in self._expected or (one is not None and one.helping)
 
     def _await(self, component: str, peer: Peer | None) -> bool:
-        """Tell this kernel when the component comes; False: none asks, or it waits for too many."""
+        """Tell a kernel when the component comes; False: no kernel asks, or it waits for too many components."""
         waits = () if peer is None else self._waits.setdefault(peer, set())
         if peer is None or (len(waits) >= _AWAITED and component not in waits):
             return False
@@ -84,13 +84,13 @@ class Arrivals:
         return True
 
     def _is_coming(self, component: str) -> bool:
-        """Whether it does not run yet. One that is being added is about to be connected by who adds it."""
+        """Whether a component does not run yet: it is starting, or is being added and its adder connects it next."""
         registry = self._links.kernel.registry
         return component in self._starting or registry.is_arriving(self._links.kernel.components[component])
 
     @contextmanager
     def making(self) -> Iterator[None]:
-        """Round the time in which components are made that run later."""
+        """A context manager around the time in which components are made that run later."""
         self._making = True
         try:
             yield
@@ -98,23 +98,23 @@ class Arrivals:
             self._making = False
 
     def expect(self, component: str) -> None:
-        """A component is about to be made: who asks for it meanwhile is not told that there is none."""
+        """Expect a component that is about to be made: kernels that ask for it meanwhile hear that it is starting."""
         self._expected.add(component)
 
     def added(self, component: str) -> None:
-        """A component is there."""
+        """Tell the kernels that wait for a component that it was added."""
         self._expected.discard(component)
         if self._making:
             self._starting.add(component)
         self._wake(component)
 
     def started(self) -> None:
-        """All that was made runs."""
+        """Tell the waiting kernels of all components that were made: they run now."""
         for name in tuple(self._starting):
             self._has_come(name)
 
     def gone(self, peer: Peer) -> None:
-        """Another kernel waits no more."""
+        """Forget the components that a kernel waited for, which is gone."""
         for component in self._waits.pop(peer, ()):
             peers = self._awaited[component]
             peers.remove(peer)
@@ -130,7 +130,7 @@ class Arrivals:
         self._wake(component)
 
     def _wake(self, component: str) -> None:
-        """Have the kernels ask again that wait for it."""
+        """Tell the kernels that wait for a component to ask again."""
         for peer in self._awaited.pop(component, ()):
             waits = self._waits[peer]
             waits.remove(component)
@@ -141,7 +141,7 @@ class Arrivals:
 
 @dataclass(frozen=True, slots=True)
 class Departure:
-    """The end of a link of this kernel is no more, and its other end does not know it."""
+    """An end of a link that was disconnected in this kernel, and whose other end does not know it."""
 
     far: Path
     """The port at the other end."""
@@ -150,15 +150,14 @@ class Departure:
     epoch: int
     """The epoch of the other end; 0: it has not answered, and may be there or not."""
     own: int
-    """The epoch of the end that is no more."""
+    """The epoch of the end that was disconnected."""
 
 
 class Departures:
-    """The links that were disconnected while they were down, until the other kernel knows of it: now, or when it is
-    back.
+    """The links that were disconnected while they were down: the other kernels are told at once, or when they are back.
 
     Args:
-        connectors: the names of the connectors that there are now: of one that was made again nothing is told.
+        connectors: gives the names of the present connectors: if one was made again, its former end is not told.
     """
 
     def __init__(self, kernels: Kernels, connectors: Callable[[], Container[str]]) -> None:
@@ -166,14 +165,14 @@ class Departures:
         self._untold: deque[Departure] = deque(maxlen=_UNTOLD)
 
     def add(self, departure: Departure) -> None:
-        """One is being disconnected."""
+        """Tell the other kernel of a link that is being disconnected, now or when it is back."""
         if (peer := self._kernels.peer_of(departure.far)) is not None:
             self._kernels.run(self._tell(peer, departure), "aiorts link")
         else:
             self._untold.append(departure)
 
     def back(self, peer: Peer) -> None:
-        """Another kernel has come back."""
+        """Tell a kernel that has come back of the links that were disconnected meanwhile."""
         found = [one for one in self._untold if self._kernels.peer_of(one.far) == peer]
         if not found:
             return

@@ -1,7 +1,7 @@
 """Arguments, results and interfaces of services on their way to another kernel, as plain values.
 
-What a value is, both ends know from the interface: a record travels as one frame of bytes, a tuple as a list, a member
-of an `Enum` as its value. Nothing is imported or made because of what the other end says.
+Both ends know a value's type from the interface: a record travels as one frame of bytes, a tuple as a list, a member of
+an `Enum` as its value. Nothing is imported or made because of what the other end says.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ _CODEC: Final = MsgpackCodec(LINK)
 _KINDS: Final = tuple(inspect._ParameterKind)
 _LONGEST: Final = 1_000
 LONGEST_CALL: Final = 86_400.0
-"""Seconds that a call into another kernel may take at the most."""
+"""The most seconds that a call into another kernel may take."""
 DONE: Final = "done"
-"""What an answer to a call says: here is its result."""
+"""The kind of an answer that holds the result of the call."""
 GOAL: Final = "goal"
-"""It was answered with a goal, of which more is said later."""
+"""The kind of an answer that stands for a goal: messages about it follow."""
 UNBOUND: Final = "unbound"
-"""The interface is not bound any more; nothing was called, or it went in the middle of the call."""
+"""The kind of an answer where the interface is not bound any more: nothing was called, or it went during the call."""
 ERRORS: Final = {
     one.__name__: one for one in (InterfaceMismatch, ServiceCycle, ServiceFailed, ServiceTimeout, ServiceUnavailable)
 }
-"""What a call may raise, by the name that an answer says."""
+"""The errors that a call may raise, by the name that an answer gives."""
 
 
 def frame_of(values: list[Any]) -> bytes:
@@ -58,7 +58,7 @@ def frame_of(values: list[Any]) -> bytes:
         frame: bytes = msgpack.Packer().pack(values)
         if len(frame) > LINK.frame:
             raise LinkError(f"{len(frame)} bytes; at most {LINK.frame} are allowed")
-        if len(frame) > LINK.values:  # fewer bytes are no more values
+        if len(frame) > LINK.values:  # a frame has at most as many values as bytes
             count_values(frame, LINK)
     except (AiortsError, OverflowError, ValueError, TypeError) as error:
         raise LinkError(f"cannot travel: {format_error(error)}") from None
@@ -66,7 +66,7 @@ def frame_of(values: list[Any]) -> bytes:
 
 
 def values_of(frame: bytes, kinds: tuple[type, ...]) -> list[Any]:
-    """The values of a frame, of these kinds. LinkError: they are others, or it is no frame."""
+    """The values of a frame, which are of these kinds. LinkError: they are of others, or it is no frame."""
     try:
         count_values(frame, LINK)
         found = msgpack.unpackb(frame, strict_map_key=False, max_ext_len=0)
@@ -79,7 +79,7 @@ def values_of(frame: bytes, kinds: tuple[type, ...]) -> list[Any]:
 
 
 def plain(hint: Any, value: Any) -> Any:
-    """A value as lists, maps and scalars. InterfaceMismatch: it cannot travel as what the interface says."""
+    """A value as lists, maps and scalars. InterfaceMismatch: it cannot travel as the type in the interface."""
     if isinstance(value, Enum):
         return value.value
     if value is None or isinstance(value, _PLAIN):
@@ -110,7 +110,7 @@ def _parts(kind: Any, inner: tuple[Any, ...], count: int) -> tuple[Any, ...]:
 
 
 def restored(hint: Any, value: Any) -> Any:
-    """A value of the type that the interface says. InterfaceMismatch: a record of it is none."""
+    """A received value as the type in the interface. InterfaceMismatch: it is none of that type."""
     try:
         return _reader(hint)(value)
     except InterfaceMismatch:
@@ -125,7 +125,7 @@ def _reader(hint: Any) -> Read:
 
 
 class _Readers(Lenient):
-    """Readers of what has travelled: a record was bytes, a member of an `Enum` its value."""
+    """Readers of values that have travelled: a record as bytes, a member of an `Enum` as its value."""
 
     def union(self, hint: Any, arms: dict[Any, Read]) -> Read:
         def read(value: Any) -> Any:
@@ -158,7 +158,7 @@ class _Readers(Lenient):
 
 
 def interface_text(spec: Interface) -> list[Any]:
-    """What the other end must know of an interface: its methods as they are written, and the layouts of its records."""
+    """The description of an interface for the other end: its methods as they are written, and its records' layouts."""
     methods = [
         [
             method.name,
@@ -175,7 +175,7 @@ def interface_text(spec: Interface) -> list[Any]:
 
 
 def interface_difference(theirs: list[Any], ours: Interface) -> str:
-    """Why `ours` cannot answer the interface of another kernel; "" where it can. LinkError: that text is none."""
+    """The reason why `ours` cannot answer the interface `theirs`; "" if it can. LinkError: `theirs` describes none."""
     name, methods, layouts = checked(theirs, (str, list, dict))
     wanted, given = _methods(methods), _methods(interface_text(ours)[1])
     if found := differences(wanted, given):
@@ -215,5 +215,5 @@ def _layouts(spec: Interface) -> Mapping[str, str]:
             try:
                 found[hint.__name__] = layout_of(hint)[1]
             except AiortsError:
-                continue  # no record: values of it are refused when they are to travel
+                continue  # no record: `plain` refuses its values
     return found

@@ -1,8 +1,8 @@
-"""Service ports that another kernel answers, and what stands here for the provider.
+"""Service ports that another kernel answers, and the stand-ins for their providers.
 
 A required interface is bound to a provider that stands for the far one: each of its methods is a question to the other
-kernel, with the seconds that are left. A goal is made at both ends; the one of the client follows what is said of the
-provider's. Who answers is in `serving.py`.
+kernel, with the seconds that are left. A goal is made at both ends; the client's goal follows the messages about the
+provider's. The answering side is in `serving.py`.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ if TYPE_CHECKING:
 
 _LOG: Final = KernelLog()
 _WITHIN: Final = 2.0
-"""Seconds for an answer to what is no call."""
+"""Seconds for an answer to a question that is no call."""
 _AGAIN: Final = 1.0
 """Seconds until a kernel that did not answer is asked again."""
 _LATER: Final = 1.0
-"""Seconds beyond the deadline of a call in which its answer is awaited, to be counted."""
+"""Seconds beyond the deadline of a call in which a late answer is awaited, to count it."""
 
 
 class Calls:
@@ -72,15 +72,15 @@ class Calls:
     def __init__(self, links: Kernels) -> None:
         self._links = links
         self._new: list[FarProvider] = []
-        """Those whose connector is not made yet."""
+        """The providers whose connector is not made yet."""
         self._far: dict[FarProvider, None] = {}
         self._numbers = count(1)
-        """Of the calls of this kernel, whatever interface they are of."""
+        """The numbers of this kernel's calls, of all interfaces."""
         self.awaited: set[asyncio.Future[None]] = set()
-        """What else of service ports is under way: `connect` waits for it, too."""
+        """Futures of other work on service ports: `connect` waits for them, too."""
 
     def handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
-        """What other kernels may ask."""
+        """The questions that other kernels may ask, and their handlers."""
         return {"goal": self._goal_said}
 
     def report(self) -> dict[str, str]:
@@ -88,7 +88,7 @@ class Calls:
         return {one.name: one.report() for one in self._far}
 
     def resolve(self, ports: Sequence[Any]) -> list[Any]:
-        """The ports, with a provider that stands for each path.
+        """The ports, with a stand-in provider in the place of each path.
 
         Raises:
             WiringError: they do not go together.
@@ -115,25 +115,25 @@ class Calls:
                 raise WiringError(f"{one}: is a component; give one of its ports")
             far = [FarProvider(self._links, end, path, self._numbers) for end in required]
             found += [each.end for each in far]
-            # It is bound when the connector is made; what was refused before has no use for it.
+            # Bound when the connector is made: a connection that is refused before needs no binding.
             for each in far:
                 self._new.append(each)
                 self._links.kernel.loop.call_soon(self._begin, each)
         return found
 
     def relay(self, end: Provided[Any], path: Path) -> FarProvider:
-        """What answers in this kernel for the interface of another one, until `end_relay`; whoever has it binds it."""
+        """A stand-in in this kernel for the interface of another one, until `end_relay`; the caller binds it."""
         far = FarProvider(self._links, end, path, self._numbers)
         self._far[far] = None
         return far
 
     def end_relay(self, far: FarProvider) -> None:
-        """It answers no more."""
+        """Close a stand-in that `relay` made. Idempotent."""
         if self._far.pop(far, self) is None:
             far.close()
 
     def first_answers(self, connectors: Sequence[Any]) -> list[asyncio.Future[None]]:
-        """Of those that were made: done when the other kernel has answered, or is not there."""
+        """Futures for the providers of these connectors: done when the other kernel has answered, or is not there."""
         found = []
         for far in tuple(self._new):
             self._begin(far)
@@ -149,14 +149,14 @@ class Calls:
                 self.look(far)
 
     def look(self, far: FarProvider) -> None:
-        """Bind it, if its kernel is there."""
+        """Bind a provider, if its kernel is there."""
         if self._links.peer_of(far.path) is None:
             far.waits(self._links.reach.absent(far.path))
         else:
             self._links.run(far.bind(), f"aiorts bind {far.name}")
 
     def present(self, peer: Peer, up: bool) -> None:
-        """Another kernel has come, or has gone."""
+        """Bind the providers of a kernel that has come, or unbind those of one that has gone."""
         for far in tuple(self._far):
             if up and self._links.peer_of(far.path) == peer:
                 self.look(far)
@@ -164,21 +164,21 @@ class Calls:
                 far.lost(f"{peer.kernel} is gone")
 
     def come(self, component: str, peer: Peer | None) -> None:
-        """A component has come to another kernel."""
+        """Bind the providers of a component that has come to another kernel."""
         for far in self._far:
             if peer is not None and far.path.component == component and far.path.kernel == peer.kernel:
                 self.look(far)
 
     def disconnected(self, event: Disconnected) -> None:
-        """A connector has ended."""
+        """Close the providers that have no connector any more: one has ended."""
         if isinstance(event.connector, ConnectorProfile):
-            return  # of data ports
+            return  # a connector of data ports
         for far in [one for one in self._far if not one.in_use]:
             del self._far[far]
             far.close()
 
     def stopped(self) -> None:
-        """The kernel ends."""
+        """Unbind all providers: the kernel ends."""
         for far in self._far:
             far.lost("this kernel ends")
 
@@ -194,15 +194,15 @@ class FarProvider:
     """Stands for a provided interface of another kernel, at the end of one service connector, or of many.
 
     Args:
-        asking: the required interface that it answers; or a provided one of this kernel that has `methods` for its
-            provider and is called by any number of others.
-        numbers: of calls, of all providers of this kernel.
+        asking: the required interface that it answers; or a provided interface of this kernel whose provider is
+            `methods`, and which any number of others call.
+        numbers: the numbers of calls, shared by all providers of this kernel.
     """
 
     def __init__(self, links: Kernels, asking: ServiceEnd[Any], path: Path, numbers: Iterator[int]) -> None:
         self._links, self._asking, self.path, self._numbers = links, asking, path, numbers
         self.first: asyncio.Future[None] = links.kernel.loop.create_future()
-        """Done with the first answer, or with what refused it."""
+        """Done with the first answer, or failed with its refusal."""
         self.peer: Peer | None = None
         """The kernel that it is bound in; None: it is not bound."""
         self._why = "not connected yet"
@@ -217,11 +217,11 @@ class FarProvider:
         self._changed: list[asyncio.Future[None]] = []
         self._goals: dict[int, tuple[Goal[Any, Any], GoalTypes]] = {}
         self.methods = SimpleNamespace(**{one.name: self._method(one) for one in asking.spec.methods.values()})
-        """What answers: a method for each of the interface."""
+        """The methods that ask the other kernel, one for each of the interface."""
         self.end = asking if isinstance(asking, Provided) else self._provided()
 
     def _provided(self) -> Provided[Any]:
-        """An interface that looks like the far one."""
+        """A provided interface that looks like the far one."""
         component = Component()
         cell(component).rename(str(replace(self.path, port="")))
         cell(component).kernel = self._links.kernel
@@ -232,7 +232,7 @@ class FarProvider:
 
     @property
     def _relays(self) -> bool:
-        """Whether it is there without a connector, too."""
+        """Whether it stands for many callers and needs no connector."""
         return self.end is self._asking
 
     @property
@@ -242,14 +242,14 @@ class FarProvider:
 
     @property
     def name(self) -> str:
-        """Of the connector, or of the interface that it answers for many."""
+        """The name of the connector, or the path of the interface that it answers for many."""
         if self._relays:
             return self.end.path
         return next((one.name for one in self.end.connectors), f"{self._asking.path}-{self.end.path}")
 
     @property
     def _where(self) -> str:
-        """Who calls whom, for messages."""
+        """The caller and the called port, for messages."""
         return self.end.path if self._relays else f"{self._asking.path} -> {self.end.path}"
 
     def report(self) -> str:
@@ -260,12 +260,12 @@ class FarProvider:
     # -- being bound -----------------------------------------------------------------------------------------------
 
     async def bind(self) -> None:
-        """Have the other kernel bind it; a refusal ends the connector."""
+        """Ask the other kernel to bind the provider; a refusal ends the connector."""
         peer = self._links.peer_of(self.path)
         if peer is None or self.peer == peer:
             return
         if self._binding:
-            self._again = True  # the answer that is on its way may be older than what was said since
+            self._again = True  # the answer on its way may be older than the news that led here
             return
         self._binding, self._again = True, False
         self._stop_timer()
@@ -299,7 +299,7 @@ class FarProvider:
         return None
 
     def _wait(self, seconds: float, why: str) -> None:
-        """It cannot be bound yet, and is tried again after so many seconds, or when it is heard that it can be."""
+        """Note why it cannot be bound yet; try again after so many seconds, or on news of its kernel or component."""
         if not self._over:
             self._stop_timer()
             self._timer = self._links.kernel.call_later(seconds, self._look_again)
@@ -316,7 +316,7 @@ class FarProvider:
             self._links.run(self.bind(), f"aiorts bind {self.name}")
 
     def waits(self, why: str) -> None:
-        """It cannot be bound yet."""
+        """Note why it cannot be bound yet; the first time it is logged."""
         self._why = why
         if not (self.first.done() or self._relays):
             _LOG.warning("W-LINK: %s: waits: %s", self.name, why)
@@ -335,17 +335,17 @@ class FarProvider:
                 self.first.set_result(None)
             else:
                 self.first.set_exception(error)
-                self.first.exception()  # whoever did not wait for it has read it in the log
+                self.first.exception()  # a caller that did not wait has it in the log
 
     def lost(self, why: str) -> None:
-        """Its kernel is gone, or this one ends: goals that run have failed."""
+        """Unbind it: its kernel is gone, or this one ends. Its running goals fail."""
         self.peer, self._why = None, why
         goals, self._goals = self._goals, {}
         for goal, types in goals.values():
             _advance(goal, types, "failed", why)
 
     def close(self) -> None:
-        """It is called no more."""
+        """End it for good: no call comes any more, and the other kernel unbinds it."""
         peer, self.peer, self._over = self.peer, None, True
         self._why = "was disconnected"
         self._stop_timer()
@@ -358,7 +358,7 @@ class FarProvider:
             self._unbind()
 
     def _unbind(self) -> None:
-        """Have the other kernel unbind the provider where it has bound it and its answer was lost."""
+        """Ask the other kernel to unbind the provider, in case that it has bound it and its answer was lost."""
         if self._unheard is not None:
             peer, names = self._unheard
             self._tell(peer, "unbind", [0, *names])
@@ -375,7 +375,7 @@ class FarProvider:
     # -- calls -----------------------------------------------------------------------------------------------------
 
     def _method(self, method: Method) -> Any:
-        """What answers for one method: a question to the other kernel."""
+        """The function for one method: it asks the other kernel."""
         types = goal_types(method.returns)
 
         async def call(*args: Any, **kwargs: Any) -> Any:
@@ -421,7 +421,7 @@ class FarProvider:
                 await self._bound_again()
 
     async def _bound_again(self) -> None:
-        """Wait until it is bound, to the deadline of the call."""
+        """Wait until it is bound; the deadline of the call ends the wait."""
         if self.peer is None:
             changed: asyncio.Future[None] = self._links.kernel.loop.create_future()
             self._changed.append(changed)
@@ -458,7 +458,7 @@ class FarProvider:
         except asyncio.CancelledError:
             if not asked.done():
                 asked.add_done_callback(self._answered_late)
-                # Once: a call that is not cancelled ends by its deadline.
+                # Sent once: a call that is not cancelled ends by its deadline.
                 self._links.run(self._answer_of(peer, "cancel", frame_of([number]), _WITHIN), "aiorts cancel")
             raise
         finally:
@@ -487,7 +487,7 @@ class FarProvider:
             self._late += 1
 
     def advance(self, number: int, what: str, value: list[Any]) -> bool:
-        """Something is said of a goal; False: of none of these."""
+        """Take a message about a goal; False: the goal is none of these."""
         if number not in self._goals or len(value) != 1:
             return False
         _advance(*self._goals[number], what, value[0])
@@ -497,7 +497,7 @@ class FarProvider:
 
 
 def _advance(goal: Goal[Any, Any], types: GoalTypes, what: str, value: Any) -> None:
-    """Do with the client's goal what was done with the provider's."""
+    """Repeat on the client's goal what happened to the provider's."""
     try:
         if what == "feedback":
             goal.feedback(restored(types.feedback, value))

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 _LOG: Final = KernelLog()
 _LEDGER_SECONDS: Final = 2.0
 _FIRST_SECONDS: Final = 5.0
-"""How long `connect` waits at the most for what the other kernel answers."""
+"""The most seconds that `connect` waits for the answer of the other kernel."""
 _AT_ONCE: Final = 64
 """Links that are offered to one kernel at once: of thousands, the last would have no answer in time."""
 
@@ -86,13 +86,13 @@ class Links(KernelService):
         self._departures = Departures(self, lambda: {end.connector.name for end in self.ends.all()})
         self._answering = Answering(self, self.ends, self._read_end, int.from_bytes(os.urandom(3), "big"))
         self.reach = Reach(self, self._handlers, self._present, self._reachable)
-        """The other kernels, and the transports that reach them."""
+        """The kernels in reach, and the transports that reach them."""
         kernel.connections.far = self
         kernel.bus.subscribe(Disconnected, self.calls.disconnected)
         kernel.bus.subscribe(ConnectorChanged, self._ledgers.changed)
 
     def owns(self, connector: Connector) -> bool:
-        """Whether another kernel has connected it: not saved, and nothing that a plan looks at."""
+        """Whether another kernel has connected it; such a connector is not saved, and plans leave it alone."""
         return any(not end.own for end in self.ends.of(connector))
 
     def report(self) -> Mapping[str, Any]:
@@ -111,7 +111,7 @@ class Links(KernelService):
         """The ledger of a link from end to end, asked for at either end; the other kernel answers in `within` seconds.
 
         Raises:
-            LinkError: it does not answer, or the connector is none of a link.
+            LinkError: the other kernel does not answer, or the connector has no link.
         """
         if not (ends := self.ends.of(connector)):
             raise LinkError(f"{connector.name}: ledger: both ports are in this kernel; look at its statistics")
@@ -132,7 +132,7 @@ class Links(KernelService):
 
     def configure(self, settings: LinksSettings) -> None:
         if settings.name:
-            check_name(settings.name, "[links]: kernel")  # no other kernel would take it
+            check_name(settings.name, "[links]: kernel")  # other kernels would refuse a bad name
         self._settings = settings
         self.reach.open_soon(settings.transport)
 
@@ -147,7 +147,7 @@ class Links(KernelService):
 
     @property
     def peers(self) -> tuple[Peer, ...]:
-        """The other kernels that are there."""
+        """The kernels that are there besides this one."""
         return tuple(self.reach.peers)
 
     async def opened(self) -> None:
@@ -159,16 +159,16 @@ class Links(KernelService):
         await self.reach.opened()
 
     def use(self, transport: Transport) -> None:
-        """Carry links with this transport, which is not open yet; before anything else is done."""
+        """Carry links with this transport, which is not open yet; to be called before all else."""
         self.reach.use(transport)
 
     def _handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
-        """What other kernels may ask."""
+        """The questions that other kernels may ask, and their handlers."""
         answering = self._answering.handlers()
         return {**answering, **self.calls.handlers(), **self._serving.handlers(), **self._ledgers.handlers()}
 
     def _reachable(self) -> None:
-        """Other kernels can be reached at last: what waits for one that is not there says so now."""
+        """Let links that wait for an absent kernel say so, now that other kernels can be reached at last."""
         for end in self.ends.all():
             end.say_absent()
 
@@ -186,7 +186,7 @@ class Links(KernelService):
             return self.calls.resolve(given), options
         where = " -> ".join(port if isinstance(port, str) else port.path for port in ports)
         ends = far_ends(self.kernel, where, ports)
-        # A process of this kernel does what the writer's end does alone; another kernel is to be asked there.
+        # A process of this kernel takes the writer's options from here; another kernel has to be asked there.
         from_reader = not near or any(
             isinstance(end, FarOutPort) and isinstance(port, str) for end, port in zip(ends, ports, strict=True)
         )
@@ -194,7 +194,7 @@ class Links(KernelService):
 
     def connector_made(self, connector: Connector) -> None:
         if self.ends.of(connector):
-            return  # it is in force again
+            return  # a connector that is in force again has its link
         for_others, carried = self._answering.is_connecting, self.reach.carried
         if isinstance(connector.in_, FarInPort):
             own = not for_others or connector.in_.far.kernel in carried
@@ -297,7 +297,7 @@ class Links(KernelService):
         return self._arrivals.making()
 
     def expect(self, component: str) -> None:
-        """A component is about to be made: other kernels that ask for it meanwhile hear so."""
+        """Expect a component that is about to be made: other kernels that ask for it meanwhile hear so."""
         self._arrivals.expect(component)
 
     def component_added(self, component: Component) -> None:

@@ -43,21 +43,21 @@ if TYPE_CHECKING:
 _LOG: Final = KernelLog()
 _ASK_SECONDS: Final = 2.0
 _OPEN_SECONDS: Final = 2.0
-"""How long a transport may take to make a channel."""
+"""The most seconds in which a transport makes a channel."""
 _READ_SECONDS: Final = 0.05
-"""The interval in which a connector that takes no listener is looked at, until it was read empty."""
+"""Seconds between two looks at a connector that takes no listener, until it was read empty."""
 _BY_ONE: Final = 10_000
-"""Connectors of this kernel that another one may have made."""
+"""The most connectors of this kernel that one other kernel may have made."""
 _BY_ALL: Final = 20_000
-"""Connectors of this kernel that others may have made, all together."""
+"""The most connectors of this kernel that all other kernels together may have made."""
 _GIVEN_UP: Final = 1_000
-"""Reader's ends that were disconnected before the first answer, of which is known that their offers are late."""
+"""The most disconnected reader's ends that are remembered because the offers that they requested are still to come."""
 _RECONNECTS: Final = 10.0
 """Seconds in which a kernel that was restarted connects again what it had connected before."""
 _READERS: Final = 256
-"""Connectors that others may have made with one out-port: each takes part in every write (2 ms with 1,000 of them)."""
+"""The most connectors that others may have made with one out-port: each is in every write (2 ms with 1,000 of them)."""
 _LAST_SECONDS: Final = 1.0
-"""How long what ends waits for acknowledgements."""
+"""The most seconds to wait for acknowledgements at an end."""
 Name: TypeAlias = tuple[str, str]
 Side = TypeVar("Side", bound="WriterLink | ReaderLink", covariant=True)
 
@@ -68,8 +68,8 @@ class LinkEnd(Generic[Side]):
     Args:
         far: the port at the other end.
         own: whether this kernel has connected it, and not the other one.
-        link: makes what carries the samples.
-        departures: the ends of other kernels that are to be told that they have no other one.
+        link: makes the side of the link that carries the samples.
+        departures: tells other kernels of ends that were disconnected here.
     """
 
     def __init__(
@@ -87,14 +87,14 @@ class LinkEnd(Generic[Side]):
         self.negotiation = Negotiation(role)
         self.link: Side = link(links.kernel, connector, new_epoch(), self)
         self.first: asyncio.Future[None] = links.kernel.loop.create_future()
-        """Done with the first answer, or with what refused it."""
+        """Done with the first answer, or failed with its refusal."""
         self._links, self._departures = links, departures
         self._peer: Peer | None = None
         """The kernel that was asked last, or whose offer was taken last."""
         self._offer: LinkOffer | None = None
         """The offer that both ends have agreed on last."""
         self._channel: Channel | None = None
-        """One that was made and is not in use yet."""
+        """A channel that was made and is not in use yet."""
         self._opening: asyncio.Task[Any] | None = None
         self._late = 0
         """The epoch of the other end in an answer that came too late."""
@@ -103,7 +103,7 @@ class LinkEnd(Generic[Side]):
         self._timer: Cancellable | None = None
         self._watchers: list[asyncio.Future[None]] = []
         self.requested = False
-        """Whether the writer's kernel was asked for an offer, and makes it or has not said that it does not."""
+        """Whether the writer's kernel was asked for an offer, and has not declined."""
         self._refused_by = ""
         self._said = ""
         """The reason to wait that was logged last since it was up."""
@@ -111,7 +111,7 @@ class LinkEnd(Generic[Side]):
     # -- what happens ----------------------------------------------------------------------------------------------
 
     def on(self, event: LinkEvent, why: str = "") -> None:
-        """This happened; `why`: the reason that the link is not up."""
+        """Handle an event: carry out the negotiation's actions. `why`: the reason that the link is not up."""
         if why:
             self.link.why = why
         step = self.negotiation.step
@@ -129,16 +129,16 @@ class LinkEnd(Generic[Side]):
                     one.set_result(None)
 
     def _on_step(self, step: int, event: LinkEvent, why: str = "") -> None:
-        """This came of what was begun in a step; it counts while that is the last one."""
+        """Handle the outcome of work that was begun in a step, unless a later step has come."""
         if step == self.negotiation.step:
             self.on(event, why)
 
     def present(self, peer: Peer) -> None:
-        """A kernel of the name of the one at the other end has come."""
+        """Handle the arrival of a kernel that has the name of the one at the other end."""
         if self._links.peer_of(self.far) != peer:
             return
         if not self.own and self._peer not in (None, peer) and self.negotiation.state is NegotiationState.ABSENT:
-            # The peer was restarted and may be about to connect it itself: it would be told that it is connected.
+            # A restarted peer may be about to connect the link itself, and would be told that it is connected already.
             self._links.kernel.call_later(_RECONNECTS, partial(self._present_still, peer))
         else:
             self.on(LinkEvent.PRESENT)
@@ -148,8 +148,8 @@ class LinkEnd(Generic[Side]):
             self.on(LinkEvent.PRESENT)
 
     def gone(self, peer: Peer) -> None:
-        """A kernel of that name has gone."""
-        # What is agreed with another one, or has a channel to it, has nothing to do with this one.
+        """Handle the end of a kernel of that name."""
+        # A link that is agreed with another kernel, or has a channel to it, is not concerned.
         if self.negotiation.state is NegotiationState.UP:
             if self._peer == peer:  # the transport may say in this moment how its channel was lost
                 self._links.kernel.loop.call_soon(self._left_alone, self.negotiation.step, peer)
@@ -166,20 +166,20 @@ class LinkEnd(Generic[Side]):
     def _gone(self, why: str) -> None:
         self.on(LinkEvent.GONE, why)
         if (peer := self._links.peer_of(self.far)) is not None:
-            self.present(peer)  # it may be back before its former process has gone
+            self.present(peer)  # the kernel may be back before its former process has gone
 
     def refused(self, why: str, by: str = "") -> None:
         """The link is refused: `connect` fails with this reason.
 
         Args:
-            by: the kernel that refuses it; the other one where it is not said.
+            by: the kernel that refuses it; "" for the other kernel.
         """
         connector, self._refused_by = self.connector, by or self.far.kernel
         self.answer_first(WiringError(f"{connector.out.path} -> {connector.in_.path}: {why}"))
         self.on(LinkEvent.REFUSED, why)
 
     def offered(self, offer: LinkOffer, peer: Peer | None) -> None:
-        """An offer has come and was taken, as is said in the answer."""
+        """Handle an offer that was taken; the answer to it says so."""
         self._offer, self._peer, self.requested = offer, peer, False
         self.on(LinkEvent.OFFER)
 
@@ -189,17 +189,17 @@ class LinkEnd(Generic[Side]):
         return 0 if self._offer is None else self._offer.writer_epoch
 
     def left(self) -> None:
-        """A disconnection of the other end has come."""
+        """Handle the news that the other end was disconnected."""
         tell = _LOG.warning if self.own else _LOG.info  # the kernel that connected it may well disconnect it
         tell("W-LINK: %s: was disconnected by %s", self.connector.name, self.far)
         self.on(LinkEvent.LEFT)
 
     def lost(self, why: str) -> None:
-        """The channel went down."""
+        """Handle a channel that went down."""
         self.on(LinkEvent.LOST, why)
 
     def silent(self) -> None:
-        """The channel was given up: no acknowledgement has come on it."""
+        """Handle a channel that was given up: no acknowledgement has come on it."""
         self.on(LinkEvent.SILENT)
 
     def _set_timer(self) -> None:
@@ -211,11 +211,11 @@ class LinkEnd(Generic[Side]):
             self._timer = self._links.kernel.call_later(pause, due)
 
     def is_at(self, host: str) -> bool:
-        """Whether the kernel at the other end may be of this host."""
+        """Whether the kernel at the other end may be on this host."""
         return self.far.host.lower() in ("", "localhost", host.lower())
 
     def answer_first(self, error: AiortsError | None) -> None:
-        """The first answer is there: `connect` goes on, or fails with the error."""
+        """Settle the first answer: `connect` goes on, or fails with the error."""
         if not self.first.done():
             if error is None:
                 self.first.set_result(None)
@@ -224,7 +224,7 @@ class LinkEnd(Generic[Side]):
                 self.first.exception()  # a caller that did not wait has it in the log
 
     def up(self) -> asyncio.Future[None]:
-        """Done when there is a channel, or never will be."""
+        """A future that is done when there is a channel, or never will be."""
         found: asyncio.Future[None] = self._links.kernel.loop.create_future()
         if self.negotiation.state in (NegotiationState.UP, NegotiationState.ENDED):
             found.set_result(None)
@@ -261,7 +261,7 @@ class LinkEnd(Generic[Side]):
         return None
 
     def _fault_of(self, error: Exception) -> str:
-        """The text of an error; what is no LinkError is a fault of a transport, and the link is tried again as well."""
+        """The text of an error. Any but a LinkError is a transport's fault and logged; the link is tried again, too."""
         if not isinstance(error, LinkError):
             _LOG.error("links: %s failed: %s", self.connector.name, format_error(error), exc_info=error)
         return str(error) if isinstance(error, AiortsError) else format_error(error)
@@ -299,7 +299,7 @@ class LinkEnd(Generic[Side]):
             self._on_step(step, LinkEvent.PROMISED)
 
     async def _question(self, peer: Peer, what: str, body: bytes) -> Answer:
-        """The answer of another kernel; where it speaks no version of this one, that is why it is refused."""
+        """The answer of another kernel; a refusal where that kernel speaks no version of this one."""
         answer = Answer.from_bytes(await self._links.ask(peer, what, body, _ASK_SECONDS))
         try:
             versions.agreed(peer.kernel, answer.protocol)
@@ -358,7 +358,7 @@ class LinkEnd(Generic[Side]):
             _LOG.warning("W-LINK: %s: waits: %s", self.connector.name, self._said)
 
     def say_absent(self) -> None:
-        """Other kernels can be reached at last: where this one is not among them, that is why the link waits."""
+        """Note that the link waits for an absent kernel, now that other kernels can be reached at last."""
         if self.own and self.negotiation.state is NegotiationState.ABSENT:
             self.link.why = self._links.reach.absent(self.far)
 
@@ -391,7 +391,7 @@ class LinkEnd(Generic[Side]):
         self._links.kernel.connections.end(self.connector)
 
     def _read_out(self) -> None:
-        """End the connector; one of a reader stays until what has come is read."""
+        """End the connector; a reader's connector stays until all samples that have come are read."""
         connector, kernel = self.connector, self._links.kernel
         if connector.closed or kernel.closed:
             return
@@ -417,7 +417,7 @@ class LinkEnd(Generic[Side]):
         end = self.link.end
         epoch = end.peer_epoch
         if not epoch and self._offer is not None and isinstance(self.link, ReaderLink):
-            epoch = self._offer.writer_epoch  # it has the answer to its offer, or will have it
+            epoch = self._offer.writer_epoch  # the writer's end has the answer to its offer, or will have it
         if self.own and (epoch or self._unheard) and not end.peer_ended and not self._links.kernel.closed:
             self._departed(epoch)
 
@@ -430,7 +430,7 @@ class LinkEnd(Generic[Side]):
     # -- its names -------------------------------------------------------------------------------------------------
 
     def reader_path(self, peer: Peer | None = None) -> str:
-        """The path of the in-port as the kernel of the writer knows it; it may stand for one of a third kernel."""
+        """The path of the in-port as the writer's kernel knows it; the in-port may stand for one of a third kernel."""
         port: InPort[Any] = self.connector.in_
         if isinstance(port, FarInPort) and "/" in port.path:
             name = f"{port.far.kernel}-{port.far.component}"[:MAX_NAME_LENGTH]
@@ -455,7 +455,7 @@ _CARRIED_OUT: Final[Mapping[LinkAction, Callable[[LinkEnd[Any]], None]]] = {
     LinkAction.DEPART: LinkEnd._depart,
     LinkAction.TELL: LinkEnd._tell_late,
 }
-"""The method that carries out each action; pauses are set with every move."""
+"""The method that carries out each action; none for pauses, whose timer is set with every step."""
 
 
 def writer_end(
@@ -487,7 +487,7 @@ def reader_end(
 
 
 class NamedEnds:
-    """Reader's ends by a name of two parts. Each has one name, the last that it was given; so has each name."""
+    """Reader's ends by a name of two parts. An end has one name, the last that it was given; a name has one end."""
 
     def __init__(self) -> None:
         self._ends: dict[Name, LinkEnd[ReaderLink]] = {}
@@ -509,13 +509,13 @@ class NamedEnds:
         self._ends[name], self._names[end.connector] = end, name
 
     def forget(self, end: LinkEnd[Any]) -> None:
-        """It has no name any more."""
+        """Take the name of an end away."""
         if (name := self._names.get(end.connector)) is not None and self._ends[name] is end:
             del self._names[end.connector], self._ends[name]
 
 
 class Ends:
-    """The ends of one kernel, by what they are looked up by; none of it says how far one is."""
+    """The ends of one kernel, by each key of their look-ups; the state of an end is not kept here."""
 
     def __init__(self) -> None:
         self.writers: dict[Connector, LinkEnd[WriterLink]] = {}
@@ -525,7 +525,7 @@ class Ends:
         self.offered = NamedEnds()
         """Reader's ends by the writer's host and kernel, and its name of the link."""
         self._there: dict[str, dict[str, dict[LinkEnd[Any], None]]] = {}
-        """By the kernel at the other end, and the component."""
+        """All ends by the kernel at the other end, and the component there."""
         self.by_epoch: dict[int, LinkEnd[Any]] = {}
         self._by_ports: dict[tuple[str, str], dict[LinkEnd[WriterLink], None]] = {}
         """Writer's ends by their out-port and the port at the other end; several with `allow_duplicate`."""
@@ -534,10 +534,10 @@ class Ends:
         self._readers_of: Counter[str] = Counter()
         """The writer's ends that other kernels have made at each out-port, by its path."""
         self._made: Counter[str] = Counter()
-        """How many each of the other kernels has connected, by its name."""
+        """The number of ends that each other kernel has connected, by its name."""
 
     def add(self, end: LinkEnd[Any]) -> None:
-        """There is an end."""
+        """Add an end."""
         (self.writers if isinstance(end.link, WriterLink) else self.readers)[end.connector] = end
         self._there.setdefault(end.far.kernel, {}).setdefault(end.far.component, {})[end] = None
         self.by_epoch[end.link.end.epoch] = end
@@ -548,7 +548,7 @@ class Ends:
             self._readers_of.update(_out_of(end))
 
     def remove(self, end: LinkEnd[Any]) -> None:
-        """It has ended."""
+        """Remove an end."""
         del (self.writers if isinstance(end.link, WriterLink) else self.readers)[end.connector]
         kernel = self._there[end.far.kernel]
         component = kernel[end.far.component]
@@ -578,7 +578,7 @@ class Ends:
         return [*self.writers.values(), *self.readers.values()]
 
     def of(self, connector: Connector) -> list[LinkEnd[Any]]:
-        """Two where both ends of the connector are in other kernels."""
+        """The ends of a connector: two where both its ports are in other kernels."""
         found = self.writers.get(connector), self.readers.get(connector)
         return [end for end in found if end is not None]
 
@@ -599,12 +599,12 @@ class Ends:
         return next(iter(self._by_ports.get((_port_of(out), str(far)), ())), None)
 
     def expect(self, name: Name, end: LinkEnd[ReaderLink]) -> None:
-        """A reader's end asks its writer to offer, by writer and reader."""
+        """Expect the offer that a reader's end asks its writer for, by writer and reader."""
         self._given_up.pop(name, None)
         self.expected.put(name, end)
 
     def was_given_up(self, name: Name) -> bool:
-        """Whether an offer between these two ports was asked for by an end that is there no more; forgets it."""
+        """Whether an end that is gone had asked for an offer between these two ports; forgets it."""
         return self._given_up.pop(name, name) is None
 
     def check_made(self, path: Path) -> None:
@@ -619,7 +619,7 @@ class Ends:
 
 
 def _port_of(port: Port[Any]) -> str:
-    """The path of a port; what stands for a port of a third kernel has that one's."""
+    """The path of a port; for a stand-in the path of the third kernel's port."""
     return str(getattr(port, "far", None) or port.elsewhere or port.path)
 
 
@@ -629,7 +629,7 @@ def _out_of(end: LinkEnd[Any]) -> tuple[str, ...]:
 
 
 def _take_one(counts: Counter[str], name: str) -> None:
-    """Count one less, and forget what is not there any more."""
+    """Count one less, and forget a name without any."""
     counts[name] -= 1
     if not counts[name]:
         del counts[name]

@@ -34,15 +34,15 @@ class Reached(Protocol):
 
     @property
     def is_opening(self) -> bool:
-        """Whether it is not known yet who is there."""
+        """Whether it is not known yet which kernels are there."""
         ...
 
     def open_for(self, path: Path) -> None:
-        """Open what reaches the kernel of a path, if nothing has yet."""
+        """Open the transport that reaches the kernel of a path, if it is not open yet."""
         ...
 
     async def opened_for(self, path: Path) -> None:
-        """Wait until it is known whether the kernel of a path is there. LinkError: it cannot be."""
+        """Wait until it is known whether the kernel of a path is there. LinkError: it cannot be reached."""
         ...
 
     def peer_of(self, path: Path) -> Peer | None:
@@ -50,7 +50,7 @@ class Reached(Protocol):
         ...
 
     def host_of(self, peer: Peer | None) -> str:
-        """The host of a kernel that the general transport does not reach, where another may have its name; else ""."""
+        """The host of a kernel that only other transports reach, so that a kernel here may have its name; else ""."""
         ...
 
     def name_for(self, peer: Peer | None) -> str:
@@ -62,7 +62,7 @@ class Reached(Protocol):
         ...
 
     def refusal(self, peer: Peer, right: str, port: InPort[Any] | OutPort[Any]) -> str:
-        """The reason why another kernel has not this right to a port; "" where it has, or no component here has it."""
+        """Why another kernel has not this right to a port; "" where it has, or the port is no component's here."""
         ...
 
     def carrier(self, peer: Peer | None) -> Transport:
@@ -100,7 +100,7 @@ class Kernels(Protocol):
         ...
 
     def turn(self, peer: Peer) -> AbstractAsyncContextManager[None]:
-        """A turn at offering to another kernel: so many links have one at the same time."""
+        """A turn at offering to another kernel: a bounded number of links have one at the same time."""
         ...
 
     def run(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
@@ -108,37 +108,37 @@ class Kernels(Protocol):
         ...
 
     def path_of(self, port: Port[Any], peer: Peer | None = None) -> Path:
-        """Of a port of this kernel, as others know it; this one, where it has another name there."""
+        """The path of a port of this kernel as others know it, or as `peer` does, where it knows another name."""
         ...
 
     def there(self, path: Path, caller: Caller, right: str) -> Port[Any] | Answer:
-        """The port of this kernel that another one means, or the answer that it is not there yet.
+        """The port of this kernel that another one asks for, or the answer that it is not there yet.
 
-        WiringError: there is none, or who asks has not this right to it.
+        WiringError: there is none, or the caller has not this right to it.
         """
         ...
 
     def come(self, component: str, peer: Peer | None) -> None:
-        """A component has come to another kernel."""
+        """Handle the arrival of a component in another kernel."""
         ...
 
 
 async def told(kernels: Kernels, peer: Peer, what: str, body: bytes) -> bool:
     """Tell another kernel something until it has heard it, or refused it five times; it may hear it twice.
 
-    False: it has gone.
+    False: the kernel has gone.
     """
     refusals, pause = iter(PAUSES), PAUSES[0]
     while True:
         try:
             await kernels.ask(peer, what, body, _SECONDS)
         except LinkTimeout:
-            # What it was told may lie before it until it goes on: less and less is added to that.
+            # The messages may lie unread until the kernel goes on: fewer and fewer are added to them.
             rest, pause = pause, min(2 * pause, _LONGEST_PAUSE)
         except LinkError:
             if not kernels.is_there(peer):
                 return False
-            # It has too many questions now, or does not know this one.
+            # The kernel has too many questions now, or does not know this one.
             if (again := next(refusals, None)) is None:
                 return True
             rest = again

@@ -1,4 +1,4 @@
-"""Whether both ends of a link mean the same by a type: the text of its layout, its hash, and the first difference.
+"""The comparison of a type at both ends of a link: the text of its layout, its hash, and the first difference.
 
 The text of the other end is data: it is compared, and nothing is imported or made because of it.
 """
@@ -15,10 +15,10 @@ from aiorts.wire import layout_text
 
 _SHOWN: Final = 80
 _LONGEST: Final = 65_536
-"""Letters of the text of the other end up to which it is looked for what differs, or twice as many as ours has."""
+"""The most letters of the other end's text in which a difference is looked for; at least twice the letters of ours."""
 _NOTHING: Final[Mapping[str, Any]] = {}
 _LAYOUTS: Final[WeakKeyDictionary[type, tuple[bytes, str]]] = WeakKeyDictionary()
-"""Of the types of ports: thousands of links may be of one."""
+"""The layouts of the types of ports: thousands of links may share one."""
 
 
 def layout_of(cls: type) -> tuple[bytes, str]:
@@ -30,7 +30,7 @@ def layout_of(cls: type) -> tuple[bytes, str]:
 
 
 def difference(theirs: str, ours: str) -> str:
-    """What differs first between two layouts, in the order of our fields; "" if nothing does."""
+    """The first difference between two layouts, in the order of our fields; "" if there is none."""
     if theirs == ours:
         return ""
     if len(theirs) > max(_LONGEST, 2 * len(ours)):

@@ -1,7 +1,7 @@
-"""The ledger of a link as one: the kernel of the writer asks that of the reader, and joins both.
+"""The joint ledger of a link: the writer's kernel asks the reader's kernel, and joins both ledgers.
 
-Both ends count at one number and not at one time: what the reader's end has not received when it answers is in flight,
-whatever has become of it since.
+Both ends count up to one sample number and not at one time: samples that the reader's end has not received when it
+answers are in flight, whatever has become of them since.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ class LinkLedger:
     in_flight: int
     """Samples that were taken to be sent, and had not come when the reader's end was asked."""
     acknowledged_before: int
-    """Samples that were in the buffer of readers before this one: whether they were read is not known any more."""
+    """Samples that were in the buffers of former readers: whether they were read is not known any more."""
     read: Mapping[str, Sequence[int]] | None = field(default=None, compare=False)
-    """How old samples were as they were read ("age", by their stamps; "within" how far that may be off) and how long
-    they had waited in the reader's buffer ("waited"), where the connector is measured: how many, p50, p99 and maximum
-    in ns. None: the kernel of the reader does not say it."""
+    """The ages of samples when they were read ("age", by their stamps; "within": its possible error) and their waits in
+    the reader's buffer ("waited"), where the connector is measured: count, p50, p99 and maximum in ns. None: the
+    kernel of the reader does not say it."""
 
     @property
     def unexplained(self) -> int:
@@ -75,7 +75,7 @@ class LinkLedger:
 
 @dataclass(frozen=True, slots=True)
 class _Report:
-    """What the reader's end counts. `besides` of all it has are not of the writer's end that there is now."""
+    """The counts of the reader's end. `besides`: those of its samples that are not from the present writer's end."""
 
     writer_epoch: int
     reader_epoch: int
@@ -85,7 +85,7 @@ class _Report:
     besides: int
     dropped: dict[str, int]
     read: Mapping[str, Sequence[int]] | None = None
-    """As `LinkLedger` has it."""
+    """See `LinkLedger.read`."""
 
     def to_bytes(self) -> bytes:
         counts = [self.received, self.delivered, self.buffered, self.besides]
@@ -101,20 +101,20 @@ class _Report:
 
 
 class Ledgers:
-    """Asks and answers what the links of one kernel count."""
+    """Asks for the ledgers of one kernel's links, and answers such questions."""
 
     def __init__(self, links: Kernels, ends: Ends) -> None:
         self._links, self._ends = links, ends
 
     def handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
-        """What other kernels may ask."""
+        """The questions that other kernels may ask, and their handlers."""
         return {"ledger": self._reported, "joined": self._joined}
 
     async def of(self, end: LinkEnd[WriterLink | ReaderLink], within: float) -> LinkLedger:
         """The ledger of a link, asked for at either end.
 
         Raises:
-            LinkError: the other kernel is not there or does not answer, or either end is another one now.
+            LinkError: the other kernel is not there or does not answer, or either end was replaced.
         """
         connector, link = end.connector, end.link
         peer = self._links.peer_of(end.far)
@@ -131,7 +131,7 @@ class Ledgers:
         return replace(joined, read=_ages(connector.statistics))
 
     def changed(self, changed: ConnectorChanged) -> None:
-        """Ask the reader's end, which is measured while the writer's end is: each question says whether that is."""
+        """Ask the reader's end, so that it is measured while the writer's end is: each question says whether it is."""
         connector = self._links.kernel.connectors.get(changed.connector.name)
         if connector is None or changed.connector.measure == changed.before.measure:
             return
@@ -139,13 +139,13 @@ class Ledgers:
             self._links.run(self._tell(end), f"aiorts link {connector.name}")
 
     async def _tell(self, end: LinkEnd[WriterLink]) -> None:
-        with suppress(LinkError):  # it is not there, or another one now, which is told when it is asked
+        with suppress(LinkError):  # the other end is absent or was replaced: a later question tells it
             await self.of(end, _WITHIN)
 
     async def through(self, reader: LinkEnd[ReaderLink], writer: LinkEnd[WriterLink], within: float) -> LinkLedger:
         """The ledger of a connector whose both ends are in other kernels; errors as those of `of`.
 
-        The ledgers of its two links both have the part of this kernel, which is taken out of one.
+        The ledgers of its two links both contain the counts of this kernel, which are subtracted from one.
         """
         one = await self.of(reader, within)
         here = reader.link.reported
@@ -197,11 +197,11 @@ def _report(link: ReaderLink) -> _Report:
 
 
 def _join(link: WriterLink, there: _Report) -> LinkLedger:
-    """Both ends at the number up to which the reader's end has received."""
+    """The ledger of both ends, at the number up to which the reader's end has received."""
     end, here = link.end, link.connector.statistics
     if (end.epoch, end.peer_epoch) != (there.writer_epoch, there.reader_epoch) or there.received > end.numbered:
         raise LinkError(f"{link.connector.name}: ledger: one of its ends is another one now; ask again")
-    # What the reader's end has refused or lost, both have counted.
+    # Samples that the reader's end has refused or lost are counted at both ends.
     known = added(link.refused, link.lost)
     lost = added(here.dropped, {reason: -count for reason, count in known.items()})
     dropped = {reason: count for reason, count in added(lost, there.dropped).items() if count}
@@ -226,7 +226,7 @@ def _ages(found: ConnectorStatistics) -> dict[str, tuple[int, ...]]:
 
 
 def _further(body: bytes, kinds: tuple[type, ...], kind: type[T]) -> T | None:
-    """The field behind these; None: the other kernel does not send it."""
+    """The field that follows these; None: the other kernel does not send it."""
     try:
         *_, found = fields(body, (*kinds, kind), longer=True)
     except LinkError:

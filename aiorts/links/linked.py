@@ -1,7 +1,7 @@
-"""Transports at the writer's end of a link: what the link has taken of them belongs to their ledger.
+"""Transports at the writer's end of a link: the samples that the link has taken stay in their ledger.
 
 A link drains the queue of such a connector while its window has room. With subscription flush a write waits until the
-reader's end has acknowledged its sample; these samples go past the queue, behind what lies there.
+reader's end has acknowledged its sample; these samples bypass the queue, but leave after the samples in it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 LINK: Final = "on_link_lost"
 """The option that makes a connector one of a link, and the key of the link in `extra`."""
 PULL: Final = "dataflow = pull"
-"""The option that has the reader's end of a link ask for samples, and the key of that end in `extra`."""
+"""The option by which the reader's end of a link asks for samples, and the key of that end in `extra`."""
 _TAKEN: Final = "taken"
 
 
@@ -34,7 +34,7 @@ class Drain(Protocol):
     """The link, as far as its transport needs it."""
 
     def drained(self) -> tuple[int, int, Mapping[str, int]]:
-        """Of what was taken from the queue: acknowledged, in flight, dropped by reason."""
+        """The counts of samples taken from the queue: acknowledged, in flight, dropped by reason."""
         ...
 
     @property
@@ -43,15 +43,15 @@ class Drain(Protocol):
         ...
 
     def pump(self) -> None:
-        """Take what the window has room for, and send."""
+        """Take the samples that the window has room for, and send them."""
         ...
 
     def make_room(self) -> None:
-        """Take what the window has room for; it is sent soon."""
+        """Take the samples that the window has room for; they are sent soon."""
         ...
 
     def confirm(self, transport: Confirmed, sample: Any) -> Confirmation | None:
-        """Send a sample before which none waits, and see to the time of its write; None: it was not taken."""
+        """Send a sample before which none waits, and watch the deadline of its write; None: it was not taken."""
         ...
 
 
@@ -62,9 +62,9 @@ class Confirmation(Waiting):
     refused: bool = False  # type: ignore[misc] # the kind that a reader far away may refuse later
     late: bool = False  # type: ignore[misc] # as above
     number: int = 0
-    """Under which it was sent; 0: it was not."""
+    """The number under which it was sent; 0: it was not."""
     until_ns: int = 0
-    """When the time of its write is over, where the link sees to that; 0: it does not."""
+    """The deadline of its write, where the link watches it; 0: it does not."""
 
 
 class Linked(FeaturedTransport):
@@ -128,7 +128,7 @@ class Confirmed(Linked):
 
     @property
     def is_awaited(self) -> bool:
-        """A write that must not wait goes into the queue, unless that is full and keeps what it has."""
+        """Whether a write that must not wait goes into the queue: always, unless a full one keeps its samples."""
         return self.connector.profile.full is not FullPolicy.BLOCK or len(self.queue) < self.length
 
     def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
@@ -146,13 +146,13 @@ class Confirmed(Linked):
         return link.confirm(self, self.stamp_in(sample))
 
     def taken(self, sample: Any) -> None:
-        """The link has taken a sample that never was in the queue."""
+        """Count a sample that the link has taken and that never was in the queue."""
         self.written += 1
         if not self.waiting:
             self.miss(sample)  # the out-port has it for `keep_last`
 
     def next_waiting(self) -> Confirmation | None:
-        """The oldest sample that waits to be sent, where nothing lies in the queue before it; it is taken."""
+        """Take the oldest sample that waits to be sent; None: none waits, or the queue has samples before it."""
         if self.queue or not self.waiting:
             return None
         entry, _ = self.waiting.popitem(last=False)
@@ -161,8 +161,8 @@ class Confirmed(Linked):
         return entry
 
     def settle_fate(self, entry: Confirmation, *, refused: bool) -> None:
-        """The reader's end has said what became of it: its writer goes on."""
-        if self.receiver.lock is None:  # `resolve` of one that waits in no queue, written out: once for each flush
+        """Let the writer of a sample go on: the reader's end has said what became of the sample."""
+        if self.receiver.lock is None:  # `resolve` of an entry that waits in no queue, written out: once for each flush
             entry.refused, entry.done = refused, True
             if entry.future is not None and not entry.future.done():
                 entry.future.set_result(None)
@@ -179,7 +179,7 @@ class Confirmed(Linked):
             if entry.done:
                 return False
             self.leave_line(entry)
-            return True  # sent: it stays in flight, and nobody waits for it any more
+            return True  # sent: it stays in flight, and no write waits for it any more
 
     def time_out(self, entry: Waiting) -> None:
         if isinstance(entry, Confirmation) and entry.number:
@@ -187,7 +187,7 @@ class Confirmed(Linked):
         super().time_out(entry)
 
     def admit_waiting(self) -> None:
-        """Who waits goes to the link, not into the queue."""
+        """Let waiting writes go to the link, not into the queue."""
         self.receiver.room_made()
 
 
@@ -208,7 +208,7 @@ class Looks(Protocol):
     """Whether a look asks for nothing now."""
 
     def look(self) -> None:
-        """Ask the writer's end for its newest sample, unless that is under way."""
+        """Ask the writer's end for its newest sample, unless such a question is under way."""
         ...
 
 
@@ -244,7 +244,7 @@ class StampedThere(FeaturedTransport):
 
 
 class Aged(Dated):
-    """A transport that knows when the sample was written that was taken last. See `Transport`."""
+    """A transport that knows when the last sample that was taken was written. See `Transport`."""
 
     __slots__ = ()
 
@@ -254,18 +254,18 @@ class Aged(Dated):
 
     @property
     def taken_ns(self) -> int:
-        """When the sample was written that was taken last."""
+        """The time when the last sample that was taken was written."""
         found: int = self.extra[_TAKEN]
         return found
 
 
 def added(one: Mapping[str, int], other: Mapping[str, int]) -> dict[str, int]:
-    """The sums, by reason."""
+    """The sums of two counts, by reason."""
     return {reason: one.get(reason, 0) + other.get(reason, 0) for reason in dict.fromkeys((*one, *other))}
 
 
 def _drained(profile: ConnectorProfile) -> bool:
-    """Whether a link drains it: its reader is in another kernel."""
+    """Whether a link drains the connector: its reader is in another kernel."""
     return profile.far_end == "reader"
 
 
@@ -274,7 +274,7 @@ def _is_pulled(profile: ConnectorProfile) -> bool:
 
 
 def _asks(profile: ConnectorProfile) -> bool:
-    """Whether it is the reader's end of a link that pulls."""
+    """Whether the connector is the reader's end of a link that pulls."""
     return profile.dataflow is Dataflow.PULL and profile.far_end == "writer"
 
 
@@ -287,7 +287,7 @@ def _is_stamped_there(profile: ConnectorProfile) -> bool:
 
 
 def _stamped_there() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
-    return StampedThere, StampedThere  # of which none is periodic
+    return StampedThere, StampedThere  # there are no periodic ones
 
 
 def _linked() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
@@ -295,7 +295,7 @@ def _linked() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
 
 
 def _confirmed() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
-    return Confirmed, Confirmed  # of which none is periodic
+    return Confirmed, Confirmed  # there are no periodic ones
 
 
 def _pulled() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:

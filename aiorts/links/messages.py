@@ -1,4 +1,4 @@
-"""What kernels say to each other about links, beside the offer: small maps of plain values, bounded."""
+"""The messages of kernels about links, besides the offer: short lists of plain values, bounded."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from aiorts.late import dataclass
 from aiorts.wire import LINK, count_values
 
 LARGEST: Final = 1_048_576
-"""Bytes of a message of another program."""
+"""The most bytes of a message of another program."""
 _LONGEST: Final = 2_000
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What becomes of an offer, or of a request for one."""
+    """The answer to an offer, or to a request for one."""
 
     number: int = 0
-    """That the frames of the link carry; 0 where nothing came of it."""
+    """The number that the frames of the link carry; 0: there is none."""
     epoch: int = 0
-    """Of the reader's end."""
+    """The epoch of the reader's end."""
     absent: str = ""
-    """Why it is not possible yet: what has to come."""
+    """The reason why the link is not possible yet: what has to come."""
     refused: str = ""
-    """Why it is not possible."""
+    """The reason why the link is not possible."""
     protocol: tuple[int, int] = (0, 0)
-    """The versions that the kernel speaks which answers."""
+    """The versions that the answering kernel speaks."""
 
     def to_bytes(self) -> bytes:
         """The answer as one frame."""
@@ -47,13 +47,13 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class LinkRequest:
-    """Asks a kernel to connect one of its out-ports with an in-port of the kernel that asks."""
+    """A request to a kernel to connect one of its out-ports with an in-port of the kernel that asks."""
 
     writer: str
     reader: str
     options: dict[str, Any]
     protocol: tuple[int, int]
-    """The versions that the kernel speaks which asks."""
+    """The versions that the asking kernel speaks."""
 
     def to_bytes(self) -> bytes:
         """The request as one frame."""
@@ -70,8 +70,8 @@ class LinkRequest:
 
 
 def versions_of(body: bytes) -> tuple[int, int]:
-    """The versions that the kernel speaks which sent this offer or request; all else in it may be of a later one.
-    LinkError: it says none."""
+    """The versions that the sender of an offer or request speaks; its other fields may be of a later version.
+    LinkError: the message names none."""
     (protocol,) = fields(body, (list,), longer=True)
     low, high = checked(protocol, (int, int), longer=True)
     return low, high
@@ -84,7 +84,7 @@ def packed(values: list[Any]) -> bytes:
 
 
 def fields(body: bytes, kinds: tuple[type, ...], *, longer: bool = False, largest: int = LARGEST) -> list[Any]:
-    """The values of a frame, as `checked`. LinkError: they are others, or it is no frame."""
+    """The values of a frame, as `checked` returns them. LinkError: they are of other kinds, or it is no frame."""
     if len(body) > largest:
         raise LinkError(f"a message of {len(body)} bytes; at most {largest} are allowed")
     try:

@@ -36,10 +36,10 @@ class PulledWriterLink(WriterLink):
 
 
 class PullingReaderLink(ReaderLink):
-    """Asks for a sample where somebody looks at the in-port. See `ReaderLink`."""
+    """Asks for a sample at each look at the in-port. See `ReaderLink`."""
 
     quiet = False
-    """Whether a look asks for nothing now: it is the link's own."""
+    """Whether a look asks for nothing now: the look is the link's own."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -48,9 +48,9 @@ class PullingReaderLink(ReaderLink):
             transport.extra[PULL] = self
 
     def look(self) -> None:
-        """Ask the writer's end for its newest sample, unless that is under way; on the loop.
+        """Ask the writer's end for its newest sample, unless such a question is under way; on the loop.
 
-        Where a task or a thread waits, for the next one if there is none.
+        Where a task or a thread waits, ask for the next sample if there is none.
         """
         if not self.quiet and not self._ended and self.end.want(self._now(), wait=self._is_awaited):
             self._wake()
@@ -64,7 +64,7 @@ class PullingReaderLink(ReaderLink):
     def connect(self, channel: Channel, number: int, peer_epoch: int) -> None:
         super().connect(channel, number, peer_epoch)
         if self._is_awaited:
-            self.look()  # it has waited since before there was this link
+            self.look()  # the task has waited since before the link was up
 
     def _deliver(self, now: int) -> None:
         self.quiet = True

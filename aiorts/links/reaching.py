@@ -1,4 +1,4 @@
-"""Which other kernels there are, and what carries questions and links to them: transports, opened and tried again."""
+"""The kernels in reach, and the transports that carry questions and links to them: opened, and tried again."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ _NEEDED: Final = ("open", "close", "presence", "channel", "ask", "answer")
 class Reach:
     """The transports of one kernel, and the other kernels that they have found.
 
-    One transport reaches kernels in general, and is opened when it is needed first; others are opened beside it.
+    The general transport is opened when it is first needed; others, for certain kernels, are opened in addition to it.
 
     Args:
-        handlers: gives what other kernels may ask.
+        handlers: gives the questions that other kernels may ask, and their handlers.
         present: called when another kernel has come or gone.
-        late: called when the transport is open that could not be opened at first.
+        late: called when the general transport is open after it could not be opened at first.
     """
 
     def __init__(
@@ -55,20 +55,20 @@ class Reach:
         self._name = "unix"
         self._transport: Transport | None = None
         self._opening: asyncio.Future[None] | None = None
-        """Done when kernels can be reached in general, or with why they cannot; then it is tried again."""
+        """Done when the general transport is open, or failed with the reason why it is not; then it is tried again."""
         self._carriers: list[Transport] = []
-        """Those that reach further kernels, such as those in processes of this program, or of other hosts."""
+        """The transports to further kernels, such as those in processes of this program, or on other hosts."""
         self.carried: set[str] = set()
-        """The names of those kernels; they connect what this kernel tells them to."""
+        """The names of the kernels in processes of this program; they connect what this kernel tells them to."""
         self.peers: dict[Peer, Transport] = {}
-        """The other kernels that are there, and what carries links to them."""
+        """The kernels that are there besides this one, and the transport that carries links to each."""
         self._named: dict[str, dict[Peer, None]] = {}
-        """The same by their names, in the same order."""
+        """The peers by their names, in the same order."""
         self._ways: dict[Peer, list[Transport]] = {}
-        """All transports that reach each of them. The general one carries its links as soon as it has found it, else
-        the one that found it first, until that kernel asks by another one: kernels of one host need no network."""
+        """All transports that reach each peer. The general one carries its links as soon as it has found it; else the
+        first that found it does, until the peer asks over another one: kernels of one host need no network."""
         self._hosts: dict[Peer, str] = {}
-        """The host of each of them for `host_of`: the same as long as it is there."""
+        """The host of each peer for `host_of`: unchanged as long as the peer is there."""
         self._epoch = 0
         self.host = platform.node() or "host"
         """The name of this machine, as kernels of other hosts know it: a kernel that two transports find is one."""
@@ -77,11 +77,11 @@ class Reach:
     # -- transports ------------------------------------------------------------------------------------------------
 
     def use(self, transport: Transport) -> None:
-        """Reach kernels in general with this transport, which is not open yet."""
+        """Make this transport the general one; it is not open yet."""
         self._transport = transport
 
     async def carry(self, transport: Transport) -> None:
-        """Open a transport beside the general one, such as for other hosts. LinkError: it cannot be opened.
+        """Open a transport in addition to the general one, such as for other hosts. LinkError: it cannot be opened.
 
         The kernels named in `carried` are reached by it alone, and the general one is not opened for their sake.
         """
@@ -90,7 +90,7 @@ class Reach:
 
     @property
     def is_opening(self) -> bool:
-        """Whether it is not known yet who is there."""
+        """Whether it is not known yet which kernels are there."""
         return self._opening is not None and not self._opening.done()
 
     @property
@@ -100,7 +100,7 @@ class Reach:
         return opening is not None and opening.done() and not opening.cancelled() and opening.exception() is None
 
     def open_soon(self, name: str | None = None) -> asyncio.Future[None]:
-        """Open the transport that reaches kernels in general, the one of that name, if nothing has opened it yet."""
+        """Begin to open the general transport, of that name if one is given, unless that has begun."""
         self._name = name or self._name
         if self._opening is None:
             loop = self._links.kernel.loop
@@ -109,7 +109,7 @@ class Reach:
         return self._opening
 
     def open_for(self, path: Path) -> None:
-        """Open what reaches the kernel of a path, if nothing has yet."""
+        """Open the transport that reaches the kernel of a path, if it is not open yet."""
         if path.kernel not in self.carried:
             self.open_soon()
 
@@ -118,7 +118,7 @@ class Reach:
         await asyncio.shield(self.open_soon())
 
     async def opened_for(self, path: Path) -> None:
-        """Wait until it is known whether the kernel of a path is there, and on this host. LinkError: it cannot be."""
+        """Wait until it is known whether the kernel of a path is there. LinkError: no open transport can tell."""
         if path.kernel in self.carried:
             return
         try:
@@ -130,7 +130,7 @@ class Reach:
     async def _open(self) -> None:
         kernel = self._links.kernel
         if self._transport is None and isinstance(kernel.clock, SimulatedClock):
-            # Simulated time waits for what is under way: with a peer in real time it stood still.
+            # Simulated time waits for work under way: with a peer in real time it would stand still.
             _LOG.warning("W-LINK: on a simulated clock no kernel of another process is reached: its time is another")
             return
         self._transport = self._transport or find_transport(self._name, kernel.plugins)
@@ -138,7 +138,7 @@ class Reach:
 
     @property
     def epoch(self) -> int:
-        """The number of this kernel for its peers: the same one at each transport."""
+        """The number of this kernel for its peers, one for all transports."""
         self._epoch = self._epoch or self._links.kernel.epoch or new_epoch()
         return self._epoch
 
@@ -158,7 +158,7 @@ class Reach:
             self._links.run(self._open_again(), f"aiorts links {self._links.kernel.name}")
 
     async def _open_again(self) -> None:
-        """Try until the transport is open: who had this kernel's name may have ended."""
+        """Try until the transport is open: the kernel that had this one's name may have ended."""
         loop = self._links.kernel.loop
         for pause in chain(_AGAIN, repeat(_AGAIN[-1])):
             await asyncio.sleep(pause)
@@ -167,7 +167,7 @@ class Reach:
             except LinkError as error:
                 self._opening = loop.create_future()
                 self._opening.set_exception(error)
-                self._opening.exception()  # it was logged when it was refused first
+                self._opening.exception()  # the first refusal was logged
                 continue
             break
         self._opening = loop.create_future()
@@ -176,7 +176,7 @@ class Reach:
         self._late()
 
     async def close(self) -> None:
-        """Give everything up; what has begun to close does so even where nobody waits for it any more."""
+        """Close all transports; a close that has begun goes on even where no caller waits for it any more."""
         self._closing = True
         if self._opening is not None:
             self._opening.cancel()
@@ -193,7 +193,7 @@ class Reach:
     async def _asked(
         self, transport: Transport, handler: Callable[[bytes, Caller], Awaitable[bytes]], body: bytes, caller: Caller
     ) -> bytes:
-        """Answer a question of another kernel; what carried it carries what follows from it, such as a channel."""
+        """Answer a question of another kernel; its transport then carries what follows from it, such as a channel."""
         if (peer := caller.peer) is not None and transport in self._ways.get(peer, ()):
             self.peers[peer] = transport
         return await handler(body, caller)
@@ -211,7 +211,7 @@ class Reach:
         if not ways:
             self._ways.pop(peer, None)
         elif before is not None and up and transport is self._transport and peer.kernel not in self.carried:
-            self.peers[peer] = transport  # what has a channel keeps it
+            self.peers[peer] = transport  # a link that has a channel keeps it
         elif now is not None and now is not before:
             self.peers[peer], self._named.setdefault(peer.kernel, {})[peer] = now, None
             local = now is self._transport or peer.kernel in self.carried
@@ -230,7 +230,7 @@ class Reach:
 
     async def session(self, path: Path) -> tuple[socket.socket, str] | None:
         """A connection for a session with the kernel of a path, and that kernel's address; None where no transport
-        carries one: kernels of this host have sockets of their own."""
+        carries sessions: kernels of this host have sockets of their own."""
         peer = self.peer_of(path)
         carry = None if peer is None else getattr(self.peers[peer], "session", None)
         return None if peer is None or carry is None else (await carry(peer), f"{peer.host}/{peer.kernel}")
@@ -246,7 +246,7 @@ class Reach:
 
     @property
     def known_as(self) -> str:
-        """The other name that this kernel has for some; "" where all know it by its own."""
+        """The different name by which some kernels know this one; "" where all know it by its own."""
         return next(filter(None, map(_name_in, self._carriers)), "")
 
     def name_for(self, peer: Peer | None) -> str:
@@ -262,7 +262,7 @@ class Reach:
         return f"there is no kernel {far!r} yet{f'; {suggestion(far, there)}' if there else ''}"
 
     def carrier(self, peer: Peer | None) -> Transport:
-        """What carries links to a kernel. LinkError: it is gone."""
+        """The transport that carries links to a kernel. LinkError: the kernel is gone."""
         carrier = None if peer is None else self.peers.get(peer)
         if carrier is None:
             raise LinkError(f"{'the other kernel' if peer is None else peer.kernel}: is gone")
@@ -274,7 +274,7 @@ def _name_in(transport: Transport | None) -> str:
 
 
 class _Face:
-    """What a transport sees of the kernel."""
+    """The kernel as a transport sees it."""
 
     def __init__(self, links: Kernels, reach: Reach) -> None:
         self._links = links
@@ -289,7 +289,7 @@ class _Face:
 
 
 def new_epoch() -> int:
-    """The number of a kernel, or of an end of a link, that no other has."""
+    """A random number for a kernel, or for an end of a link, that no other has."""
     return int.from_bytes(os.urandom(8), "big")
 
 

@@ -1,6 +1,6 @@
 """The reader's end of a link in its kernel: writes what is received at a far out-port, in order.
 
-Also the connector that it writes to: its options, and the check of the shape.
+Also the options of the connector that it writes to, and the check of the shape.
 """
 
 from __future__ import annotations
@@ -35,23 +35,22 @@ if TYPE_CHECKING:
     from aiorts.model.profile import ConnectorStatistics
 
 _MEASURED: Final = 1_000
-"""Reads that are timed for another kernel, at most: putting more in order for each answer takes too long."""
+"""The most reads that are timed for another kernel: sorting more of them for each answer takes too long."""
 _KEPT_BY_READER: Final = tuple(
     key for key, one in options_of(ConnectorProfile).items() if one.end == "reader" and key not in ("length", "full")
 )
-"""Options that the reader's end of a link has as they are; the subscription decides about its buffer."""
+"""Options that the reader's end of a link takes unchanged; the subscription decides about its buffer."""
 _PATIENCE_NS: Final = 25_000_000
 """How long a sample waits for room before it displaces another one, and at most twice as long. Samples written one
 after the other come together, and a reader that keeps up has room for them a few turns of the loop later."""
 
 
 class ReaderLink(LinkSide[ReaderEnd]):
-    """Writes what another kernel sends to one connector of this one.
+    """Writes the samples that another kernel sends to one connector of this kernel.
 
     Args:
-        decode: makes the sample of bytes and what travelled beside them.
-        decode_all: makes several samples of bytes, beside which nothing travelled, one after the other. None: there is
-            no such way.
+        decode: makes a sample of bytes and the parts that travelled with them.
+        decode_all: makes several samples, one after the other, of bytes without parts. None: there is no such decoder.
     """
 
     def __init__(
@@ -70,9 +69,9 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self.undecodable = 0
         """Samples that could not be decoded."""
         self.reported: ConnectorStatistics = connector.statistics
-        """What its connector had counted when the writer's kernel last asked."""
+        """The counts of its connector when the writer's kernel last asked."""
         self._is_measured_for_writer = connector.profile.measure > 0
-        """Whether it is measured as long as the writer's end is."""
+        """Whether the connector is measured as long as the writer's end is."""
         self.taken_over = 0
         """Samples of the reader's end before this one, which were unread when this one came."""
         self.settled: Callable[[], None] | None = None
@@ -85,7 +84,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self._patience = Wakening(kernel, self._displace)
         """The timer at which samples that wait for room displace others."""
         self._patient_to = 0
-        """The number of the last sample that waits no longer then; 0: none waits."""
+        """The number of the last sample that displaces another at that time; 0: none waits."""
         # Its reader is in a third kernel: each sample waits for the answer from there, and so does its writer.
         self._confirms = connector.in_.is_far and connector.profile.subscription is Subscription.FLUSH
         self._takes_alone = not (self._confirms or self._ages)
@@ -99,7 +98,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
         return bool(self._waits or self.end.held)
 
     def measure(self, count: int) -> None:
-        """Time the last `count` samples, as the writer's end does; one that is measured anyway stays as it is."""
+        """Time the last `count` samples, as the writer's end does; a connector with its own `measure` keeps it."""
         connector, connections = self.connector, self._kernel.connections
         is_wanted = count > 0
         if is_wanted is self._is_measured_for_writer or (is_wanted and connector.profile.measure):
@@ -114,7 +113,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self.taken_over += pass_on(before.connector, self.connector)
 
     def take_all(self) -> None:
-        """Put all that has come into the reader's buffer, whether there is room or not."""
+        """Put all samples that have come into the reader's buffer, whether there is room or not."""
         transport = transport_of(self.connector)
         while (entry := self._waiting) is not None:
             with transport.guard():
@@ -175,7 +174,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self._wakening.at(due)
 
     def _losses(self) -> dict[str, int]:
-        """Samples of this writer's end that were lost, by reason. It counts those that were refused itself."""
+        """Samples of this writer's end that were lost, by reason. The writer's end itself counts the refused ones."""
         dropped, before = transport_of(self.connector).glance()[2], self._lost_before
         return {reason: dropped[reason] - before.get(reason, 0) for reason in dropped if reason not in FATES}
 
@@ -193,7 +192,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
             self.connector.out.clock = (ahead_ns, within_ns) if within_ns else None
 
     def close(self, *, for_good: bool) -> None:
-        """The connector has ended; `for_good`: say so to the writer's end. Idempotent."""
+        """Close the side of a connector that has ended; `for_good`: tell the writer's end. Idempotent."""
         if self._ended:
             return
         self._ended = True
@@ -228,7 +227,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
             report(f"{self.connector.name}: dropped what cannot be decoded: {format_error(error)}")
 
     def _deliver(self, now: int) -> None:
-        """Write what came, as long as the reader has room; what has none is not acknowledged."""
+        """Write the samples that came while the reader has room; samples without room are not acknowledged."""
         end, decode = self.end, self._decode
         write = _always_waits if self._confirms else self.connector.out.write_nowait
         ages = self._ages
@@ -270,20 +269,20 @@ class ReaderLink(LinkSide[ReaderEnd]):
         """Write the first samples that have come, as far as they go together; `_deliver` looks at each of the rest."""
         transport, end = transport_of(self.connector), self.end
         records: list[Any] = []
-        with suppress(Exception):  # as in `_deliver`, which looks at it again and says what is wrong
+        with suppress(Exception):  # as in `_deliver`, which decodes that sample again and reports it
             for record in decode_all(end.heads(transport.length - len(transport.queue))):
-                records.append(record)  # noqa: PERF402 - those before one that is none are samples
+                records.append(record)  # noqa: PERF402 - keeps the samples before one that fails
         if records and (count := write_all(self.connector.out, records)):
             end.done(now, end.take_all(count), count)
 
     def _date(self, written_ns: int | None) -> None:
-        """The next sample was written at this time of the kernel's clock; None: those that come are written now."""
+        """Date the next sample by this time of the kernel's clock; None: the next samples are written now."""
         transport = transport_of(self.connector)
         if isinstance(transport, Dated):
             transport.moments.given_ns = written_ns
 
     def _wait(self, number: int, record: Any) -> None:
-        """Have the connector say when the reader has made room for this sample, which is in the buffer then."""
+        """Let a sample wait for room; `_room_made` is called when it is in the buffer."""
         future = self._kernel.loop.create_future()
         transport = transport_of(self.connector)
         self._waiting = transport.wait_for_room(record, future, patient=self._displaces)
@@ -315,7 +314,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
     def _room_made(self, future: object) -> None:
         number, entry = self._waits, self._waiting
         if entry is None or entry.future is not future:
-            return  # it has been told before
+            return  # this room was handled before
         self._waits, self._waiting = 0, None
         if self._ages:
             self._date(None)
@@ -333,12 +332,12 @@ class ReaderLink(LinkSide[ReaderEnd]):
 
 
 def _always_waits(_sample: Any) -> bool:
-    """Write a sample that is taken when its reader has said so."""
+    """Refuse each write for now: the sample is taken when its reader has answered."""
     raise WouldBlock
 
 
 def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
-    """The options of the connector at the reader's end, by those that the link was made with.
+    """The options of the connector at the reader's end, from those of the link.
 
     A sample that finds the reader's buffer full waits at the reader's end. Where the connector overwrites, it waits for
     a moment and then takes the place of the oldest one. Else the window is used up, and the writer's buffer decides.
@@ -359,7 +358,7 @@ def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
 
 
 def _displaces(profile: ConnectorProfile) -> bool:
-    """Whether a sample that finds the buffer full replaces the oldest one; with flush its writer waits for that."""
+    """Whether a sample that finds the buffer full replaces the oldest one; not with flush, where its writer waits."""
     is_chosen = profile.dataflow is Dataflow.PULL or profile.push is Push.NEW
     return profile.full is FullPolicy.OVERWRITE and profile.subscription is not Subscription.FLUSH and not is_chosen
 
@@ -367,7 +366,7 @@ def _displaces(profile: ConnectorProfile) -> bool:
 def of_shape(
     decode: Callable[[Buffer, Sequence[Buffer]], Any], check: Callable[[Any, Any], object], shape: tuple[int, ...]
 ) -> Callable[[Buffer, Sequence[Buffer]], Any]:
-    """The same `decode`, whose samples must have this shape."""
+    """A `decode` whose samples must have this shape."""
 
     def checked(head: Buffer, parts: Sequence[Buffer]) -> Any:
         sample = decode(head, parts)

@@ -1,7 +1,7 @@
-"""Calls that other kernels make of service ports of this one: a caller from outside makes each of them here.
+"""Calls of this kernel's service ports by other kernels: an `OutsideCaller` makes each of them here.
 
-It is let in, run and ended as any other. The task that serves a call with a goal stays the goal's client, and tells the
-other kernel what becomes of it.
+A call is let in, run and ended as any other. The task that serves a call with a goal stays the goal's client, and tells
+the other kernel what becomes of the goal.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ if TYPE_CHECKING:
 
 _LOG: Final = KernelLog()
 _WITHIN: Final = 2.0
-"""Seconds in which the client's kernel takes what is said of a goal."""
+"""Seconds in which the client's kernel takes a message about a goal."""
 _BY_ONE: Final = 5_000
-"""Interfaces that another kernel may have bound at the same time."""
+"""The most interfaces that one other kernel may have bound at the same time."""
 _BY_ALL: Final = 10_000
-"""Interfaces that others may have bound at the same time, all together."""
+"""The most interfaces that all other kernels together may have bound at the same time."""
 
 
 _Names: TypeAlias = "tuple[Peer | None, str, str, str]"
@@ -68,18 +68,18 @@ class Serving:
     def __init__(self, links: Kernels) -> None:
         self._links = links
         self._bound: dict[Peer, dict[int, _Bound]] = {}
-        """By the kernel that has bound it, and its number."""
+        """The bound interfaces, by the kernel that has bound them and their number."""
         self._numbers: dict[_Names, int] = {}
-        """The number of each, by what is bound to what: bound again it replaces the former, whose answer was lost."""
+        """The number of each binding, by its names: a repeated one replaces the former, whose answer was lost."""
         self._at: Counter[ServicePort] = Counter()
-        """How many there are at each port."""
+        """The number of bindings at each port."""
         self._number = 0
         self._served: dict[tuple[Peer, int], asyncio.Task[Any]] = {}
         self._offered: dict[tuple[Peer, int], Goal[Any, Any]] = {}
         """Goals that clients in other kernels follow."""
 
     def handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
-        """What other kernels may ask."""
+        """The questions that other kernels may ask, and their handlers."""
         return {
             "bind": self._bind,
             "unbind": self._unbind,
@@ -89,7 +89,7 @@ class Serving:
         }
 
     def gone(self, peer: Peer) -> None:
-        """Another kernel has gone: what runs for it ends."""
+        """End the bindings and calls of a kernel that has gone."""
         for number in tuple(self._bound.get(peer, ())):
             self._end(peer, number)
         for key, task in tuple(self._served.items()):
@@ -97,17 +97,17 @@ class Serving:
                 task.cancel()
 
     def stopped(self) -> None:
-        """The kernel ends."""
+        """Close all bindings: the kernel ends."""
         for peer in tuple(self._bound):
             for bound in self._bound[peer].values():
                 bound.close()
 
     async def _bind(self, body: bytes, caller: Caller) -> bytes:
-        """Another kernel wants an interface of this one."""
+        """Bind an interface of this kernel for another one."""
         required, instance, provided, text = values_of(body, (str, str, str, list))
         try:
             if len(instance) > MAX_NAME_LENGTH:
-                raise WiringError(f"the name of an instance has {len(instance):,} letters")  # it is kept
+                raise WiringError(f"the name of an instance has {len(instance):,} letters")  # the name is kept
             found = self._links.there(Path.parse(provided), caller, CALL)
             if isinstance(found, Answer):
                 return sent(found)
@@ -115,7 +115,7 @@ class Serving:
             names = (caller.peer, required, instance, provided)
             self._end(caller.peer, self._numbers.get(names, 0))
             if caller.peer is None or caller.peer.kernel not in self._links.reach.carried:
-                # Else a connector of this kernel stands for it, which is counted.
+                # Else a connector of this kernel stands for the binding, and is counted already.
                 check_room(end.port, 1, end.port.max_connectors, self._at[end.port])
             peer = self._checked(caller)
             bound = _Bound(end, Path.parse(required), names)
@@ -157,14 +157,14 @@ class Serving:
     async def _unbind(self, body: bytes, caller: Caller) -> bytes:
         try:
             (number,) = values_of(body, (int,))
-        except LinkError:  # its number was not heard
+        except LinkError:  # the answer with its number was lost
             _, required, instance, provided = values_of(body, (int, str, str, str))
             number = self._numbers.get((caller.peer, required, instance, provided), 0)
         self._end(caller.peer, number)
         return b""
 
     def _end(self, peer: Peer | None, number: int) -> None:
-        """It is bound no more, if it was."""
+        """End a binding, if it is there."""
         those = {} if peer is None else self._bound.get(peer, {})
         if peer is None or (bound := those.pop(number, None)) is None:
             return
@@ -268,7 +268,7 @@ class _Bound:
         self._caller = OutsideCaller(end, component, required.port or "call")
 
     async def call(self, method: Method, args: list[Any], kwargs: dict[str, Any], seconds: float) -> Any:
-        """What the method answers. ServiceError: it does not."""
+        """The result of the method. ServiceError: the call failed."""
         hints = {one.name: one.annotation for one in method.parameters}
         in_order = [one.annotation for one in method.parameters if one.kind is not one.KEYWORD_ONLY]
         if len(args) > len(in_order) or not kwargs.keys() <= hints.keys():
@@ -278,5 +278,5 @@ class _Bound:
         return await self._caller.call(method.name, given, named, seconds)
 
     def close(self) -> None:
-        """End what still runs for it."""
+        """End the calls that still run for it."""
         self._caller.close()

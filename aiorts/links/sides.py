@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from aiorts.model.links import ReaderEnd, WriterEnd
 
 report: Final = partial(KernelLog().warning, "W-LINK: %s")
-"""Warns of what cannot be sent or read."""
+"""Logs a warning of the links."""
 _NEVER: Final = 2**63
 E = TypeVar("E", bound="WriterEnd | ReaderEnd")
 
@@ -25,20 +25,20 @@ class Owner(Protocol):
     """The owner of a side: it hears what ends the side's channel."""
 
     def lost(self, why: str) -> None:
-        """The channel went down."""
+        """Handle a channel that went down."""
         ...
 
     def silent(self) -> None:
-        """The channel was given up: no acknowledgement has come on it."""
+        """Handle a channel that was given up: no acknowledgement has come on it."""
         ...
 
     def left(self) -> None:
-        """The connector was disconnected at its other end."""
+        """Handle the disconnection of the connector at its other end."""
         ...
 
 
 class Wakening:
-    """Calls back at the time asked for last, or a little before it: `callback` asks again for what is due later."""
+    """A timer that calls back at the time asked for last, or earlier: `callback` asks again for what is due later."""
 
     __slots__ = ("_kernel", "_timer", "_wakened", "due_ns")
 
@@ -46,10 +46,10 @@ class Wakening:
         self._kernel, self._wakened = kernel, callback
         self._timer: Cancellable | None = None
         self.due_ns = _NEVER
-        """When it calls back; a time in the far future: it does not."""
+        """The time of the next call back; in the far future: there is none."""
 
     def at(self, when_ns: int | None) -> None:
-        """Call back at this time of the kernel's clock, None for not at all."""
+        """Call back at this time of the kernel's clock, or earlier; None: no call is needed."""
         # A timer that is due earlier stays: another timer for each sample costs more than a call for nothing.
         if when_ns is None or self.due_ns <= when_ns:
             return
@@ -75,7 +75,7 @@ class LinkSide(Generic[E]):
         self.connector = connector
         self.end: E = end
         self.why = "not connected yet"
-        """Why it is not up; "" while it is."""
+        """The reason why the link is not up; "" while it is."""
         self._kernel, self._owner = kernel, owner
         self._now: Callable[[], int] = kernel.clock.monotonic_ns
         self._channel: Channel | None = None

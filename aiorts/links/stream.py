@@ -1,11 +1,11 @@
-"""Messages over a stream socket that never blocks: what arrives is cut into messages, what does not fit waits.
+"""Messages over a stream socket that never blocks: received bytes are cut into messages, unsent messages wait.
 
 A message is a head of 12 bytes (bytes that follow, kind, parts, zeros behind the body, a number), the length of each
 part, its body, its parts. Each part begins at a multiple of 8 bytes of the message, so that arrays on it are aligned. A
 message of 64 KiB or more is received straight into a buffer of its own, and not copied.
 
-Messages wait in two queues, each with a bound of its own. Control goes first: it waits for the rest of the message that
-is partly sent, and for what the socket holds, which is 208 KiB on Linux; never for the samples behind that.
+Messages wait in two queues, each with a bound of its own. Control messages go first: they wait for the rest of the
+message that is partly sent, and for the bytes in the socket (208 KiB on Linux); never for the samples behind those.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from aiorts.wire import sealed_bytes
 _HEAD: Final = struct.Struct("<IBBHI")
 _LARGE: Final = 65_536
 _AT_ONCE: Final = 65_536
-"""Bytes that are received at once. Above 128 KiB memory of its own is asked of the system each time: 14 us."""
+"""Bytes that are received at once. Above 128 KiB each buffer is memory of its own from the system: 14 us."""
 _SHORT: Final = 512
-"""Bytes of a message that is copied."""
+"""The most bytes of a receive of which the body is copied."""
 _ONE_TURN: Final = 1 << 20
 """Bytes after which a turn of the loop receives no more. With 64 KiB a loop whose turns take 0.1 s needed four of them
 to come to a question behind the 208 KiB that a socket holds."""
 _ONE_TURN_SECONDS: Final = 0.005
 """Seconds after which a turn of the loop receives no more: small messages take longer than their bytes."""
 _LARGEST: Final = 80 << 20
-"""Bytes of one message at the most."""
+"""The most bytes of one message."""
 _DESCRIPTOR: Final = struct.Struct("i")
 _ONE: Final = 20
-"""Bytes in which the system tells of one descriptor (CMSG_LEN); in CMSG_SPACE, which is rounded up, are two."""
+"""The ancillary bytes of one descriptor (CMSG_LEN); CMSG_SPACE is rounded up and has room for two."""
 _GONE: Final = (errno.EPIPE, errno.ECONNRESET)
 """Errors of a connection whose other end reads no more. Any other error, such as a want of memory, is of this end."""
 _VECTORS: Final = 64
-"""Buffers of one system call."""
+"""The most buffers of one system call."""
 
 
 Message: TypeAlias = tuple[int, int, memoryview, tuple[memoryview, ...]]
@@ -60,8 +60,8 @@ class _Queue:
     """Messages that wait for their turn.
 
     Args:
-        full: bytes beyond which none is taken.
-        most: messages beyond which none is taken.
+        full: bytes beyond which no message is taken.
+        most: messages beyond which no more are taken.
     """
 
     def __init__(self, full: int, most: int) -> None:
@@ -72,7 +72,7 @@ class _Queue:
         self._refused = False
 
     def takes(self, turn: Turn) -> bool:
-        """Whether one more is taken: as LAST twice as many, of any size. A refusal is remembered."""
+        """Whether one more message is taken: as LAST twice as many, of any size. A refusal is remembered."""
         count = len(self.messages)
         if (self.size < self._full and count < self._most) or (turn is Turn.LAST and count < 2 * self._most):
             return True
@@ -80,7 +80,7 @@ class _Queue:
         return False
 
     def room_made(self) -> bool:
-        """Whether it has room again after a refusal: once for each."""
+        """Whether there is room again after a refusal; True once for each."""
         made = self._refused and self.size < self._full // 2 and len(self.messages) < self._most // 2
         self._refused = self._refused and not made
         return made
@@ -122,12 +122,12 @@ class Stream:
         self._expects = False
         """Whether a descriptor may come."""
         self._descriptor = -1
-        """The one that has come; -1: none."""
+        """The descriptor that was received and not taken yet; -1: none."""
         self.closed = False
         self._hung_up: select.poll | None = None
         """Says whether the other end has hung up, on a loop that calls a reader once at a socket with an error.
 
-        What comes then may be data; uvloop does not call again for what is behind them. One call of it takes 0.4 us.
+        The call may be for data; uvloop does not call again for what is behind them. One poll takes 0.4 us.
         """
         if not isinstance(loop, asyncio.SelectorEventLoop):
             self._hung_up = select.poll()
@@ -190,13 +190,13 @@ class Stream:
         return True
 
     def control(self, kind: int, number: int, body: Buffer) -> bool:
-        """Send a message before all samples that wait. See `send`."""
+        """Send a control message, before all samples that wait. See `send`."""
         return self.send(kind, number, body, (), Turn.CONTROL)
 
     def send_descriptor(self, kind: int, number: int, body: bytes, descriptor: int) -> bool:
         """Send a short message with a descriptor, which stays the caller's; False: it will not be sent.
 
-        It goes after the samples that wait: what they say of rings is of those before.
+        It goes after the samples that wait: those refer to earlier rings.
         """
         if self.closed or self._broken or not self._samples.takes(Turn.LAST):
             return False
@@ -216,7 +216,7 @@ class Stream:
         self._loop.add_writer(self._socket.fileno(), self._writable)
 
     def _put(self, vectors: Vectors, descriptor: int = -1) -> int:
-        """Give the socket as much as it takes in one call; returns how many bytes."""
+        """Send as much as the socket takes in one call; the number of bytes sent."""
         try:
             if descriptor >= 0:
                 rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, _DESCRIPTOR.pack(descriptor))]
@@ -226,7 +226,7 @@ class Stream:
             return 0
         except OSError as error:
             self._broken = True
-            # Where the other end has ended, what it said last may still be read, and then that it has.
+            # Where the other end has ended, its last messages may still be read, and after them its end.
             if error.errno not in _GONE:
                 self._loop.call_soon(self._end, error.strerror or "broken")
             return 0
@@ -243,7 +243,7 @@ class Stream:
             self._drained()
 
     def _send_next(self) -> bool:
-        """Send what is next, as many messages as go in one call; False: nothing waits, or the socket takes no more."""
+        """Send the next messages, as many as go in one call; False: none waits, or the socket takes no more."""
         if self._begun:
             if sent := self._put(self._begun):
                 self._begun = _after(self._begun, sent)
@@ -274,7 +274,7 @@ class Stream:
         return True
 
     def _forget(self) -> None:
-        """Send nothing of what waits."""
+        """Discard all messages that wait."""
         self._begun = []
         for queue in (self._control, self._samples):
             for _, _, descriptor in queue.messages:
@@ -292,10 +292,10 @@ class Stream:
         while left > 0 and (count := self._receive()) and self._loop.time() < until:
             left -= count
         if self._reset and not self.closed:
-            self._loop.call_soon(self._readable)  # to the end: the loop may not call again
+            self._loop.call_soon(self._readable)  # read to the end: the loop may not call again
 
     def _receive(self) -> int:
-        """Receive once; how many bytes, where there may be more; 0: there is no more, or the connection is over."""
+        """Receive once; the number of bytes if there may be more, 0 if there is no more or the connection is over."""
         asked = _AT_ONCE if self._large is None else len(self._large) - self._filled
         try:
             if self._expects:
@@ -311,7 +311,7 @@ class Stream:
         except ConnectionResetError:
             if self._reset:
                 return self._end("it has ended")
-            # It ended with something unread, and what it said before that is still there. Not every loop calls again.
+            # The other end ended with unread bytes; its earlier messages are still there. Not every loop calls again.
             self._reset = True
             return self._receive()
         except OSError as error:
@@ -347,7 +347,7 @@ class Stream:
         return self._more(count, asked)
 
     def _more(self, count: int, asked: int) -> int:
-        """How many bytes were received, where there may be more."""
+        """The number of bytes received, where there may be more; else 0."""
         if self.closed:
             return 0
         if self._hung_up is not None and not self._reset and self._hung_up.poll(0):
@@ -357,17 +357,17 @@ class Stream:
     def expect_descriptor(self) -> None:
         """Receive one descriptor, which comes with any message from now on.
 
-        Others are never received: where the system is not asked for them, it closes what a peer has sent.
+        Unexpected ones are never received: the system closes a peer's descriptors that it is not asked for.
         """
         self._expects = True
 
     def take_descriptor(self) -> int | None:
-        """The descriptor that has come, which the caller closes; None: none has."""
+        """The descriptor that was received, which the caller closes; None: none was."""
         found, self._descriptor = self._descriptor, -1
         return found if found >= 0 else None
 
     def _receive_descriptor(self) -> tuple[bytes, int]:
-        """What `recv` receives, and a descriptor that comes with it. ValueError: more than one."""
+        """Receive as `recv`, and the descriptor that comes along; data and count. ValueError: more than one."""
         large = self._large
         flags = getattr(socket, "MSG_CMSG_CLOEXEC", 0)
         if large is None:
@@ -391,7 +391,7 @@ class Stream:
         return data, count
 
     def _cut(self, data: bytes, messages: list[Message]) -> None:
-        """The messages in what has come, and what is left of the next one."""
+        """Cut received bytes into messages, and keep the beginning of the next one."""
         view, place, end = memoryview(data), 0, len(data)
         while end - place >= _HEAD.size:
             length, kind, parts, _, number = _HEAD.unpack_from(data, place)
@@ -414,7 +414,7 @@ class Stream:
         self._rest = data[place:]
 
     def close(self) -> None:
-        """End the connection; nothing is called any more. Idempotent."""
+        """End the connection; no callback is called any more. Idempotent."""
         if self.closed:
             return
         self.closed = True
@@ -434,7 +434,7 @@ class Stream:
 
 
 def _after(vectors: Vectors, sent: int) -> Vectors:
-    """The buffers without so many bytes at their beginning."""
+    """The buffers without their first `sent` bytes."""
     place = 0
     while place < len(vectors) and sent >= len(vectors[place]):
         sent -= len(vectors[place])
@@ -470,7 +470,7 @@ def _room(sizes: Sequence[int]) -> int:
 
 
 def _aligned(parts: Sequence[memoryview], pad: int) -> Iterator[memoryview]:
-    """The parts, with what lies before each."""
+    """The parts, each after its padding."""
     for part in parts:
         if pad:
             yield memoryview(bytes(pad))

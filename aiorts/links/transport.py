@@ -1,12 +1,12 @@
-"""What carries links: the seam between a kernel's ends and a transport, which may be a plugin's.
+"""The seam between a kernel's ends of links and the transport that carries them, which may be a plugin's.
 
 A transport finds other kernels, carries questions and answers between them, and opens channels for links. It promises
 nothing about the frames of a channel: they may be lost, doubled and reordered, and the ends of the link put it right.
 Everything here is called on the kernel's loop, and nothing blocks.
 
-A transport finds and greets peers in its own way. From then on the same holds for all, which `BaseTransport` does: a
-callback hears of each peer once when it comes and once when it goes; a peer that goes takes its channels and open
-questions with it.
+A transport finds and greets peers in its own way. From then on all transports do as `BaseTransport` does: a callback
+hears of each peer once when it comes and once when it goes; a peer that goes takes its channels and open questions
+with it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """Another kernel that can be reached; one that was started anew is another peer."""
+    """Another kernel that can be reached; after a restart it is another peer."""
 
     host: str
     kernel: str
@@ -38,12 +38,12 @@ class Peer:
 
 
 def checked_peer(host: str, kernel: str, epoch: int) -> Peer:
-    """The kernel of these names, which another one has said. LinkError: they are no names."""
+    """The peer of these names, which it has given itself. LinkError: they are no names."""
     try:
         check_name(kernel, "kernel")
     except InvalidNameError as error:
         raise LinkError(str(error)) from None
-    if len(host) > MAX_HOST_LENGTH or "/" in host:  # what a machine calls itself may have other characters than a path
+    if len(host) > MAX_HOST_LENGTH or "/" in host:  # a machine's own name may have characters that a path may not
         raise LinkError(f"host name {host[:60]!r}: is none")
     return Peer(host, kernel, epoch)
 
@@ -53,11 +53,11 @@ EVERYTHING: Final = Allowed()
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Who asks."""
+    """The sender of a question."""
 
     peer: Peer | None
     identity: str
-    """As the transport knows it, such as a user or a certificate: never what the caller says of itself."""
+    """The caller as the transport knows it, such as a user or a certificate: never as it calls itself."""
     allowed: Allowed = EVERYTHING
     """Rights of the kernels that this transport reaches, to ports of this one."""
 
@@ -67,7 +67,7 @@ class Caller:
         return "/" if self.peer is None else f"{self.peer.host}/{self.peer.kernel}"
 
     def check(self, right: str, port: str) -> None:
-        """WiringError: who asks has not this right to a port, `component.port`."""
+        """WiringError: the caller has not this right to a port, `component.port`."""
         if refused := self.allowed.refusal("" if self.peer is None else self.peer.kernel, right, port):
             raise WiringError(refused)
 
@@ -76,11 +76,11 @@ class Channel(Protocol):
     """A way for the frames of one link, at one of its ends."""
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
-        """Send one frame, with buffers that travel beside it; False: not taken, again after `on_room`."""
+        """Send one frame, with buffers that travel with it; False: not taken, to be sent again after `on_room`."""
         ...
 
     def close(self) -> None:
-        """Give it up; nothing is called any more."""
+        """Close the channel; no event is called any more."""
         ...
 
 
@@ -88,25 +88,25 @@ class ChannelEvents(Protocol):
     """The end of a link, as a transport calls it."""
 
     def on_frames(self, frames: Sequence[tuple[Buffer, tuple[Buffer, ...]]]) -> None:
-        """Frames have come; as many as the transport gives at once."""
+        """Take frames that have come, as many as the transport gives at once."""
         ...
 
     def on_room(self) -> None:
-        """`send` takes frames again."""
+        """Handle room: `send` takes frames again."""
         ...
 
     def on_state(self, up: bool, why: str) -> None:
-        """The channel is up, or it is down for good, for this reason."""
+        """Handle the state of the channel: it is up, or it is down for good, for this reason."""
         ...
 
     def on_clock(self, ahead_ns: int, within_ns: int) -> None:
-        """The clock of the other end is so far ahead, and that may be off by so much; 0, 0: both have one clock."""
+        """Take the lead of the other end's clock, and its possible error; 0, 0: both ends have one clock."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class LinkOffer:
-    """What both ends of a link must agree on."""
+    """The terms of a link, on which both ends must agree."""
 
     protocol: tuple[int, int]
     link: str
@@ -166,10 +166,10 @@ class LinkOffer:
 
 
 class KernelFace(Protocol):
-    """What a transport sees of the kernel."""
+    """The kernel as a transport sees it."""
 
     name: str
-    """By which others reach it."""
+    """The name by which other kernels reach this one."""
     epoch: int
     host: str
     """The name of this machine, as other hosts know it."""
@@ -211,7 +211,7 @@ async def answer_of(
     caller: Caller,
     kernel: KernelFace,
 ) -> bytes:
-    """What a handler answers to a question, for transports: whatever it fails with becomes a LinkError.
+    """The answer of a handler to a question, for transports: any failure of it becomes a LinkError.
 
     Raises:
         LinkError: there is no such handler, it refuses, or it failed, which is reported.
@@ -222,13 +222,13 @@ async def answer_of(
         return await handler(body, caller)
     except AiortsError as error:
         raise LinkError(str(error)) from None
-    except Exception as error:  # noqa: BLE001 - a fault of this end: who asks hears of it now, not by its time-out
+    except Exception as error:  # noqa: BLE001 - a fault of this end: the caller hears of it now, not by its time-out
         kernel.report(f"cannot answer the question {what!r:.60}: {format_error(error)}")
         raise LinkError(f"failed to answer: {type(error).__name__}") from None
 
 
 _LONGEST: Final = 2_000
-"""Bytes of a refusal."""
+"""The most bytes of a refusal."""
 _NUMBERS: Final = 0xFFFFFFFF
 _LOOKS: Final = 2
 """Turns of the loop after which an answer that lay in the socket is handled."""
@@ -256,13 +256,13 @@ class BaseChannel:
             self.events.on_room()
 
     def lost(self, why: str) -> None:
-        """Close it, and tell the end of the link why, unless it was closed."""
+        """Close the channel, and tell the end of the link why, unless it was closed."""
         if self.is_open:
             self.close()
             self.events.on_state(False, why)
 
     def close(self) -> None:
-        """Give it up; nothing is called any more. Idempotent."""
+        """Close the channel; no event is called any more. Idempotent."""
         if self.is_open:
             self.is_open = False
             self._closed()
@@ -272,14 +272,14 @@ C = TypeVar("C", bound=BaseChannel)
 
 
 class BaseTransport(Generic[C]):
-    """The peers of one transport, its channels and its questions. A transport derives from it, and finds peers.
+    """The peers of one transport, its channels and its questions. A transport derives from this class and finds peers.
 
-    It calls `begin` when it is opened, `found` and `lost` as peers come and go, `settle` with each answer, and
-    `end_all` when it is closed.
+    The transport calls `begin` when it is opened, `found` and `lost` as peers come and go, `settle` with each answer,
+    and `end_all` when it is closed.
     """
 
     kernel: KernelFace
-    """The kernel that it was opened for."""
+    """The kernel that the transport was opened for."""
     loop: asyncio.AbstractEventLoop
 
     def __init__(self) -> None:
@@ -292,7 +292,7 @@ class BaseTransport(Generic[C]):
         self._last = 0
 
     def begin(self, kernel: KernelFace) -> None:
-        """Be the transport of this kernel, on the loop that runs."""
+        """Become the transport of this kernel, on the running loop."""
         self.kernel, self.loop = kernel, asyncio.get_running_loop()
 
     @property
@@ -329,13 +329,13 @@ class BaseTransport(Generic[C]):
         return lambda: self._tells.remove(tell) if tell in self._tells else None
 
     def found(self, peer: Peer) -> None:
-        """A kernel has said who it is, and can be asked from now on."""
+        """Add a kernel that has greeted: the callbacks hear of it, and it can be asked from now on."""
         self._there[peer] = None
         for tell in tuple(self._tells):
             tell(peer, True)
 
     def lost(self, peer: Peer, why: str) -> None:
-        """A kernel is gone: all callbacks are called, its questions fail, and its channels end, for this reason."""
+        """Remove a kernel that is gone: callbacks hear of it, its questions fail, its channels end, for this reason."""
         if peer not in self._there:
             return
         del self._there[peer]
@@ -355,7 +355,7 @@ class BaseTransport(Generic[C]):
     def far_end(self, offer: LinkOffer) -> tuple[Peer, bool]:
         """The kernel at the other end of an offer, and whether this one has the writer. LinkError: it is gone.
 
-        Of several that were started one after the other with one name it is the last.
+        Of several kernels of one name, started one after the other, it is the last.
         """
         own = self.own
         writes = offer.writer.kernel == own.kernel and offer.writer.host in ("", own.host)
@@ -366,7 +366,7 @@ class BaseTransport(Generic[C]):
         raise LinkError(f"{far.kernel}: is gone")
 
     def keep(self, key: Hashable, channel: C) -> C:
-        """Keep a channel below this key; an older one of the key is closed."""
+        """Keep a channel by this key; an older one of the key is closed."""
         self.drop(key)
         self.channels[key] = channel
         return channel
@@ -377,13 +377,13 @@ class BaseTransport(Generic[C]):
             old.close()
 
     def forget(self, key: Hashable) -> None:
-        """A channel was closed."""
+        """Forget the channel of this key, which was closed."""
         self.channels.pop(key, None)
 
     # -- questions -------------------------------------------------------------------------------------------------
 
     def answer(self, what: str, handler: Handler) -> None:
-        """Answer such questions with `handler` from now on."""
+        """Answer questions of this name with `handler` from now on."""
         self._handlers[what] = handler
 
     async def answer_to(self, what: str, body: bytes, caller: Caller) -> tuple[bool, bytes]:
@@ -412,17 +412,17 @@ class BaseTransport(Generic[C]):
             give(number)
             await asyncio.wait((future,), timeout=within)
             for _ in range(0 if future.done() else _LOOKS):
-                await give_turn()  # where it was this end that stood still, the answer has come, and is not read
+                await give_turn()  # if this end stood still, the answer may have come and not be read yet
             if future.done():
                 return future.result()
             raise LinkTimeout(f"{peer.kernel}: no answer within {within:g} s")
         finally:
             del self._questions[number]
             if not future.cancel():
-                future.exception()  # also where who asked has given up in the turn in which it came
+                future.exception()  # mark as seen, also if the caller gave up in the turn in which it came
 
     def settle(self, peer: Peer, number: int, good: bool, body: bytes) -> None:
-        """The answer, or refusal, of a kernel to a question; a late one is ignored."""
+        """Settle a question with the answer, or refusal, of a kernel; a late one is ignored."""
         whom, future = self._questions.get(number, (None, None))
         if future is None or whom != peer or future.done():
             return
@@ -432,7 +432,7 @@ class BaseTransport(Generic[C]):
             future.set_exception(LinkError(f"{peer.kernel}: {body[:_LONGEST].decode(errors='replace')}"))
 
     def fail(self, peer: Peer, why: str) -> None:
-        """A kernel will not answer what it was asked until now, for this reason."""
+        """Fail the open questions to a kernel, for this reason."""
         for whom, future in tuple(self._questions.values()):
             if whom == peer and not future.done():
                 future.set_exception(LinkError(f"{peer.kernel}: {why}"))

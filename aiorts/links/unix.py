@@ -1,10 +1,10 @@
 """The transport of one host: kernels of one user find each other by their sockets in the run-time folder.
 
-Each kernel listens at a socket of its own. One that opens connects to all that are there, so nobody has to look again.
-Who has connected waits for the greeting as long as the other kernel is there, and connects again when the connection
-ends, until nobody listens there. Who accepts ends a connection that is silent for a second: it may be of anybody.
-A socket that nobody listens at was left by a kernel that is gone: the next that connects to it removes it. Who connects
-must be of the same user, which the system says.
+Each kernel listens at a socket of its own. A kernel that opens connects to all that are there, so no kernel has to look
+again. The connecting end waits for the greeting as long as the other kernel is there, and connects again when the
+connection ends, until no process listens there. The accepting end closes a connection that is silent for a second: any
+process may have made it. A socket without a listener was left by a kernel that is gone: the next that connects to it
+removes it. The connecting process must be of the same user, as the system says.
 """
 
 from __future__ import annotations
@@ -43,33 +43,33 @@ from aiorts.sessions import private_folder
 
 _HELLO, _ASK, _ANSWER, _REFUSAL, _BY_WRITER, _BY_READER, _PROOF, _RING = range(1, 9)
 _IN_RING: Final = 4
-"""What is added to `_BY_WRITER` and `_BY_READER` where parts of the frame are in a ring."""
+"""The number added to `_BY_WRITER` and `_BY_READER` where parts of the frame are in a ring."""
 _RINGED: Final = (_BY_WRITER + _IN_RING, _BY_READER + _IN_RING)
 _SUFFIX: Final = ".link"
 _GREETING_SECONDS: Final = 1.0
-"""How long a connection that was accepted may be silent, and how long `open` waits for the greetings of others."""
+"""Seconds that an accepted connection may be silent, and that `open` waits for the greetings of others."""
 _SILENT: Final = 256
-"""Silent connections that are kept. One more ends the oldest; its kernel connects again."""
+"""The most silent connections. One more ends the oldest; its kernel connects again."""
 _ACCEPT_AGAIN_SECONDS: Final = 0.2
 _CONNECT_AGAIN: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
-"""Seconds until a kernel is connected to again."""
+"""Seconds until the next attempt to connect to a kernel."""
 _NO_ROOM: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
-"""This process or the system has no descriptors or memory left."""
+"""Errors that say that this process or the system has no descriptors or memory left."""
 _FOR_NOW: Final = (errno.EAGAIN, errno.EINTR, *_NO_ROOM)
-"""Why a kernel that is there cannot be connected to now: also since its queue is full, as while it stands still."""
+"""Errors of connecting to a kernel that is there, now; also since its queue is full, as while it stands still."""
 _MET: Final = 1_024
-"""Channels of one connection that are remembered."""
+"""The most channels of one connection that are remembered."""
 _ASKED: Final = 1_000
-"""Questions of one peer that are being answered at the same time, at the most."""
+"""The most questions of one peer that are being answered at the same time."""
 _OF_ONE_PROGRAM: Final = 64 << 20
-"""Bytes of a question between kernels of one program: the state of a component that moves is one."""
+"""The most bytes of a question between kernels of one program, such as the state of a component that moves."""
 
 
 class UnixTransport(BaseTransport["_UnixChannel"]):
     """Carries links between kernels of one user on one host. See `Transport`.
 
-    Large arrays go through memory that both kernels share. Where they are of one program readers look into it, although
-    the writer's kernel could still write there; else what comes is copied.
+    Large arrays go through memory that both kernels share. Readers of the same program look into it, although the
+    writer's kernel could still write there; for other readers the arrays are copied.
 
     Args:
         listens: whether other kernels find this one by the run-time folder; else it has the connections that it is
@@ -83,14 +83,14 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
         super().__init__()
         self._listens = listens
         self.largest = LARGEST if listens else _OF_ONE_PROGRAM
-        """Bytes of a question, at the most."""
+        """The most bytes of a question."""
         self._connections: set[_Connection] = set()
         self._ways: dict[Peer, list[_Connection]] = {}
         """Connections with each peer: one, or two where both have opened at the same time. The first one is used."""
         self._silent: dict[_Connection, asyncio.TimerHandle] = {}
-        """Connections that were accepted and have not said whose they are, the oldest first; what ends each."""
+        """Accepted connections that have not greeted, the oldest first, and the timer that ends each."""
         self._due: dict[Path, asyncio.TimerHandle] = {}
-        """Sockets that are connected to again, and when."""
+        """Sockets that are connected to again, and the timer of each."""
         self._listener: socket.socket | None = None
         self._path = Path()
         self.greeting = b""
@@ -110,7 +110,7 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
         try:
             folder, name = private_folder(), _hashed(kernel.name)
             if any(map(_is_served, folder.glob(f"{name}-*{_SUFFIX}"))):
-                raise taken  # before this one is seen: it may be tried again and again
+                raise taken  # before this kernel is seen: it may be tried again and again
             self._listen(folder / f"{name}-{kernel.epoch:016x}{_SUFFIX}")
             # Only now: of two that open at the same time, one at least finds the other.
             others = [path for path in sorted(folder.glob(f"*{_SUFFIX}")) if path != self._path]
@@ -121,7 +121,7 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
         except LinkError:
             raise
         except (AiortsError, OSError) as error:
-            await self.close()  # it may listen already, and is opened again
+            await self.close()  # the transport may listen already, and is opened again
             raise LinkError(f"other kernels of this host cannot be reached: {error}") from None
         found = [connection for path in others if (connection := self._connect(path)) is not None]
         if found:
@@ -134,7 +134,7 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
             listener.setblocking(False)
             listener.bind(str(new))
             listener.listen(128)
-            new.rename(path)  # who finds a socket that does not listen yet takes it for what a killed kernel has left
+            new.rename(path)  # a socket that does not listen yet looks like one that a killed kernel has left
         except BaseException:
             listener.close()
             new.unlink(missing_ok=True)
@@ -174,7 +174,7 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
             sock, _ = self._listener.accept()
         except OSError as error:
             if error.errno in _NO_ROOM:
-                # Who calls stays in the queue, and the loop would be called for it without end.
+                # The connection stays in the queue, and the loop would call this method without end.
                 self.loop.remove_reader(self._listener.fileno())
                 self.loop.call_later(_ACCEPT_AGAIN_SECONDS, self._accept_again)
             return
@@ -187,7 +187,7 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
         self._silent[connection] = self.loop.call_later(_GREETING_SECONDS, connection.close)
 
     def _is_heard(self, connection: _Connection) -> None:
-        """A connection is silent no more, or is over."""
+        """Stop the timer of a connection that has greeted, or is over."""
         if (timer := self._silent.pop(connection, None)) is not None:
             timer.cancel()
 
@@ -196,13 +196,13 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
             self.loop.add_reader(self._listener.fileno(), self._accept)
 
     def take(self, sock: socket.socket) -> _Connection:
-        """Use a connected socket, at whose other end is another kernel; its end is the end of that kernel."""
+        """Use a socket that is connected to another kernel; when it ends, that kernel is gone."""
         connection = _Connection(self, sock)
         self._connections.add(connection)
         return connection
 
     async def close(self) -> None:
-        """Give up everything."""
+        """Stop listening, and end all connections."""
         if self._listener is not None:
             self.loop.remove_reader(self._listener.fileno())
             self._listener.close()
@@ -219,7 +219,7 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
     # -- other kernels ---------------------------------------------------------------------------------------------
 
     def greeted(self, connection: _Connection, peer: Peer) -> None:
-        """A connection has said whose it is."""
+        """Add a connection on which its peer has greeted."""
         self._is_heard(connection)
         ways = self._ways.setdefault(peer, [])
         ways.append(connection)
@@ -227,7 +227,7 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
             self.found(peer)
 
     def ended(self, connection: _Connection, why: str) -> None:
-        """A connection is over. Of two with one kernel the other one has its channels from now on."""
+        """Remove a connection that is over. A second one with the same kernel takes over its channels."""
         self._connections.discard(connection)
         self._is_heard(connection)
         peer = connection.peer
@@ -258,13 +258,13 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
         return self.keep(key, _UnixChannel(self._ways[peer][0], mine, offer.number, events, partial(self.forget, key)))
 
     def arrived(self, peer: Peer, frames: dict[tuple[int, int], list[tuple[Buffer, tuple[Buffer, ...]]]]) -> None:
-        """Frames of channels have come from a peer."""
+        """Give frames from a peer to their channels."""
         for (kind, number), those in frames.items():
             if (channel := self.channels.get((peer, kind, number))) is not None:
                 channel.events.on_frames(those)
 
     def drained(self, connection: _Connection) -> None:
-        """A connection takes frames again."""
+        """Tell the channels of a connection that it takes frames again."""
         for channel in tuple(self.channels.values()):
             if channel.connection is connection:
                 channel.on_room()
@@ -312,9 +312,9 @@ class _Connection:
         self._transport = transport
         self.peer: Peer | None = None
         self.lost: Callable[[], object] = _nothing
-        """Called when the other end has ended it."""
+        """Called when the other end has ended the connection."""
         self.greeted: asyncio.Future[None] = transport.loop.create_future()
-        """Done when it has said whose it is, or is over."""
+        """Done when the other end has greeted, or the connection is over."""
         self._answering = 0
         """Questions of the other end whose answer was not sent yet."""
         self._unsent: deque[tuple[int, int, bytes]] = deque()
@@ -322,16 +322,16 @@ class _Connection:
         self._process, user = _owner_of(sock)
         self._identity = f"user {user}"
         self.rings: Rings | None = None
-        """From the other end's greeting on, where this system has such memory."""
+        """The shared memory, from the other end's greeting on, where this system has it."""
         self._greeting = b""
-        """What the other end said first, byte for byte."""
+        """The first message of the other end, byte for byte."""
         self._met: dict[tuple[int, int], _UnixChannel] = {}
-        """Channels that frames came for, by kind and number: to look for one by its peer takes 1 us."""
+        """Channels that frames came for, by kind and number: the look-up by peer takes 1 us."""
         self.stream = Stream(transport.loop, sock, self._arrived, self._drained, self._over, self._arrived_alone)
         self.stream.control(_HELLO, 0, transport.greeting)
 
     def close(self) -> None:
-        """End it."""
+        """End the connection."""
         self.lost = _nothing
         self.stream.close()
         self._over("this kernel ends")
@@ -373,7 +373,7 @@ class _Connection:
             if channel is None:
                 return False
             if len(self._met) >= _MET:
-                self._met.clear()  # of channels that were closed
+                self._met.clear()  # mostly channels that were closed
             self._met[kind, number] = channel
         channel.events.on_frames(((body, ()),))
         return True
@@ -392,7 +392,7 @@ class _Connection:
                 self._control(kind, number, bytes(body))
             except LinkError as error:
                 if self.stream.closed:
-                    return None  # what came before it has ended the connection, and the ring with it
+                    return None  # an earlier message has ended the connection, and the ring with it
                 self._transport.kernel.report(f"ended the connection with {self.peer or 'a process'}: {error}")
                 return self.close()
         if frames and self.peer is not None:
@@ -429,9 +429,9 @@ class _Connection:
     # -- rings -------------------------------------------------------------------------------------------------------
 
     def _prove(self, greeting: bytes) -> None:
-        """Show the other end, whose greeting this is, that this kernel is of the same program if that one is.
+        """Send the other end, whose greeting this is, the proof of a common program, if there is one; make rings.
 
-        Not in our greeting: kernels of other versions take one with these fields alone, and leave out this message.
+        The proof is not in our greeting: kernels of other versions take only its present fields, and skip this message.
         """
         self._greeting = greeting
         transport, stream = self._transport, self.stream
@@ -482,20 +482,20 @@ class _Connection:
         if not self._unsent and self.stream.control(kind, number, body):
             self._answering -= 1
         else:
-            self._unsent.append((kind, number, body))  # in its turn, as long as the other end is there
+            self._unsent.append((kind, number, body))  # sent in its turn, as long as the other end is there
 
 
 def _nothing() -> None:
-    """No connection is made again."""
+    """Do nothing: no connection is made again."""
 
 
 def _peer_of(greeting: bytes) -> Peer:
-    """Who a greeting is of. LinkError: it is none, or its names are none."""
+    """The peer of a greeting. LinkError: it is no greeting, or its names are no names."""
     return checked_peer(*fields(greeting, (str, str, int)))
 
 
 def _made_ns(path: Path) -> int:
-    """When a socket came into its place; in the far future where it has gone."""
+    """The time when a socket came into its place; in the far future where it has gone."""
     try:
         return path.stat().st_ctime_ns
     except OSError:
@@ -514,8 +514,8 @@ def _is_served(path: Path) -> bool:
 
 
 def _owner_of(sock: socket.socket) -> tuple[int, int]:
-    """The process at the other end, and its user; 0 and ours where the system does not say: the folder lets nobody
-    else in."""
+    """The process at the other end, and its user. Where the system does not say: 0 and our user, since the folder
+    admits no other."""
     option: Any = getattr(socket, "SO_PEERCRED", None)
     if option is None:
         return 0, os.geteuid()

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from aiorts.model.profile import ConnectorProfile
 
 _WINDOW: Final = 256
-"""Samples that may be unacknowledged."""
+"""The most samples that may be unacknowledged."""
 _WINDOW_BYTES: Final = 8 << 20
 _NEWEST: Final = 2
 """The window where only the newest sample counts: one on its way and one behind it."""
@@ -52,16 +52,16 @@ cores that others used, too): there and back 1.04x / 0.94x, samples 15 us apart 
 _ACKNOWLEDGED: Final = "acknowledged"
 _UNKNOWN: Final = "unknown_fate"
 _OWN_FATES: Final = (_UNKNOWN, "disconnected")
-"""Why samples are dropped that the reader's end has not answered for."""
+"""The reasons of drops for samples that the reader's end has not answered for."""
 
 
 class WriterLink(LinkSide[WriterEnd]):
-    """Sends what is written to one connector into another kernel.
+    """Sends the samples that are written to one connector into another kernel.
 
     Args:
-        encode: makes the bytes of a sample, with what travels beside them.
-        encode_all: makes the bytes of several samples at once, beside which nothing travels; none of them where it does
-            not take one. None: there is no such way.
+        encode: makes the bytes of a sample, and the parts that travel with them.
+        encode_all: makes the bytes of several samples without parts at once; none if it does not take one of them.
+            None: there is no such encoder.
     """
 
     def __init__(
@@ -80,23 +80,23 @@ class WriterLink(LinkSide[WriterEnd]):
         self._encode, self._encode_all = encode, encode_all
         self._turn_due = self._taking = False
         self._sent_ns = 0
-        """When a write has sent its sample last."""
+        """The time when a write last sent its sample."""
         self._ages = profile.lifespan is not None
         self._drains_full = profile.push is not Push.NEW
         self._goes_alone = not self._ages and not isinstance(self._transport(), Confirmed | Pulled)
         self._acknowledged = 0
         self._dropped: dict[str, int] = {}
         self.refused: Mapping[str, int] = {}
-        """Samples that the reader's end there is now did not take, by reason."""
+        """Samples that the present reader's end did not take, by reason."""
         self.acknowledged_before = 0
-        """Samples that the reader's ends before this one have acknowledged."""
+        """Samples that former reader's ends have acknowledged."""
         self._overwritten = 0
-        """Samples that the buffer of this reader's end has overwritten, as `lost` had them last."""
+        """Samples that the buffer of this reader's end has overwritten, at the last look at `lost`."""
         self._confirmations: deque[Confirmation] = deque()
         self._confirmed_at = 0
-        """How much was written when a sample was taken last whose writer waits for its acknowledgement."""
+        """The number of samples written when the last one was taken whose writer waits for its acknowledgement."""
         self._limit_ns = None if profile.timeout is None else to_ns(profile.timeout)
-        """How long a write waits for the acknowledgement of its sample."""
+        """The longest wait of a write for the acknowledgement of its sample."""
         self._limit = Wakening(kernel, self._expire)
         """The timer of all these writes."""
         self._unsendable = False
@@ -127,16 +127,16 @@ class WriterLink(LinkSide[WriterEnd]):
         return self.end.round_trip_ns
 
     def pump(self) -> None:
-        """Take from the connector what the window has room for, and send."""
+        """Take the samples from the connector that the window has room for, and send them."""
         now = self._now()
         if self._drain(now):
             self._poll(now)
 
     def _drain(self, now: int) -> bool:
-        """Take what the window has room for; False where nothing can be taken now."""
+        """Take the samples that the window has room for; False where none can be taken now."""
         if self._ended or self._taking or self._channel is None:
             return False
-        # What is read makes room for a writer that waits, whose sample notifies: it is taken in its turn.
+        # A read makes room for a writer that waits, whose sample notifies: that sample is taken in its turn.
         self._taking = True
         try:
             self._take(now)
@@ -157,20 +157,20 @@ class WriterLink(LinkSide[WriterEnd]):
         if self._drains_full:
             transport = transport_of(self.connector)
             if transport.blocks and not isinstance(transport, Confirmed):
-                return False  # until the turn: `make_room` is asked by who finds the buffer full before
+                return False  # until the turn: a write that finds the buffer full before calls `make_room`
             if len(transport.queue) >= transport.length:
                 self._drain(self._now())  # else the next sample would find it full, with room in the window
         return True
 
     def make_room(self) -> None:
-        """Take from the connector what the window has room for; it is sent in the turn of the loop that is due."""
+        """Take the samples that the window has room for; they are sent in the turn of the loop that is due."""
         if self._turn_due:
             self._drain(self._now())
         else:
             self.pump()
 
     def _send(self, now: int) -> None:
-        """`_drain` and `_poll`; of the only sample that waits, as most are, written out."""
+        """`_drain` and `_poll`; written out for the only sample that waits, as most are."""
         channel, end = self._channel, self.end
         if channel is not None and self._goes_alone and not self._taking and end.takes_alone:
             port = self.connector.in_
@@ -186,7 +186,7 @@ class WriterLink(LinkSide[WriterEnd]):
                 due = end.send_alone(now, head, not self._drains_full, channel.send)
                 if due < self._wakening.due_ns:
                     self._wakening.at(due)
-                if not port.is_new:  # else a thread has written meanwhile, which notifies nobody
+                if not port.is_new:  # else a thread has written meanwhile, without notification
                     return None
         if self._drain(now):
             self._poll(now)
@@ -201,7 +201,7 @@ class WriterLink(LinkSide[WriterEnd]):
         try:
             head, parts = self._encode(sample)
         except AiortsError:
-            return None  # in its turn it is taken, and that is reported
+            return None  # the sample is taken in its turn, and its error reported
         now = self._now()
         transport.taken(sample)
         self._confirmed_at = transport.missed
@@ -218,7 +218,7 @@ class WriterLink(LinkSide[WriterEnd]):
         return entry
 
     def _expire(self) -> None:
-        """Let those wait no more whose time is over."""
+        """End the waits of writes whose time is over."""
         now = self._now()
         for entry in [each for each in self._confirmations if each.until_ns]:
             if entry.future is None or entry.future.done():
@@ -291,7 +291,7 @@ class WriterLink(LinkSide[WriterEnd]):
         return found
 
     def offer(self, writer: Path, reader: Path) -> LinkOffer:
-        """What the reader's kernel is offered."""
+        """The offer to the reader's kernel."""
         out = self.connector.out
         schema, text = layout_of(out.type)
         return LinkOffer(
@@ -351,7 +351,7 @@ class WriterLink(LinkSide[WriterEnd]):
         return self.end.ledger.in_flight > 0 or bool(transport.queue) or bool(transport.waiting)
 
     def idle(self) -> asyncio.Future[None] | None:
-        """Done when nothing is on its way any more, or the channel is gone; None: that is so now."""
+        """A future, done when no sample is on its way any more or the channel is gone; None: that is so now."""
         if self._channel is None or not self.busy:
             return None
         self._idle = self._kernel.loop.create_future()
@@ -389,14 +389,14 @@ class WriterLink(LinkSide[WriterEnd]):
         self.pump()
 
     def on_clock(self, ahead_ns: int, within_ns: int) -> None:
-        """Stamps are those of this kernel's clock."""
+        """Ignore the other end's clock: stamps are those of this kernel's clock."""
 
     def _down(self, why: str) -> None:
         super()._down(why)
         self._look_idle()
 
     def close(self, *, for_good: bool) -> None:
-        """The connector has ended; `for_good`: say so to the reader's end. Whoever waits goes on. Idempotent."""
+        """Close the side of an ended connector; `for_good`: tell the reader's end. Waiting writes go on. Idempotent."""
         if self._ended:
             return
         self._ended = True
@@ -418,7 +418,7 @@ class WriterLink(LinkSide[WriterEnd]):
             self._poll(now)
 
     def _settle(self) -> None:
-        """Count what became of samples, and let those go on who wait for it."""
+        """Count the fates of samples, and let the writes that wait for them go on."""
         for first, last, fate in self.end.fates():
             if fate == _ACKNOWLEDGED:
                 self._acknowledged += last - first + 1
