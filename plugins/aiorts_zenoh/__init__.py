@@ -1,11 +1,11 @@
-"""Kernels of other hosts over Zenoh: links between machines, who is there, commands for other machines, and security.
+"""Kernels of other hosts over Zenoh: links between machines, presence, commands for other machines, and security.
 
-`engine` is all that knows the engine, and `network` is the service `zenoh`, which switches the rest on:
+`engine` alone knows the engine, and `network` is the service `zenoh`, which switches all else on:
 
-- links: `transport`, with `envelope` (what a message looks like), `sending` (how much may be under way) and `clocks`;
-- who is there: `presence`, with `names` (who owns a name), `gate` and `limits` (who is cut off) and `neighbours`;
+- links: `transport`, with `envelope` (the layout of messages), `sending` (how much may be under way) and `clocks`;
+- presence: `presence`, with `names` (the owner of a name), `gate` and `limits` (cutting off) and `neighbours`;
 - commands: `serving` is a kernel's end of a session, `gateway` that of `aiorts at`; `carried` and `stream` carry it;
-- `keys` says what lies where, and `security` who may send what. SPEC.md has all of it for other programs.
+- `keys` has the keys of messages and tokens, `security` the rules of who sends what. SPEC.md tells other programs.
 """
 
 from __future__ import annotations

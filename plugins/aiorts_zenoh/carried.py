@@ -14,9 +14,9 @@ from aiorts_zenoh.envelope import Message
 from aiorts_zenoh.stream import CHUNK, Stream
 
 _LOOK_AGAIN: Final = 0.3
-"""Seconds until it is asked once more how far the other end has come."""
+"""Seconds until the other end is asked again how far it has come."""
 _REST: Final = 2.0
-"""Seconds that the other end has, once this one sends nothing more, to take what is under way."""
+"""Seconds for the other end to take what is under way, once this end sends nothing more."""
 
 
 class Carried:
@@ -24,26 +24,26 @@ class Carried:
 
     Args:
         put: gives a message to the engine.
-        number: of the session.
+        number: the number of the session.
     """
 
     def __init__(self, put: Callable[[bytes], None], number: int) -> None:
         self._stream = Stream(put, number, time.time_ns)
         self._came: deque[bytes] = deque()
         self._news = asyncio.Event()
-        """Something has come."""
+        """Set when a message has come."""
         self._peer_gone = asyncio.Event()
         self._writer: asyncio.StreamWriter | None = None
         self._is_over = False
 
     def arrived(self, message: Message) -> None:
-        """A message of the other end has come."""
+        """Take a message of the other end."""
         if data := self._stream.arrived(message):
             self._came.append(data)
         self._news.set()
 
     def peer_gone(self) -> None:
-        """The other end is gone: what has come from it goes to the local connection, which then ends."""
+        """Note that the other end is gone: the bytes that have come go to the local connection, which then ends."""
         self._peer_gone.set()
 
     def cut_off(self) -> None:
@@ -54,7 +54,7 @@ class Carried:
                 self._writer.get_extra_info("socket").shutdown(socket.SHUT_RDWR)
 
     async def refuse(self, data: bytes) -> None:
-        """Send these bytes, which say why there is no session, and end it."""
+        """Send these bytes, which say why there is no session, and end the session."""
         self._stream.send(data)
         looking = asyncio.ensure_future(self._look())
         try:
@@ -63,13 +63,13 @@ class Carried:
             looking.cancel()
 
     async def run(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, begun: bytes = b"") -> None:
-        """Carry what comes from either side to the other, until one of them ends.
+        """Carry the bytes of either side to the other, until one of them ends.
 
         Args:
-            begun: what was read from the local connection before.
+            begun: the bytes that were read from the local connection before.
         """
         self._writer = writer
-        if self._is_over:  # before there was a connection
+        if self._is_over:  # cut off before there was a connection
             self.cut_off()
         ways = self._out(reader, begun), self._in(writer), self._look(), self._peer_gone.wait()
         tasks: list[asyncio.Future[Any]] = [asyncio.ensure_future(one) for one in ways]

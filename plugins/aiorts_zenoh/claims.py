@@ -1,4 +1,4 @@
-"""The claims of names that are known, in order, and who was told of which. It has no engine and no clock.
+"""The known claims of names, in order, and the kernels that were told of each. It has no engine and no clock.
 
 The work for a claim that comes or goes does not grow with the claims that are there, but for moving a list in memory.
 """
@@ -16,7 +16,7 @@ from aiorts_zenoh.names import Claim, Rank, first_seen, gives_way
 LOOKED_AT: Final = 8
 """The most rivals of one claim that are compared with it."""
 TOLD: Final = 4_000
-"""Kernels of which it is kept that they were told of another; beyond it those of longest ago are forgotten."""
+"""The most kernels that are remembered as told of a claim; beyond it the oldest are forgotten."""
 
 
 class _Scope:
@@ -24,7 +24,7 @@ class _Scope:
 
     def __init__(self) -> None:
         self.tokens: dict[Claim, set[bool]] = {}
-        """The tokens of each claim that are there: whether each is that of the owner."""
+        """The tokens that are there of each claim: for each, whether it is the owner's."""
         self.order: list[Rank] = []
         self.of_kernel: dict[str, list[Rank]] = {}
         self.machines: Counter[int] = Counter()
@@ -62,7 +62,7 @@ class Claims:
         self._scopes: dict[str, _Scope] = {}
 
     def scope_of(self, claim: Claim) -> str:
-        """Within which a claim may have rivals."""
+        """The scope within which a claim may have rivals."""
         return f"{claim.host}/{claim.kernel}" if self._bound else claim.host
 
     @property
@@ -78,11 +78,11 @@ class Claims:
         return owned in self._tokens(claim).get(claim, ())
 
     def meets(self, one: Claim, two: Claim) -> bool:
-        """Whether both cannot be seen."""
+        """Whether only one of both can be seen."""
         return self.scope_of(one) == self.scope_of(two) and one.meets(two)
 
     def put(self, claim: Claim, *, owned: bool, up: bool) -> None:
-        """A token of a claim is there, or is there no more."""
+        """Take a token of a claim as there (`up`) or as gone."""
         name = self.scope_of(claim)
         scope = self._scopes.get(name)
         if scope is None:
@@ -99,20 +99,20 @@ class Claims:
             del self._scopes[name]
 
     def remove(self, claim: Claim) -> None:
-        """A claim is there no more, whatever its tokens say."""
+        """Remove a claim, whatever its tokens say."""
         for owned in (True, False):
             self.put(claim, owned=owned, up=False)
 
     def count(self, scope: str) -> int:
-        """How many there are."""
+        """The number of claims in a scope."""
         return len(self._scopes[scope].tokens) if scope in self._scopes else 0
 
     def is_shared(self, scope: str) -> bool:
-        """Whether several machines claim it."""
+        """Whether several machines have claims in a scope."""
         return scope in self._scopes and len(self._scopes[scope].machines) > 1
 
     def first(self, scope: str, kernel: str) -> Claim | None:
-        """The claim of a kernel's name that is seen, where no other machine claims any of the scope."""
+        """The claim of a kernel's name that is seen, in a scope that is not shared."""
         order = self._scopes[scope].of_kernel.get(kernel) if scope in self._scopes else None
         return order[0][1] if order else None
 
@@ -121,7 +121,7 @@ class Claims:
         return first_seen(self._scopes[scope].order) if scope in self._scopes else {}
 
     def kernels(self, scope: str) -> tuple[str, ...]:
-        """The kernels' names that are claimed."""
+        """The kernels' names that are claimed in a scope."""
         return tuple(self._scopes[scope].of_kernel) if scope in self._scopes else ()
 
     def of_kernel(self, kernel: str) -> list[Claim]:
@@ -144,7 +144,7 @@ class Claims:
                 yield other
 
     def gives_way(self, one: Claim, two: Claim) -> bool:
-        """Whether the first has to give way where both are there."""
+        """Whether the first claim has to give way to the second."""
         return gives_way(one, two, owned=self.has(one, owned=True), other_owned=self.has(two, owned=True))
 
     def _tokens(self, claim: Claim) -> dict[Claim, set[bool]]:
@@ -157,9 +157,9 @@ class Told:
 
     def __init__(self) -> None:
         self._of: OrderedDict[Claim, tuple[Claim, str]] = OrderedDict()
-        """By who was told: the claim, and its token."""
+        """The claim and its token, by the kernel that was told of it."""
         self._by: dict[Claim, dict[Claim, None]] = {}
-        """By the claim: those that were told of it."""
+        """The kernels that were told of a claim, by the claim."""
 
     def __contains__(self, who: Claim) -> bool:
         return who in self._of
@@ -168,7 +168,7 @@ class Told:
         return len(self._of)
 
     def note(self, who: Claim, of: Claim, token: str) -> None:
-        """A kernel was told of this token of a claim."""
+        """Note that a kernel was told of this token of a claim."""
         self._forget(who)
         self._of[who] = of, token
         self._by.setdefault(of, {})[who] = None

@@ -1,7 +1,7 @@
-"""How much the clock of another machine is ahead of this one's. It asks no clock; stamps are never changed by it.
+"""The lead of another machine's clock over this one's. It asks no clock, and never changes stamps.
 
-A question has the time of this clock when it was asked and when it was answered, and its answer the other's time in
-between: so the offset is that at the middle, and it is off by half of the round trip at the most.
+A question has the time of this clock when it was asked and when it was answered, and its answer the other clock's time
+in between. So the offset is that at the middle, and its error is at most half of the round trip.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from collections import deque
 from typing import Final, NamedTuple
 
 LAST: Final = 32
-"""Round trips that are kept."""
+"""The most round trips that are kept."""
 DRIFT: Final = 100e-6
-"""How much faster or slower one clock may be than the other."""
+"""The most by which one clock is faster or slower than the other, as a part of the time."""
 
 
 class Offset(NamedTuple):
-    """What the other clock shows more than this one, at a time of this one."""
+    """The lead of the other clock over this one, at a time of this one."""
 
     ahead_ns: int
     within_ns: int
-    """How far `ahead_ns` may be off."""
+    """The possible error of `ahead_ns`."""
 
 
 class _Trip(NamedTuple):
@@ -39,7 +39,7 @@ class ClockOffset:
         self._trips: deque[_Trip] = deque(maxlen=LAST)
 
     def add(self, asked_ns: int, theirs_ns: int, answered_ns: int) -> None:
-        """A round trip; what was known before is forgotten where it cannot be true any more: a clock was set."""
+        """Add a round trip. The former ones are forgotten if they cannot be true any more: a clock was set."""
         half = (answered_ns - asked_ns + 1) // 2
         if half < 0:
             return  # this clock was set in between
@@ -53,5 +53,5 @@ class ClockOffset:
         self._trips.append(trip)
 
     def at(self, now_ns: int) -> Offset | None:
-        """What is known now; None: nothing was asked yet."""
+        """The offset by the best round trip at this time; None: there is none yet."""
         return min((trip.at(now_ns) for trip in self._trips), key=lambda offset: offset.within_ns, default=None)

@@ -1,7 +1,7 @@
 """The engine: one Zenoh session, its callbacks handed over to the loop. Nothing else here imports `zenoh`.
 
 The engine calls callbacks in threads of its own. A callback copies what came, puts it into a bounded queue and wakes
-the loop, unless it was woken already. It never calls the engine, which can block for ever there (zenoh #1092, #2744).
+the loop, unless it was woken already. It never calls the engine, which may never return there (zenoh #1092, #2744).
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ LOWEST, HIGHEST = (1, 9), (1, 11)
 """Versions of the engine: from the first of these on, and before the second."""
 _ITEMS: Final = 100_000
 _BYTES: Final = 64 << 20
-"""What waits for the loop at the most: so many items, and so many bytes in those that are not short."""
+"""The most that waits for the loop: so many items, and so many bytes in items that are not short."""
 _SHORT: Final = 512
-"""Bytes of a message up to which the bound of the items is enough."""
+"""The most bytes of a short message, for which the bound of the items is enough."""
 _PLACE: Final = re.compile(r" at /\S+\.rs:\d+\.?")
-"""Where an error of the engine was made in its own sources."""
+"""The place in the engine's own sources that its error names."""
 _ATTEMPT: Final = 1_000
 """Milliseconds of one attempt of a client to connect; nothing can end it sooner."""
 _UNREACHED: Final = "Unable to connect"
 _EMPTY: Final = 0.3
-"""Seconds until it is believed that nothing is there."""
+"""Seconds without a token until the engine is believed that there is none."""
 _AGAIN: Final = 0.05
 _LEAVES: Final = 4.0
-"""Seconds at the most that the interpreter's end waits for what is inside the engine."""
+"""The most seconds that the interpreter's end waits for threads inside the engine."""
 _AT_ONCE: Final = 256
 """Items that are handled before the loop has its turn."""
 _MANY: Final = 16
-"""After so many at once the loop is not woken for the next: it looks again after a pause."""
+"""Items at once after which the loop is not woken for the next: it looks again after a pause."""
 _PAUSE: Final = 0.001
 _LONG_PAUSE: Final = 0.004
 """Seconds: the first pause and the longest; each is twice the one before, as long as as many have come again.
@@ -54,23 +54,23 @@ A loop that is woken at each message of a flood fights for the interpreter with 
 
 
 class Inbox:
-    """What callbacks have brought and the loop has not handled yet; what is too much for it is dropped and counted."""
+    """Items that callbacks have brought and the loop has not handled yet; an item too many is dropped and counted."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
         self._items: deque[tuple[Callable[..., None], tuple[Any, ...], int]] = deque()
         self._lock = threading.Lock()
         self._came = self._left = 0
-        """Bytes of what was ever put in and taken out, without short messages; each is changed by one side alone."""
+        """Bytes ever put in and taken out, without those of short messages; each count is changed by one side alone."""
         self._due = False
         """Whether the loop looks again by itself."""
         self._closed = False
         self._pause = 0.0
         self.dropped = 0
-        """Items that were left out."""
+        """Items that were dropped."""
 
     def put(self, handle: Callable[..., None], *arguments: Any, size: int = 0) -> None:
-        """Have the loop call `handle`; from any thread, and never waiting.
+        """Let the loop call `handle`; from any thread, without waiting.
 
         No lock is taken for short messages: it would be half of what they cost the engine's thread here.
         """
@@ -114,7 +114,7 @@ class Inbox:
             try:
                 handle(*arguments)
             except BaseException:
-                self._loop.call_soon(self._handle)  # what came behind it is handled all the same
+                self._loop.call_soon(self._handle)  # the items behind it are handled all the same
                 raise
         self._loop.call_soon(self._handle)
 
@@ -126,22 +126,22 @@ class Inbox:
             self._due = True  # two threads may both have woken the loop: the other call has made it False then
             return True
         self._pause = 0.0
-        self._due = False  # first, and then the look: what comes in between is seen, or wakes the loop
+        self._due = False  # before the look: an item that comes in between is seen, or wakes the loop
         self._due = bool(self._items)
         return not self._due
 
 
 class _Undeclared(NamedTuple):
-    """What puts bytes at a key that is not declared to the engine."""
+    """A publisher at a key that is not declared to the engine."""
 
     put: Callable[[bytes], None]
 
     def undeclare(self) -> None:
-        """As a publisher has it."""
+        """Do nothing: the key is not declared."""
 
 
 class Engine:
-    """A session. What opens, declares and closes may wait for the network: call it in a thread, not on the loop."""
+    """A session. To open, declare and close may wait for the network: do that in a thread, not on the loop."""
 
     def __init__(self) -> None:
         try:
@@ -158,7 +158,7 @@ class Engine:
         self._closed = False
         self._is_client = False
         self.gate: Gate | None = None
-        """Which of what comes is taken; by default all."""
+        """Decides which messages, questions and tokens are taken; None: all are."""
 
     def open(self, settings: Mapping[str, Any], inbox: Inbox) -> None:
         """Open the session. LinkError: the engine refuses, such as for a port that is taken, or is closed meanwhile.
@@ -166,7 +166,7 @@ class Engine:
         A client waits here until it is connected, for as long as it takes where the time to connect is -1.
 
         Args:
-            inbox: what hands over what callbacks bring.
+            inbox: hands the items of callbacks over to the loop.
         """
         self._inbox = inbox
         self._is_client = settings.get("mode") == "client"
@@ -188,7 +188,7 @@ class Engine:
 
     @property
     def _is_over(self) -> bool:
-        """Whether it was closed, or nobody is left who could: the interpreter's end waits for who opens it."""
+        """Whether it was closed, or its loop has ended: the interpreter's end waits for the thread that opens it."""
         return self._closed or self._inbox.is_over
 
     def close(self) -> None:
@@ -202,7 +202,7 @@ class Engine:
     def subscribe(
         self, key: str, arrived: Callable[[str, bytes], None], inbox: Inbox | None = None
     ) -> Callable[[], None]:
-        """Have `arrived` called with key and bytes of what comes, by the general inbox or another; returns its end."""
+        """Call `arrived` with key and bytes of each message, by this inbox or the general one; returns what ends it."""
         put = (inbox or self._inbox).put
 
         def came(sample: Any) -> None:
@@ -217,7 +217,7 @@ class Engine:
     def answer(
         self, key: str, asked: Callable[[str, bytes, bytes, Any], None], inbox: Inbox | None = None
     ) -> Callable[[], None]:
-        """Have `asked` called with key, body, attachment and what `reply` takes; returns its end."""
+        """Call `asked` with key, body, attachment and the query that `reply` takes; returns what ends that."""
         put = (inbox or self._inbox).put
 
         def came(query: Any) -> None:
@@ -235,7 +235,7 @@ class Engine:
     def presence(
         self, key: str, present: Callable[[str, bool], None], inbox: Inbox | None = None
     ) -> Callable[[], None]:
-        """Have `present` called with each token that is there, comes or goes; returns its end."""
+        """Call `present` with each token that is there, comes or goes; returns what ends that."""
         put = (inbox or self._inbox).put
 
         def came(sample: Any) -> None:
@@ -248,7 +248,7 @@ class Engine:
         return lambda: subscriber.undeclare()
 
     def neighbours(self, changed: Callable[[str, str, str, bool], None]) -> None:
-        """Have `changed` called with the name in the certificate and the addresses of both ends of each connection."""
+        """Call `changed` with the name in the certificate and the addresses of both ends of each connection."""
         put = self._inbox.put
 
         def came(event: Any) -> None:
@@ -258,7 +258,7 @@ class Engine:
         self._kept.append(self._session.info.declare_link_events_listener(self._direct(came), history=True))
 
     def announce(self, *tokens: str) -> None:
-        """Say that this kernel is there, with these tokens and no others."""
+        """Declare these tokens of this kernel, and end all its others."""
         with self._announcing:
             tokens = () if self._closed else tokens
             for gone in self._tokens.keys() - set(tokens):
@@ -268,18 +268,18 @@ class Engine:
                     self._tokens[token] = self._session.liveliness().declare_token(token)
 
     def hold(self, token: str) -> Any:
-        """Say that a session of this client is there, until `release` takes what is returned."""
+        """Declare a token, such as that of a client's session, until `release` takes what is returned."""
         return self._session.liveliness().declare_token(token)
 
     def release(self, held: Any) -> None:
-        """Say no more that a session is there."""
+        """End a token that `hold` has declared."""
         if not self._closed:
             held.undeclare()
 
     def ask_all(
         self, key: str, within: float, answered: Callable[[str, bytes], None], over: Callable[[], None]
     ) -> None:
-        """Have `answered` called with key and bytes of each answer to a question to all, and `over` at their end."""
+        """Ask all kernels: call `answered` with key and bytes of each answer, and `over` at their end."""
         put = self._inbox.put
 
         def came(reply: Any) -> None:
@@ -301,8 +301,8 @@ class Engine:
         """The tokens that are there.
 
         The question is repeated until all have answered and there is a token; a peer, whose neighbours may not know
-        yet what is behind them, also waits until two answers are the same. It ends after `within` seconds at the
-        most, and after `_EMPTY` where all have answered and there is none.
+        yet what is behind them, also waits until two answers are the same. It ends after at most `within`
+        seconds, and after `_EMPTY` where all have answered and there is none.
         """
         began, found = time.monotonic(), set[str]()
         while (left := began + within - time.monotonic()) > 0:
@@ -319,14 +319,14 @@ class Engine:
 
     @property
     def is_heard(self) -> bool:
-        """Whether anybody else is reached."""
+        """Whether any other kernel or router is reached."""
         info = self._session.info
         return bool(info.peers_zid() or info.routers_zid())
 
     def publisher(self, key: str, priority: str, *, declared: bool) -> Any:
-        """What puts bytes at a key, with a priority of the engine by its name; `declared`: see `expect`.
+        """A publisher of bytes at a key, with a priority of the engine by its name; `declared`: see `expect`.
 
-        What is under way is bounded by credits (`sending`), so that the engine's queue never is full.
+        `sending` bounds what is under way, so that the engine's queue is never full.
         """
         zenoh = self._zenoh
         how = {"congestion_control": zenoh.CongestionControl.DROP, "priority": getattr(zenoh.Priority, priority)}
@@ -335,15 +335,15 @@ class Engine:
         return _Undeclared(partial(self._session.put, zenoh.KeyExpr(key), **how))
 
     def expect(self, key: str) -> Callable[[], None]:
-        """Have the engine know a key at which messages come, until the returned function is called.
+        """Declare a key at which messages come to the engine, until the returned function is called.
 
-        For each message with a key that it does not know, it has to look up who subscribes to it.
+        For each message with a key that is not declared, the engine has to look up its subscribers.
         """
         known = self._session.declare_keyexpr(key)
         return lambda: self._session.undeclare(known)
 
     def ask(self, key: str, body: bytes, beside: bytes, within: float, answered: Callable[..., None]) -> None:
-        """Have `answered` called with True and the answer, or False and a refusal; with None at the end of all."""
+        """Ask: call `answered` with True and the answer, or False and a refusal; with None at the end of all."""
         put = self._inbox.put
 
         def came(reply: Any) -> None:
@@ -363,7 +363,7 @@ class Engine:
         )
 
     def put(self, key: str, data: bytes, *, urgent: bool = True) -> None:
-        """Put bytes at a key at once, for which `publisher` would not be worth while."""
+        """Put bytes at a key at once, where a `publisher` would not be worth while."""
         zenoh = self._zenoh
         self._session.put(
             key,
@@ -375,7 +375,7 @@ class Engine:
 
     def reply(self, query: Any, data: bytes, *, good: bool, key: str | None = None) -> None:
         """Answer a question, or refuse to; with a key of its own where the question goes to several kernels."""
-        with contextlib.suppress(self._zenoh.ZError):  # who asked is gone
+        with contextlib.suppress(self._zenoh.ZError):  # the caller is gone
             if good:
                 query.reply(key or query.key_expr, data, express=True)
             else:
@@ -388,9 +388,9 @@ class Engine:
 
 
 async def in_thread(work: Callable[[], T]) -> T:
-    """The result of work that may wait for the network, done in a thread of its own; it is done in any case.
+    """The result of work that may wait for the network, done in a thread of its own; the work is done in any case.
 
-    The thread ends with the work; those of a pool would stay, and one that was interrupted while it starts for ever.
+    The thread ends with the work. Threads of a pool would stay; one that was interrupted at its start would never end.
     """
     loop = asyncio.get_running_loop()
     done: asyncio.Future[T] = loop.create_future()
@@ -403,7 +403,7 @@ async def in_thread(work: Callable[[], T]) -> T:
         told: tuple[Callable[[Any], None], Any]
         try:
             told = done.set_result, work()
-        except BaseException as error:  # noqa: BLE001 - whatever it is, who waits is told; also a panic of the engine
+        except BaseException as error:  # noqa: BLE001 - the waiting task hears of any error; also of a panic of the engine
             told = done.set_exception, error
         _inside.discard(thread)
         with contextlib.suppress(RuntimeError):  # the loop has ended
@@ -416,21 +416,21 @@ async def in_thread(work: Callable[[], T]) -> T:
 
 
 _inside: Final[set[threading.Thread]] = set()
-"""Threads that may be inside the engine: one that still is when the interpreter is gone aborts the process."""
+"""Threads that may be inside the engine: one that is there when the interpreter is gone aborts the process."""
 _open: Final[weakref.WeakSet[Engine]] = weakref.WeakSet()
-"""Sessions that nobody has closed yet: a callback of the engine that comes when the interpreter is gone aborts, too."""
+"""Sessions that are not closed yet: a callback of the engine when the interpreter is gone aborts the process, too."""
 
 
 @atexit.register
 def _leave() -> None:
-    """Wait for them once more, since a second SIGINT ends the interpreter's own waiting; end what is still open."""
+    """Wait for the threads, since a second SIGINT ends the interpreter's own wait; close the sessions still open."""
     until = time.monotonic() + _LEAVES
     for thread in tuple(_inside):
         while thread.is_alive() and (left := until - time.monotonic()) > 0:
             with contextlib.suppress(KeyboardInterrupt):
                 thread.join(left)
     for engine in tuple(_open):
-        with contextlib.suppress(Exception):  # nobody is left to be told
+        with contextlib.suppress(Exception):  # there is no caller any more
             engine.close()
 
 

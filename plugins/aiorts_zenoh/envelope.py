@@ -1,9 +1,9 @@
-"""What a message of a channel looks like: 24 bytes, little-endian, and then blocks, each after its length.
+"""The layout of a channel's message: 24 bytes, little-endian, and then blocks, each after its length.
 
     version u8, kind u8, count u16, link epoch u32, first number u64, sent ns i64, then `count` times: length u32, bytes
 
 The numbers count what messages cost (`cost`): the first number of a message is the cost of all that its sender has
-sent before it on this channel. So its receiver can say how far it has come, and what a lost message took up is free
+sent before it on this channel. So its receiver can say how far it has come, and the room of a lost message is free
 again.
 """
 
@@ -16,44 +16,44 @@ from typing import Final, NamedTuple, TypeAlias
 
 VERSION: Final = 1
 FRAME: Final = 1
-"""A frame: its head, and the buffers beside it."""
+"""A frame: its head, and the buffers that travel with it."""
 PIECE: Final = 2
-"""A part of a frame that is longer than PIECES: where it begins, and its bytes; first the length of the whole."""
+"""A part of a frame that is longer than PIECES: the length of the whole, its place there, and its bytes."""
 TAKEN: Final = 3
-"""How far the receiver has come; the first number is the cost of what it has taken."""
+"""The news how far the receiver has come; the first number is the cost of what it has taken."""
 LOOK: Final = 4
 """Asks for TAKEN; the first number is the cost of what was sent until now."""
 END: Final = 5
-"""Of a session with a kernel: nothing comes any more."""
+"""The end of one direction of a session with a kernel."""
 HAVE: Final = 6
-"""Of a session: asks for all that was sent from the first number on once more."""
+"""Asks, in a session, for all that was sent from the first number on, again."""
 BATCH: Final = 65_536
 """Bytes that the engine writes in one go; a message that does not fit into what is left of a batch begins another."""
 PIECES: Final = 64_000
-"""Bytes of a frame that one batch has room for, with heads and key."""
+"""The most bytes of a frame that one batch has room for, with heads and key."""
 LONG: Final = 260_000
-"""Bytes of a piece that fills four batches: what a message costs besides its bytes is paid a quarter as often."""
+"""Bytes of a piece that fills four batches: the cost of a message besides its bytes is paid a quarter as often."""
 LARGEST: Final = 64 << 20
-"""Bytes of a frame that anybody takes."""
+"""The most bytes of a frame that a receiver takes."""
 
 _MOST: Final = 2**63
-"""No number of bytes ever comes to this."""
+"""The bound of first numbers, which no sender ever reaches."""
 _HEAD: Final = struct.Struct("<BBHIQq")
 _HEAD_OF_ONE: Final = struct.Struct("<BBHIQqI")
 """A head, and the length of the only block."""
 _ONE: Final = _HEAD_OF_ONE.size
 _COPIED: Final = 512
-"""Bytes of a message that is copied: a view takes longer."""
+"""The most bytes of a message that is copied: a view takes longer."""
 _LENGTH: Final = struct.Struct("<I")
 _PLACE: Final = struct.Struct("<QQ")
 _FILLED: Final = 65_400
-"""Bytes of a message that go into one batch, at the least."""
+"""The least bytes of a long message that go into one batch."""
 _SHORT: Final = 64_500
-"""Bytes of a message that goes into one batch, at the most."""
+"""The most bytes of a message that goes into one batch."""
 
 
 Block: TypeAlias = bytes | memoryview | list[memoryview]
-"""What a message carries; the parts of a list follow each other."""
+"""A block of a message; the parts of a list follow each other."""
 
 
 class Message(NamedTuple):
@@ -80,10 +80,10 @@ def alone(epoch: int, first: int, sent_ns: int, frame: bytes) -> bytes:
 
 
 def cost(size: int) -> int:
-    """What a message of so many bytes takes up of the engine's queue at the most, in bytes of its batches.
+    """The most bytes of the engine's batches that a message of so many bytes takes up in its queue.
 
-    Of two batches in a row that short messages are in, more than one is full: else they would be in one. A longer one
-    ends the batch before it, whatever is in that, and has those that it fills for itself.
+    Two batches in a row of short messages hold more than one batch has room for: else they would be one. A longer
+    message ends the batch before it, whatever is in that, and has the batches that it fills for itself.
     """
     return 2 * size if size <= _SHORT else (1 - -size // _FILLED) * BATCH
 
@@ -98,7 +98,7 @@ def size_of(blocks: Sequence[Block]) -> int:
 def read(data: bytes) -> Message:
     """The message in these bytes. ValueError: there is none."""
     size = len(data)
-    length = size  # of no block: one is shorter than its message
+    length = size  # of no block: a block is shorter than its message
     if size >= _ONE:
         version, kind, count, epoch, first, sent_ns, length = _HEAD_OF_ONE.unpack_from(data)
     elif size >= _HEAD.size:
@@ -114,7 +114,7 @@ def read(data: bytes) -> Message:
 
 
 def frame_of(data: bytes, epoch: int) -> tuple[int, bytes] | None:
-    """First number and frame of a short message that is a frame of this epoch, alone; None: `read` says what it is."""
+    """First number and frame of a short message with one frame of this epoch alone; None: `read` says what it is."""
     size = len(data)
     if not _ONE <= size <= _COPIED:
         return None
@@ -137,7 +137,7 @@ def pieces(blocks: Sequence[Block]) -> Iterator[tuple[bytes, list[memoryview]]]:
 
 
 def _cut(whole: deque[memoryview], size: int) -> list[memoryview]:
-    """So many bytes off the front."""
+    """Take so many bytes off the front."""
     found = []
     while size:
         view = whole.popleft()
@@ -150,14 +150,14 @@ def _cut(whole: deque[memoryview], size: int) -> list[memoryview]:
 
 
 class Whole:
-    """Puts long frames together; one whose pieces are not all there when the next begins is left out."""
+    """Puts long frames together; a frame whose pieces are not all there when the next begins is dropped."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
         self._total = 0
 
     def add(self, blocks: Sequence[memoryview]) -> tuple[memoryview, ...] | None:
-        """The blocks of the frame that is whole with this piece; None: there are more. ValueError: it is no piece."""
+        """The blocks of the frame that this piece completes; None: it completes none. ValueError: it is no piece."""
         if len(blocks) != 2 or len(blocks[0]) != _PLACE.size:
             raise ValueError("a piece without its place")
         total, place = _PLACE.unpack(blocks[0])

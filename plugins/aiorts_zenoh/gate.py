@@ -1,4 +1,4 @@
-"""Keeps out what comes from peers that are cut off. Called in the engine's threads, before the loop has any work."""
+"""Keeps out messages of peers that are cut off. Called in the engine's threads, before the loop has any work."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from aiorts_zenoh.keys import sender_of, whose
 from aiorts_zenoh.limits import MOST, SLOW_NS, SLOW_NS_PER_BYTE, Limits, Names
 
 _NAMED: Final = 16
-"""Bytes before the name of who asks, in what goes beside a question."""
+"""Bytes before the caller's name in the attachment of a question."""
 
 
 class Gate:
-    """Lets in what comes from peers within their limits.
+    """Lets in the messages of peers within their limits.
 
     Args:
-        is_known: whether a kernel of this host and name is there; those that are not count as one by their name.
+        is_known: whether a kernel of this host and name is there; absent ones of one name count as one peer.
         say: takes a text for the log.
     """
 
@@ -29,7 +29,7 @@ class Gate:
 
     @property
     def cut_off(self) -> Collection[str]:
-        """Who is cut off."""
+        """The peers that are cut off."""
         with self._lock:
             return tuple(self._limits.cut_off)
 
@@ -64,12 +64,12 @@ class Gate:
         return taken
 
     def was_bad(self, key: str) -> None:
-        """What came at this key was no message."""
+        """Count bytes that came at this key and were no message."""
         with self._lock:
             self._counted(self._who(sender_of(key)), "bad", time.monotonic())
 
     def took(self, key: str, size: int, ns: int) -> None:
-        """The processor took so long for a message, of a frame of this size."""
+        """Count a message if the processor took too long for it, for a frame of this size."""
         if ns > SLOW_NS + size * SLOW_NS_PER_BYTE:
             with self._lock:
                 self._counted(self._who(sender_of(key)), "slow", time.monotonic())
@@ -80,5 +80,5 @@ class Gate:
         return self._limits.admits(who, now)
 
     def _who(self, sender: str) -> str:
-        """The peer, by host and kernel where such a one is there."""
+        """The name of a peer: host and kernel if that kernel is there, else the kernel's name alone."""
         return sender if self._is_known(sender) else sender.rpartition("/")[2]

@@ -1,8 +1,8 @@
 """A client's end: makes kernels of other hosts reachable by a socket in a folder, as kernels of this host are.
 
-So every command that reaches kernels of this host reaches those of others, and knows nothing of it. The folder lists
-the kernels whose tokens are there. A session with one begins when a command wants it; what a command asks of very many
-kernels goes to all of them as one question, without sessions.
+So every command for kernels of this host reaches those of other hosts, and knows nothing of it. The folder lists the
+kernels whose tokens are there. A session with a kernel begins when a command wants it; a command's question to very
+many kernels goes to all of them as one, without sessions.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from aiorts_zenoh.sessions import DEADLINE, Sessions
 from aiorts_zenoh.stream import CHUNK
 
 _FIRST: Final = 1.0
-"""Seconds to wait for the first answer of many kernels, and for another one once there is one."""
+"""Seconds to wait for the first answer of many kernels; `_NEXT`: for another answer after each."""
 _NEXT: Final = 0.25
 _BEGINS: Final = 5.0
-"""Seconds in which a command says what it wants."""
+"""Seconds in which a command sends its first frame."""
 _COMMANDS: Final = 1_024
-"""That may wait to be let in."""
+"""The most commands that may wait to be let in."""
 
 
 class Gateway:
     """Makes kernels of other hosts reachable from commands of this one.
 
     Args:
-        folder: for the socket and the list; of this user alone.
+        folder: the place of the socket and the list; of this user alone.
         keys: the domain and this client's name.
-        settings: of the engine by their keys.
+        settings: settings of the engine by their keys.
     """
 
     def __init__(self, folder: Path, keys: ClientKeys, settings: Mapping[str, Any]) -> None:
@@ -46,7 +46,7 @@ class Gateway:
         self._engine = Engine()
         self._sessions = Sessions(self._engine, keys)
         self._peers: dict[tuple[str, str], Peer] = {}
-        """Those that are there, by host and name."""
+        """The kernels that are there, by host and name."""
         self._tasks: set[asyncio.Task[Any]] = set()
         self._asking: asyncio.Task[None]
         self._early: tuple[str, asyncio.Task[dict[Peer, bytes]]] | None = None
@@ -70,7 +70,7 @@ class Gateway:
         for token in await in_thread(partial(self._declare, inbox)):
             self._present(token, True)
         self._server = await asyncio.start_unix_server(self._came, self._carrier.path, backlog=_COMMANDS)
-        self._settle()  # a list without a listener is one that was left
+        self._settle()  # a list without a listener looks like one that a killed process has left
         self._asking = self._run(self._sessions.find_operable())
         self._engine.presence(self._keys.tokens, self._present)
 
@@ -82,7 +82,7 @@ class Gateway:
         return engine.present(keys.tokens, DEADLINE)
 
     def ask_early(self, operation: str) -> None:
-        """Ask all kernels this now, for a command that is being started: the first that wants the answers has them."""
+        """Ask all kernels now, for a command that is being started: the first that wants the answers gets them."""
         self._early = operation, self._run(self._answers(operation))
 
     async def close(self) -> None:
@@ -105,7 +105,7 @@ class Gateway:
         name = peer.host, peer.kernel
         before = self._peers.get(name)
         if up:
-            self._peers[name] = peer  # the end of one that had the name before may not be known here yet
+            self._peers[name] = peer  # the end of a former kernel of the name may not be known here yet
         elif before == peer:
             del self._peers[name]
         if self._peers.get(name) != before and not self._settling:
@@ -113,7 +113,7 @@ class Gateway:
             asyncio.get_running_loop().call_soon(self._settle)
 
     def _settle(self) -> None:
-        """List those that are there, and end the sessions with all others."""
+        """List the kernels that are there, and end the sessions with all others."""
         self._settling = False
         there = set(self._peers.values())
         self._carrier.write((_address(peer), _epoch(peer)) for peer in there)
@@ -125,7 +125,7 @@ class Gateway:
         self._run(self._let_in(reader, writer))
 
     async def _let_in(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """A command has come: carry its session, or answer what it asks of all."""
+        """Serve a command: carry its session, or answer its question to all kernels."""
         try:
             async with asyncio.timeout(_BEGINS):
                 begun, first = await _first_frame(reader)
@@ -137,10 +137,10 @@ class Gateway:
                 await asyncio.wait([self._asking])
                 await self._sessions.carry(peer, reader, writer, begun)
         except AiortsError as error:
-            if not writer.is_closing():  # by who carried the session
+            if not writer.is_closing():  # by `Sessions.carry`
                 writer.write(framed({"error": {"code": error.code, "text": str(error)}}))
         except (OSError, TimeoutError):
-            pass  # it has gone, or is no command
+            pass  # the command has gone, or is none
         finally:
             writer.close()
 
@@ -156,7 +156,7 @@ class Gateway:
         return peer
 
     async def _values(self, operation: str) -> list[tuple[str, str, Any]]:
-        """What kernels say to a call: address, epoch and value of each that answers soon."""
+        """The answers of kernels to a call: address, epoch and value of each that answers soon."""
         early, self._early = self._early, None
         answers = await (early[1] if early is not None and early[0] == operation else self._answers(operation))
         values = []

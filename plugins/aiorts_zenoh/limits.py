@@ -1,4 +1,4 @@
-"""Bounds what one peer may ask of a kernel; who asks more is cut off for a while. It asks no clock, knows no engine.
+"""Bounds what one peer may ask of a kernel; a peer that asks more is cut off for a while. It has no clock or engine.
 
 It counts with leaky buckets: a peer may ask up to the limit at once, and after that as much in each second as leaks. So
 a peer that begins with many questions, such as a kernel with a thousand connectors, is no flood.
@@ -11,27 +11,27 @@ from collections.abc import Collection, Mapping
 from typing import Final, NamedTuple
 
 CUT_OFF: Final = 10.0
-"""Seconds for which nothing of a peer is heard."""
+"""Seconds for which a peer is cut off."""
 NAMES: Final = 10_000
-"""Tokens of one host that are known at the same time."""
+"""The most tokens of one host that are known at the same time."""
 OF_KERNEL: Final = 2_000
-"""Tokens of one kernel's name, on all hosts together: a certificate is for one name."""
+"""The most tokens of one kernel's name, on all hosts together: a certificate is for one name."""
 MOST: Final[Mapping[str, int]] = {"host": NAMES, "kernel": OF_KERNEL}
 _ALL_NAMES: Final = 100_000
 _PEERS: Final = 10_000
-"""Peers whose amounts are kept; beyond it the one that was heard longest ago is forgotten."""
+"""The most peers whose amounts are kept; beyond it the peer that was heard longest ago is forgotten."""
 _SAID: Final = 60.0
 """Seconds in which a peer that is cut off again gets no further line in the log."""
 
 
 class Limit(NamedTuple):
-    """So many, in so many seconds."""
+    """The most things of one kind, in so many seconds."""
 
     most: int
     seconds: float
     text: str
     at_first: int = 0
-    """How many more a peer that is new may ask, once."""
+    """The number of things that a new peer may do in addition, once."""
 
 
 LIMITS: Final[Mapping[str, Limit]] = {
@@ -40,24 +40,24 @@ LIMITS: Final[Mapping[str, Limit]] = {
     "bad": Limit(100, 60.0, "100 messages a minute that are none"),
     "slow": Limit(3, 60.0, "3 messages a minute that take longer to read than they may"),
 }
-"""By what is counted."""
+"""The limits, by the kind of what is counted."""
 SLOW_NS: Final = 10_000_000
 """Nanoseconds that the processor may take to read a message; so many, since garbage may be collected meanwhile."""
 SLOW_NS_PER_BYTE: Final = 10
-"""And for each byte of a long frame."""
+"""Nanoseconds in addition for each byte of a long frame."""
 
 
 class Limits:
-    """What peers have asked, and who is cut off."""
+    """The counts of what peers have done, and the peers that are cut off."""
 
     def __init__(self) -> None:
         self._levels: OrderedDict[tuple[str, str], tuple[float, float]] = OrderedDict()
-        """By peer and what is counted: how much, and when. The first of a dict would be looked for among those gone."""
+        """Amount and time, by peer and kind. In a plain dict the first item would be searched among those gone."""
         self._until: OrderedDict[str, float] = OrderedDict()
         self._said: OrderedDict[str, float] = OrderedDict()
 
     def admits(self, who: str, now: float) -> bool:
-        """Whether anything of this peer is heard."""
+        """Whether this peer is heard: it is not cut off."""
         until = self._until.get(who)
         if until is None:
             return True
@@ -72,12 +72,12 @@ class Limits:
         return self._until.keys()
 
     def count(self, who: str, what: str, now: float) -> str:
-        """A peer has done one thing that is limited; what to say if it is cut off for it, else ""."""
+        """Count one limited thing of a peer; the text for the log if the peer is cut off for it, else ""."""
         limit = LIMITS[what]
         level, at = self._levels.pop((who, what), (-float(limit.at_first), now))
         level = max(min(level, 0.0), level - (now - at) * limit.most / limit.seconds) + 1.0
         if level <= limit.most:
-            self._levels[who, what] = level, now  # the last is the one that was heard last
+            self._levels[who, what] = level, now  # kept as the last: the peer that was heard last
             if len(self._levels) > _PEERS:
                 self._levels.popitem(last=False)
             return ""
@@ -95,7 +95,7 @@ class Limits:
 
 
 class Names:
-    """The tokens that are known, of each host and of each kernel's name up to a limit."""
+    """The known tokens, up to a limit for each host and each kernel's name."""
 
     def __init__(self) -> None:
         self._known: set[str] = set()
@@ -121,11 +121,11 @@ class Names:
         return up or is_known
 
     def beyond(self, host: str, kernel: str) -> tuple[str, str] | None:
-        """The host or the kernel's name, whichever has as many tokens as it may; None: neither."""
+        """The host or the kernel's name that has as many tokens as it may; None: neither has."""
         return next((one for one in _both(host, kernel) if self._counts[one] >= MOST[one[0]]), None)
 
     def is_first(self, one: tuple[str, str]) -> bool:
-        """Whether to say now that this has too many: once, until it has none any more."""
+        """Whether to report now that a host or name has too many: once, until it has none any more."""
         if one in self._full or len(self._full) > _PEERS:
             return False
         self._full.add(one)

@@ -1,7 +1,7 @@
 """Watches the connections of a kernel or router, and says in the log, once, why one is refused or does not come about.
 
 The engine refuses without a word. So a place that is not reached gets a handshake from here (`security.probe`), which
-finds out why. Of those that are connected the engine tells the name in their certificate.
+finds out why. Of connected neighbours the engine gives the name in their certificate.
 
 Names that are revoked while this runs are denied from then on: the folder of certificates is looked into once a second.
 """
@@ -22,20 +22,20 @@ from aiorts_zenoh.security.revoking import EVERY, Revoking
 from aiorts_zenoh.security.tls import Secured
 
 _FIRST: Final = 1.5
-"""Seconds that connections have to come about, before it is found out why one has not."""
+"""Seconds for connections to come about, before it is found out why one has not."""
 _AGAIN: Final = 10.0
 _SHOWS: Final = 5.0
 """Seconds within which a kernel that is connected shows its token."""
 _SAID: Final = 1_000
-"""Different lines in the log, at the most."""
+"""The most different lines in the log."""
 
 
 class Neighbours:
     """Watches the connections of one kernel.
 
     Args:
-        endpoints: host and port of each that it connects to.
-        secured: its certificate, and who may do what; None: there are none.
+        endpoints: host and port of each place that it connects to.
+        secured: its certificate and the access table; None: there are no certificates.
         report: takes a text for the log.
         listens: the ports at which others connect to it.
     """
@@ -49,14 +49,14 @@ class Neighbours:
     ) -> None:
         self._endpoints, self._secured, self._report, self._listens = endpoints, secured, report, listens
         self._links: dict[tuple[str, str], str] = {}
-        """The name in the certificate of each that is connected, by the addresses of both ends."""
+        """The name in the certificate of each connected neighbour, by the addresses of both ends."""
         self._shown: set[str] = set()
         """Names of kernels whose token was seen."""
         self._said: set[str] = set()
         self._hold: Callable[[str], None] = lambda name: None
-        """Has a name know that it was revoked; may wait for the network."""
+        """Tells a name that it was revoked; may wait for the network."""
         self._held: list[object] = []
-        """The tokens that tell them; one ends when nothing refers to it."""
+        """The tokens that tell revoked names; a token ends when nothing refers to it."""
         self.denies: list[Callable[[str], None]] = []
         """Called with each name that is revoked while this runs."""
         self._timers: list[asyncio.TimerHandle] = []
@@ -65,7 +65,7 @@ class Neighbours:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """In the certificates of those that are connected."""
+        """The names in the certificates of the connected neighbours."""
         return tuple(dict.fromkeys(self._links.values()))
 
     def admits(self, name: str) -> bool:
@@ -84,9 +84,9 @@ class Neighbours:
         return self._secured is not None
 
     def heeds(self, name: str) -> bool:
-        """Whether a kernel of this name may tell of tokens that this one does not see: one that it has connected to.
+        """Whether a kernel of this name may tell of tokens that this one does not see: if this one connected to it.
 
-        What connects here by itself may tell nothing: it could take away the name of this kernel.
+        A kernel that connects here by itself may tell nothing: it could take away the name of this kernel.
         """
         if self._secured is None:
             return True
@@ -99,7 +99,7 @@ class Neighbours:
         return self._secured is None or self._secured.access.is_client(name, operates)
 
     def declare(self, engine: Engine, keys: Keys) -> None:
-        """Watch from now on. What the engine does here may wait for the network."""
+        """Watch from now on. The call may wait for the network."""
         self.watch(engine, keys.domain)
 
     def watch_all(self, engine: Engine, domain: str) -> None:
@@ -142,7 +142,7 @@ class Neighbours:
         if not task.cancelled() and (error := task.exception()) is not None:
             self._report(f"zenoh: {task.get_name()} has ended: {error!r}")
 
-    # -- those that are connected ----------------------------------------------------------------------------------
+    # -- connected neighbours --------------------------------------------------------------------------------------
 
     def _linked(self, name: str, source: str, target: str, up: bool) -> None:
         if not up:
@@ -160,7 +160,7 @@ class Neighbours:
     def _token(self, token: str, up: bool) -> None:
         if self._secured is None or not up or (peer := peer_of(token)) is None:
             return
-        if self._secured.access.is_kernel(peer.kernel):  # any name may be in a token, and no other is ever looked for
+        if self._secured.access.is_kernel(peer.kernel):  # a token may hold any name, and others are never looked for
             self._shown.add(peer.kernel)
 
     def _shows_nothing(self, name: str, target: str) -> None:
@@ -171,7 +171,7 @@ class Neighbours:
             )
 
     def _denied(self, token: str, up: bool) -> None:
-        """Another kernel or router says that this name was revoked: it says so for itself alone."""
+        """Report that another kernel or router has this name as revoked: it says so for itself alone."""
         if up:
             *_, own, teller = token.split("/")
             self._say(f"{teller!r} says that the name {own!r} was revoked: it takes nothing from this kernel")
@@ -189,7 +189,7 @@ class Neighbours:
             await asyncio.sleep(EVERY)
 
     async def _deny(self, name: str, own: str) -> None:
-        """Cut off a name that was revoked. What fails is said, and keeps nothing else from being cut off."""
+        """Cut off a name that was revoked, everywhere. A failure is logged, and all else is cut off all the same."""
         if name == own:
             self._say_revoked(own)
         else:
@@ -197,14 +197,14 @@ class Neighbours:
         for deny in self.denies:
             try:
                 deny(name)
-            except Exception as error:  # noqa: BLE001 - whatever it is, the others are cut off
+            except Exception as error:  # noqa: BLE001 - whatever it is, the rest is cut off
                 self._say(f"{name!r} was revoked, and is not cut off everywhere: {error!r}")
         try:
             await in_thread(partial(self._hold, name))
-        except Exception as error:  # noqa: BLE001 - the same
+        except Exception as error:  # noqa: BLE001 - as above
             self._say(f"{name!r} was revoked, and cannot be notified: {error!r}")
 
-    # -- those that are not ----------------------------------------------------------------------------------------
+    # -- places not reached ----------------------------------------------------------------------------------------
 
     async def _look(self) -> None:
         await asyncio.sleep(_FIRST)
@@ -215,7 +215,7 @@ class Neighbours:
             await asyncio.sleep(_AGAIN)
 
     def _probe(self, host: str, port: int) -> str:
-        """Why host:port is not reached; "" where it is, or where nothing speaks against it."""
+        """The reason why host:port is not reached; "" where it is, or where none is found."""
         reached = {target.partition("/")[2] for _, target in tuple(self._links)}
         try:
             addresses = {found[4][0] for found in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}
@@ -233,6 +233,6 @@ class Neighbours:
 
 
 def _port_of(source: str) -> int:
-    """The port of an address as the engine gives it; -1 for one that has none. Metadata may stand behind it."""
+    """The port of an address as the engine gives it; -1: it has none. Metadata may follow it."""
     port = source.partition("?")[0].partition("#")[0].rpartition(":")[2]
     return int(port) if port.isdecimal() else -1

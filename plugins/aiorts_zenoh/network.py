@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _LOG: Final = logging.getLogger("aiorts.zenoh")
 _NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,252}")
-"""One part of a key: of a host that calls itself otherwise the user says the name."""
+"""One part of a key; the user has to name a host whose own name is none."""
 LEASE: Final = 2.5
 """Seconds without a word after which a connection is over."""
 PATIENCE: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
@@ -36,23 +36,23 @@ _HARDENED: Final[Mapping[str, Any]] = {
     "transport/link/tx/lease": int(LEASE * 1_000),
     # A lost link is noticed a lease after the last word that came: with this many in a lease, within 3 s.
     "transport/link/tx/keep_alive": 8,
-    # Who connects and says nothing has a place for a second. There are so many places that others find one.
+    # A silent connection has a place for a second. There are so many places that others find one.
     "transport/unicast/accept_timeout": 1_000,
     "transport/unicast/accept_pending": 2_000,
-    # What has to wait for room waits no longer for a neighbour that stands still.
+    # The microseconds that a message waits for room at a neighbour that stands still.
     PATIENCE: 500_000,
     "transport/unicast/max_sessions": 256,  # more machines meet in a router
-    # By itself the engine would put together, in memory, what says that it has 1 GiB.
+    # By default the engine would put together, in memory, messages that say that they have 1 GiB.
     "transport/link/rx/max_message_size": 16 << 20,
     "transport/shared_memory/enabled": False,
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "adminspace": {"enabled": False, "permissions": {"read": False, "write": False}},
     "plugins_loading/enabled": False,
-    # Questions of aiorts say themselves how long they wait; this is for those of others that pass through here.
+    # Questions of aiorts have time-outs of their own; this one is for others' questions that pass through here.
     "queries_default_timeout": 2_000,
 }
-"""So that who reaches the engine finds nothing open that is not needed, and holds nothing up for long."""
+"""Settings by which a peer of the engine finds nothing open that is not needed, and holds nothing up for long."""
 
 
 _PORTS: Final = {
@@ -130,7 +130,7 @@ class NetworkSettings:
 
 
 class Network(KernelService):
-    """The kernels of other hosts. Its transport carries links beside that of this host."""
+    """The kernels of other hosts. Its transport carries links in addition to that of this host."""
 
     name = "zenoh"
     settings = NetworkSettings
@@ -157,7 +157,7 @@ class Network(KernelService):
         for endpoint in listed(settings.listen):
             check_free(endpoint)
         links = self.kernel.service(Links)
-        links.reach.host = host  # also for kernels of this host: one that both transports find is one
+        links.reach.host = host  # also for kernels of this host: a kernel that both transports find is one
         self._open_to_others = [one for one in listed(settings.listen) if not is_loopback(one)]
         name = links.reached_as
         secured = _secured(settings, name)
@@ -204,8 +204,8 @@ class Network(KernelService):
             await asyncio.shield(self._opening)
 
     def report(self) -> Mapping[str, Any]:
-        """The host, the domain, how this kernel stands with its name, the kernels that are seen there, messages
-        that found no room here, who is cut off, and what others may do with ports."""
+        """The host, the domain, the standing of this kernel with its name, the kernels that are seen there, messages
+        that found no room here, peers that are cut off, and the rights of others to ports."""
         transport = self._transport
         if transport is None:
             return {}
@@ -241,7 +241,7 @@ class Network(KernelService):
 
 
 def _secured(settings: NetworkSettings, kernel: str) -> Secured | None:
-    """What the kernel shows to others, and what they may do; None: there are no certificates.
+    """The certificate of the kernel, and the access table; None: there are no certificates.
 
     ConfigurationError: there is none for the kernel's name, or it is not to be used.
     """
@@ -251,7 +251,7 @@ def _secured(settings: NetworkSettings, kernel: str) -> Secured | None:
 
 
 def _allowed(settings: NetworkSettings, secured: Secured | None, where: str) -> Allowed:
-    """Rights of other kernels to ports here. ConfigurationError: a name is that of no kernel, which is mistaken."""
+    """Rights of other kernels to ports here. ConfigurationError: a name in `allow` is no kernel's."""
     allowed = Allowed.of_table(settings.allow or {}, where)
     if secured is not None and (other := sorted(name for name in allowed.names if not secured.access.is_kernel(name))):
         raise ConfigurationError(f"allow: {other[0]!r} is the name of no kernel; expected a {' or '.join(KERNELS)}")
@@ -259,8 +259,8 @@ def _allowed(settings: NetworkSettings, secured: Secured | None, where: str) -> 
 
 
 def engine_settings(settings: NetworkSettings, secured: Secured | None = None) -> Mapping[str, Any]:
-    """What the engine is told: nothing but what was asked for listens, connects or looks around."""
-    # A client hears all that is behind what it connects to, such as a router; a peer hears its neighbours alone.
+    """The settings of the engine: nothing but what was asked for listens, connects or looks around."""
+    # A client hears all kernels behind its only neighbour, such as a router; a peer hears its neighbours alone.
     is_client = len(listed(settings.connect)) == 1 and not settings.listen
     protocol = "tls" if secured else "tcp"
     security = tls_settings(secured, base_of(settings.domain)) if secured else {"transport/link/protocols": ["tcp"]}
@@ -278,25 +278,25 @@ def engine_settings(settings: NetworkSettings, secured: Secured | None = None) -
 
 
 def _check_name(key: str, name: str) -> None:
-    """ConfigurationError: it cannot be a part of a key of the engine."""
+    """ConfigurationError: the name cannot be a part of a key of the engine."""
     if not _NAME.fullmatch(name):
         raise ConfigurationError(f"{key}: expected letters, digits, '_', '-' and '.', got {name!r:.80}")
 
 
 def endpoints_of(text: str) -> list[tuple[str, int]]:
-    """Host and port of each that is listed."""
+    """Host and port of each listed endpoint."""
     parts = [endpoint.rpartition(":") for endpoint in listed(text)]
     return [(host.strip("[]"), int(port)) for host, _, port in parts]
 
 
 def check_free(endpoint: str) -> None:
-    """ConfigurationError: nothing can listen there, which is to be known before anything runs."""
+    """Check, before anything runs, that an endpoint is free. ConfigurationError: nothing can listen there."""
     host, _, port = endpoint.rpartition(":")
     try:
         found = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         family, kind, protocol, _, address = found[0]
         with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what was there before may have just ended
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a former listener may have just ended
             probe.bind(address)
     except (OSError, UnicodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "is no name of a host"
@@ -304,7 +304,7 @@ def check_free(endpoint: str) -> None:
 
 
 def is_loopback(endpoint: str) -> bool:
-    """Whether this machine alone reaches a place at which something listens."""
+    """Whether this machine alone reaches an endpoint that listens."""
     ((host, _),) = endpoints_of(endpoint)
     try:
         return ip_address(host).is_loopback

@@ -1,4 +1,4 @@
-"""Which kernels are there: their tokens come here, `names` decides who is seen, and this shows those."""
+"""The kernels that are there: their tokens come here, `names` decides which are seen, and `Presence` shows them."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from aiorts_zenoh.limits import OF_KERNEL
 from aiorts_zenoh.names import Claim, Name, Standing, free_name
 
 _TURN: Final = 0.0005
-"""Seconds of the loop for each of: tokens that have come, those to tell of some, names to look at."""
+"""Seconds of the loop for each of: tokens that have come, kernels to tell of tokens, names to look at."""
 _PAUSE: Final = 0.006
-"""Seconds until the next turn: what others claim takes no more than a fifth of the loop's time."""
+"""Seconds until the next turn: the claims of others take at most a fifth of the loop's time."""
 _REST: Final = 50e-6
-"""Where several machines claim a host name: seconds, for each claim, until all of them are looked at again."""
+"""Seconds for each claim until all claims of a host name that several machines claim are looked at again."""
 _TICK: Final = 0.1
 """Seconds between two looks whether a name is owned by now, or free again."""
 _AGAIN: Final = 1.0
-"""Seconds until tokens are declared again that the engine did not take."""
+"""Seconds until tokens that the engine did not take are declared again."""
 _SAID: Final = 100
-"""The most lines in the log about others that claim the same, until this kernel stands otherwise."""
+"""The most lines in the log about rival claims, until the standing of this kernel changes."""
 
 
 class Trust(Protocol):
@@ -66,14 +66,14 @@ class AnyName:
 class Presence:
     """The kernels that are there, and this one among them.
 
-    However many names others claim, and however often: each claim costs the same, and all of them together a bounded
-    part of the loop's time.
+    Each claim of another kernel costs the same, and all claims together a bounded part of the loop's time, however many
+    there are.
 
     Args:
         show: called with each kernel that others may see, and when it is to be seen no more.
-        connects: whether this kernel is to connect to others: before it has, nobody can say that its name is taken.
-        listens: whether others connect to it: those do not see each other, and hear from it who has their names.
-        trust: which kernels may be there, and who may say so.
+        connects: whether this kernel is to connect to others: before it has, none can say that its name is taken.
+        listens: whether others connect to it: they do not see each other, and hear from it of others with their names.
+        trust: which kernels may be there, and which may tell of others.
         renamed: called in a thread with the keys of another name that this kernel takes where its own is taken, to
             declare all that is asked there; None: it takes none, and is not seen until its own is free.
     """
@@ -98,10 +98,10 @@ class Presence:
         self._claims = Claims(bound=trust.is_bound)
         """The claims of others, and that of this kernel while it is to be seen."""
         self._shown: dict[str, dict[str, Peer]] = {}
-        """By the scope of claims, and the kernel's name."""
+        """The kernels that are shown, by the scope of their claims and by their name."""
         self._told_others = Told()
         self._to_tell: deque[tuple[Claim, str]] = deque()
-        """The kernels that were told of a token which is gone."""
+        """The kernels that were told of a token that is gone, and that token."""
         self._heard_of: set[Claim] = set()
         """Claims that others have told of, whose tokens this kernel may not see itself."""
         self._came_last: OrderedDict[tuple[Claim, bool], tuple[bool, ...]] = OrderedDict()
@@ -123,23 +123,23 @@ class Presence:
 
     @property
     def standing(self) -> Standing:
-        """How this kernel stands with its name."""
+        """The standing of this kernel with its name."""
         return self._name.standing
 
     def declare(self) -> None:
-        """Watch who is there, and declare the token that claims the name; in a thread."""
+        """Watch the tokens of others, and declare the token that claims the name; in a thread."""
         self._end_told = self._engine.subscribe(self._keys.heard, self._was_told)
         self._engine.presence(self._keys.tokens, self._came)
         self._engine.announce(self._keys.token)
 
     def claim(self) -> None:
-        """The name is claimed from now on: begin to count the time until it is owned."""
+        """Begin to count the time until the name is owned: it is claimed from now on."""
         self._told = Standing.CLAIMS, self._keys
         self._name.unseen(self._loop.time())
         self._changed()
 
     def forget(self, kernel: str) -> None:
-        """A name is not admitted any more: who has it is gone."""
+        """Take all kernels of a name as gone: it is not admitted any more."""
         for claim in self._claims.of_kernel(kernel):
             if claim != self._name.own:
                 self._gone(claim)
@@ -160,7 +160,7 @@ class Presence:
         claim, owned = found
         before = self._came_last.get(found, ())
         if before == (True,) and not up and not self._is_of_note(claim, owned=owned):
-            del self._came_last[found]  # it went before it was looked at
+            del self._came_last[found]  # the token went before it was looked at
         elif before[-1:] != (up,):
             self._came_last[found] = (*before, up)[-2:]
             self._work_soon()
@@ -183,7 +183,7 @@ class Presence:
             self._works = self._loop.call_later(_PAUSE, self._work) if left else None
 
     def _work_off(self) -> None:
-        """Look at what has come, tell of what is gone, and look at names that are due, each for a bounded time."""
+        """Look at tokens that have come, tell of those that are gone, and look at names, each for a bounded time."""
         until = time.perf_counter() + _TURN
         while self._came_last and time.perf_counter() < until:
             (claim, owned), changes = self._came_last.popitem(last=False)
@@ -208,7 +208,7 @@ class Presence:
                 self._set(scope, kernel, claim if claim is not None and claim in self._claims else None)
 
     def _put(self, claim: Claim, *, owned: bool, up: bool) -> None:
-        """A token of another kernel is there, or is there no more."""
+        """Take a token of another kernel as there (`up`) or as gone."""
         if self._claims.has(claim, owned=owned) is up:
             return
         is_new, scope = claim not in self._claims, self._claims.scope_of(claim)
@@ -218,7 +218,7 @@ class Presence:
             self._ended(claim, scope, was_shared=was_shared)
         elif up:
             if scope == self._claims.scope_of(self._name.own):
-                # Both tokens of an owner come one after the other to who connects late.
+                # A kernel that connects late gets both tokens of an owner one after the other.
                 owns = self._claims.has(claim, owned=True) or self._came_last.get((claim, True), ())[-1:] == (True,)
                 self._meets(claim, owned=owns, is_new=is_new)
             if self._listens:
@@ -226,7 +226,7 @@ class Presence:
         self._look_at(scope, claim.kernel)
 
     def _gone(self, claim: Claim) -> None:
-        """A claim is there no more, whatever its tokens say."""
+        """Remove a claim, whatever its tokens say."""
         scope = self._claims.scope_of(claim)
         was_shared = self._claims.is_shared(scope)
         self._claims.remove(claim)
@@ -234,29 +234,29 @@ class Presence:
         self._look_at(scope, claim.kernel)
 
     def _ended(self, claim: Claim, scope: str, *, was_shared: bool) -> None:
-        # It is shown no more, at once: what comes next may be the same kernel with a new connection.
+        # The kernel is hidden at once: the next token may be of the same kernel with a new connection.
         if self._shown.get(scope, {}).get(claim.kernel) == _peer(claim):
             self._set(scope, claim.kernel, None)
-        if was_shared:  # and it may be no more
+        if was_shared:  # and may not be shared any more
             self._look_at_all(scope)
         self._to_tell.extend(self._told_others.ended(claim))
 
     # -- telling rivals of each other ------------------------------------------------------------------------------
 
     def _tell_rivals(self, claim: Claim) -> None:
-        """Tell this claim, or those that have to give way to it, of the other; each of one at a time."""
+        """Tell this claim's kernel, or the rivals that give way to it, of the other claim; each of one at a time."""
         is_shared = self._claims.is_shared(self._claims.scope_of(claim))
         for other in self._claims.rivals(claim):
-            if other == self._name.own:  # whose tokens all that connect here see themselves
+            if other == self._name.own:  # all that connect here see its tokens themselves
                 continue
             for one, two in ((claim, other), (other, claim)):
                 if one not in self._told_others and self._claims.gives_way(one, two):
                     self._tell_of(one, two)
             if not is_shared:
-                return  # the others were told of that one
+                return  # the other rivals were told of that one
 
     def _tell_of_first(self, claim: Claim) -> None:
-        """Tell a claim of the first one that it has to give way to."""
+        """Tell a claim's kernel of the first claim that it has to give way to."""
         rivals = (other for other in self._claims.rivals(claim) if other != self._name.own)
         found = next((other for other in rivals if self._claims.gives_way(claim, other)), None)
         if found is not None:
@@ -271,7 +271,7 @@ class Presence:
         self._engine.put(self._keys.told(_peer(to)), f"{what}{token}".encode())
 
     def _was_told(self, key: str, data: bytes) -> None:
-        """Another kernel tells of a token. A kernel that owns its name believes only what it sees itself."""
+        """Take a token that another kernel tells of. An owner of its name believes only tokens that it sees itself."""
         if self._closed or not self._trust.heeds(teller_in(key)):
             return
         token, up = data[1:].decode(errors="replace"), data[:1] == b"+"
@@ -283,7 +283,7 @@ class Presence:
         (self._heard_of.add if up else self._heard_of.discard)(found[0])
         self._came(token, up)
 
-    # -- showing who is there --------------------------------------------------------------------------------------
+    # -- showing kernels --------------------------------------------------------------------------------------------
 
     def _meets(self, claim: Claim, *, owned: bool, is_new: bool) -> None:
         before = self._name.standing
@@ -301,13 +301,13 @@ class Presence:
             self._say(f"zenoh: another kernel named {own.kernel!r} was started on {own.host}; it does not get the name")
 
     def _say(self, text: str) -> None:
-        """Say it in the log, once while this kernel stands as it does: others may claim as often as they like."""
+        """Log a text, once until the standing of this kernel changes: others may claim as often as they like."""
         if text not in self._said and len(self._said) < _SAID:
             self._said.add(text)
             self._kernel.report(text)
 
     def _look_at(self, scope: str, kernel: str) -> None:
-        """Look soon who has this name; where several machines claim the scope, at all of it."""
+        """Look soon which kernel has this name; in a scope that several machines claim, at all names."""
         if self._claims.is_shared(scope):
             self._look_at_all(scope)
         else:
@@ -360,13 +360,13 @@ class Presence:
         )
 
     def _changed(self) -> None:
-        """This kernel stands otherwise with its name: show and tell what follows from it."""
+        """Show and tell what follows from the changed standing of this kernel."""
         own = self._name.own
         self._claims.put(own, owned=False, up=self._name.is_shown)
         self._claims.put(own, owned=True, up=self.standing is Standing.OWNS)
         for scope in {*self._claims.scopes, *self._shown}:
             self._look_at_scope(scope)
-        self._show_due()  # as many as there is time for, so that of a few kernels none is shown that is not to be
+        self._show_due()  # as many as there is time for: few kernels are hidden at once where they have to be
         self._tell_soon()
         if self._timer is None and self.standing in (Standing.CLAIMS, Standing.WITHDRAWN):
             self._timer = self._loop.call_later(_TICK, self._tick)
@@ -377,7 +377,7 @@ class Presence:
             self._kernel.run_in_background(self._tell(), "aiorts zenoh name")
 
     async def _tell(self) -> None:
-        """Declare the tokens that belong to how it stands, one change after the other; what fails is tried again."""
+        """Declare the tokens of the present standing, one change after the other; a failed one is tried again."""
         try:
             while self._told != (now := (self.standing, self._keys)) and not self._closed:
                 standing, keys = now
@@ -393,7 +393,7 @@ class Presence:
             self._telling = False
 
     def _declare_as(self, keys: Keys) -> None:
-        """Declare under another name all that others may ask, before its token is there; in a thread."""
+        """Declare all that others may ask under another name, before its token is there; in a thread."""
         self._engine.announce()
         self._end_told()
         self._end_told = self._engine.subscribe(keys.heard, self._was_told)
@@ -407,7 +407,7 @@ class Presence:
         if self._connects and not self._engine.is_heard:
             if before is Standing.CLAIMS:
                 self._name.unseen(now)
-            for claim in self._heard_of:  # who told of them is gone
+            for claim in self._heard_of:  # the kernel that told of them is gone
                 self._gone(claim)
             self._heard_of.clear()
         self._name.passed(self._claims.rivals(self._name.own), now)
@@ -441,9 +441,9 @@ def _peer(claim: Claim) -> Peer:
 
 
 def this_machine() -> int:
-    """A number that no other machine has, made of what identifies its network namespace and its last boot.
+    """A number that no other machine has, made from the identities of its network namespace and its last boot.
 
-    What is in files would not do: an image of a machine is copied with them.
+    Contents of files would not do: an image of a machine is copied with them.
     """
     try:
         booted = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()

@@ -2,13 +2,13 @@
 
 For each neighbour and priority the engine keeps a queue of 16 batches of 64 KiB. A message that finds the queue full
 blocks its sender, or is lost. So that neither happens to a sample, no more than one queue is under way to a neighbour,
-over all channels together; the rest waits here, within a bound, and a link is told when it has to wait. Samples and
-control have a queue of the engine each, so what is under way is counted for each: nothing of control waits for samples.
+over all channels together; the rest waits here, within a bound, and a link hears when it has to wait. Samples and
+control each have a queue of the engine, and a count of what is under way: control never waits for samples.
 
-What is under way costs at most ROOM, the 16 batches. `cost` is what a message takes up at the worst: when nothing of
+What is under way costs at most ROOM, the 16 batches. `cost` is the most that a message takes up: when nothing of
 the queue is written to the network, as for a neighbour that stands still. One case goes beyond it: a frame of up to
 1 MiB, which is 17 batches, goes in one message where next to nothing is under way. The connection is idle then, and its
-own buffers take more than the one batch too many, though nobody reads: 4 MB on the loopback of Linux.
+own buffers take more than the one batch too many, though no process reads: 4 MB on the loopback of Linux.
 
 No message is express. An express message has a batch of its own, so 17 small ones would not fit any more; and where
 nothing waits, it is not sent sooner than another.
@@ -23,11 +23,11 @@ from typing import Final
 from aiorts_zenoh.envelope import BATCH, FRAME, LONG, LOOK, PIECE, PIECES, Block, alone, cost, message, pieces, size_of
 
 ROOM: Final = 16 * BATCH
-"""What may be on its way to one kernel, by its cost."""
+"""The most that may be under way to one kernel, by its cost."""
 _ROOM_FOR_ANY: Final = ROOM - cost(LONG + 100)
-"""What may be under way for a further message of up to LONG bytes to be sent."""
+"""The most that may be under way for a further message of up to LONG bytes to be sent."""
 _IDLE: Final = BATCH
-"""What may be under way for a frame of up to ALONE bytes to be sent in one message.
+"""The most that may be under way for a frame of up to ALONE bytes to be sent in one message.
 
 As much as the other end of one channel may have taken without saying so.
 """
@@ -35,13 +35,13 @@ ALONE: Final = 1_050_000
 _TOLD: Final = BATCH
 """The cost after which a receiver says how far it has come, without being asked."""
 _SOME: Final = 4 * BATCH
-"""The cost, over all channels to one kernel, after which it is said how far this one has come."""
+"""The cost, over all channels to one kernel, after which this kernel says how far it has come."""
 _ASKED: Final = 64
-"""Channels at which another kernel is asked at the same time how far it has come."""
+"""The most channels at which another kernel is asked at the same time how far it has come."""
 _FEW: Final = 4_096
-"""Bytes of a short frame."""
+"""The most bytes of a short frame."""
 _LAST: Final = 64
-"""Bytes of a frame that may be the last one of a link."""
+"""The most bytes of a frame that may be the last one of a link."""
 _FULL: Final = 1 << 20
 """Bytes that wait at one channel beyond which it takes no more."""
 
@@ -52,19 +52,19 @@ class Budget:
     def __init__(self) -> None:
         self.used = 0
         self.senders: dict[Sender, None] = {}
-        # The first of a plain dict is found the later the more was taken from its front.
+        # A plain dict finds its first item the slower, the more items were taken from its front.
         self.unasked: OrderedDict[Sender, None] = OrderedDict()
-        """Those that have sent something since the other kernel was asked last how far it has come."""
+        """Senders that have sent a message since the other kernel was asked last how far it has come."""
         self.asked: dict[Sender, None] = {}
-        """Those at which it was asked, and has not answered."""
+        """Senders at which the other kernel was asked, and has not answered."""
         self.telling: dict[Sender, None] = {}
-        """Those of which it will soon say so by itself: few, since they have much under way."""
+        """Senders of which the other kernel will soon say so by itself: few, since they have much under way."""
         self.waiting: OrderedDict[Sender, None] = OrderedDict()
-        """Those that have something to send, in turn; few of thousands of channels have."""
+        """Senders with messages that wait, in turn; few of thousands of channels have any."""
         self.refusing: dict[Sender, None] = {}
-        """Those that have refused a frame, and have not been told since that there is room."""
+        """Senders that have refused a frame, and have not been told since that there is room."""
         self.untold: OrderedDict[Receiver, None] = OrderedDict()
-        """Those to which something has come that the other kernel was not told of."""
+        """Receivers of messages of which the other kernel was not told."""
         self.untold_cost = 0
 
     @property
@@ -88,7 +88,7 @@ class Budget:
             self.look_at_some()
 
     def look_again(self) -> None:
-        """Ask once more: what it was asked, or has said, may be lost. Channels where it was not asked come first."""
+        """Ask again: a question or an answer may be lost. Channels where the other kernel was not asked come first."""
         for sender in tuple(self.asked):
             sender.forget_look()
         for sender in tuple(self.telling):
@@ -101,7 +101,7 @@ class Budget:
             next(iter(self.unasked)).look()
 
     def pump(self) -> None:
-        """Send at all channels what there is room for, one message at each in turn."""
+        """Send the messages that there is room for at all channels, one at each in turn."""
         waiting = self.waiting
         while waiting and self.has_room:
             sender = next(iter(waiting))
@@ -110,15 +110,15 @@ class Budget:
                 waiting.move_to_end(sender)
 
     def tell(self) -> None:
-        """Say how far this kernel has come where that was not said for longest, while much was not said anywhere.
+        """Say how far this kernel has come, first where that was not said for longest, while much is unsaid in all.
 
-        Each of thousands of channels has so little under way that nothing would ever be said of it.
+        Each of thousands of channels has too little under way to be said by itself.
         """
         while self.untold_cost > _SOME:
             next(iter(self.untold)).say()
 
     def tell_room(self) -> None:
-        """Tell those that have refused a frame, and would take it now, that there is room."""
+        """Tell the senders that have refused a frame, and would take it now, that there is room."""
         for sender in tuple(self.refusing):
             if sender.room_made():
                 sender.on_room()
@@ -136,11 +136,11 @@ class Budgets:
 
     @property
     def count(self) -> int:
-        """Channels to the kernel."""
+        """The number of channels to the kernel."""
         return sum(len(budget.senders) for budget in self.both)
 
     def pump(self) -> None:
-        """Send what there is room for, ask how far the other kernel has come where there is none, and tell of room."""
+        """Send as much as there is room for; where there is none, ask how far the other kernel is; tell of room."""
         for budget in self.both:
             budget.pump()
             if not budget.has_room:
@@ -155,11 +155,11 @@ class Budgets:
 
 
 class Sender:
-    """What one end of a channel sends.
+    """The sending part of one end of a channel.
 
     Args:
         put: gives a message to the engine.
-        epoch: of the link; goes with each message.
+        epoch: the epoch of the link; goes with each message.
         now: ns since 1970.
         on_room: called when there is room after a frame was refused.
     """
@@ -175,17 +175,17 @@ class Sender:
         self._budget, self._put, self._epoch, self._now = budget, put, epoch, now
         self.on_room = on_room
         self._queue: deque[tuple[int, Sequence[Block], int]] = deque()
-        """What waits: kind, blocks and their size."""
+        """Messages that wait: kind, blocks and their size."""
         self._last: Sequence[Block] | None = None
-        """The frame that came last, where it waits or was refused, and is short."""
+        """The last frame, where it waits or was refused, and is short."""
         self._waits = 0
         self._sent = self._taken = 0
         self._looked = 0
-        """What was sent when the other end was asked last how far it has come."""
+        """The cost that was sent when the other end was asked last how far it has come."""
         budget.senders[self] = None
 
     def send_alone(self, frame: bytes) -> bool:
-        """`send` of a short frame where none waits, written out; False: `send` takes it, or not."""
+        """`send` of a short frame where none waits, written out; False: `send` decides."""
         if self._queue or self._budget.used > _ROOM_FOR_ANY or len(frame) > _FEW:
             return False
         self._give(alone(self._epoch, self._sent, self._now(), frame))
@@ -211,7 +211,7 @@ class Sender:
         return True
 
     def send_next(self) -> bool:
-        """Send one message that waits; False: none does."""
+        """Send one message that waits; False: none waits."""
         queue = self._queue
         if not queue:
             return False
@@ -226,9 +226,9 @@ class Sender:
         return True
 
     def _cut(self) -> None:
-        """Have the first frame that waits sent in pieces.
+        """Cut the first frame that waits into pieces.
 
-        Other channels may have a little under way that has come long ago: of so little a receiver says nothing by
+        Other channels may have a little under way that has come long ago: a receiver says nothing of so little by
         itself. They ask now, so that the next frame can go in one message.
         """
         self._budget.look_at_some()
@@ -259,13 +259,13 @@ class Sender:
             self._put(message(LOOK, self._epoch, self._sent, self._now()))
 
     def forget_look(self) -> None:
-        """Ask anew, if there was no answer."""
+        """Forget a question without an answer, so that it is asked again."""
         self._looked = 0
         del self._budget.asked[self]
         self._budget.unasked[self] = None
 
     def came(self, taken: int) -> None:
-        """The other end says that of all that was sent, what cost so much was taken or is lost."""
+        """Take the news of the other end that messages of this cost, of all that were sent, were taken or are lost."""
         if self._taken < taken <= self._sent:
             budget = self._budget
             budget.used -= taken - self._taken
@@ -301,10 +301,10 @@ class Sender:
 
 
 class Receiver:
-    """How far one end of a channel has come with what the other sends.
+    """The receiving part of one end of a channel: how far it has come.
 
     Args:
-        tell: tells the other end this number.
+        tell: tells the other end the cost of all that has come.
     """
 
     def __init__(self, budget: Budget, tell: Callable[[int], None]) -> None:
@@ -312,7 +312,7 @@ class Receiver:
         self._taken = self._told = 0
 
     def took(self, first: int, size: int) -> None:
-        """A message of `size` bytes has come; the sender hears how far this end is, if that is much."""
+        """Take a message of `size` bytes; tell the sender how far this end is, if much is unsaid."""
         taken = first + cost(size)
         if taken <= self._taken:
             return
@@ -327,7 +327,7 @@ class Receiver:
                 budget.tell()
 
     def asked(self, first: int) -> None:
-        """The other end asks, which has sent so much."""
+        """Answer the other end's question; `first`: the cost of all that it has sent."""
         if first > self._taken:
             self._budget.untold_cost += first - self._taken
             self._taken = first
@@ -339,7 +339,7 @@ class Receiver:
         self._tell(self._taken)
 
     def close(self) -> None:
-        """Tell nothing of what has come until now."""
+        """Tell nothing of the messages that have come until now."""
         self._budget.untold.pop(self, None)
         self._budget.untold_cost -= self._taken - self._told
         self._told = self._taken

@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     import socket
 
 _ANSWERS: Final = 8 << 20
-"""Bytes of an answer to a question that stands alone."""
+"""The most bytes of an answer to a call without a session."""
 _ANSWER_SECONDS: Final = 30.0
 _SESSIONS: Final = {INFO: 192, CTL: 256}
-"""Sessions of all clients, when another is to begin below this branch: the rest is for those that operate."""
+"""The most sessions of all clients, by the branch of the newest: the rest of 256 is for clients that operate."""
 _OF_ONE: Final = {INFO: 24, CTL: 128}
-"""Sessions of one client's name: a few more than the kernel lets in, which says why to these."""
+"""The most sessions of one client's name: a few more than the kernel lets in, which tells these the reason."""
 _REMEMBERED: Final = 256
-"""Names and texts that are reported once."""
+"""The most names and texts that are remembered, to report each once."""
 _KEPT: Final = 4_096
 _STARTS: Final = 5.0
 _LAST_WORDS: Final = 1.5
@@ -41,7 +41,7 @@ _LAST_WORDS: Final = 1.5
 class Serving:
     """Lets clients of other hosts look into a kernel and, if it is allowed, operate it.
 
-    What a client may do follows from the key: under `info` it looks, under `ctl` it operates; it never brings code.
+    The rights of a client follow from the key: under `info` it looks, under `ctl` it operates; it never brings code.
 
     Args:
         control: lets the clients in.
@@ -56,19 +56,19 @@ class Serving:
         self._control, self._report, self._admits = control, report, admits
         self._branches = {INFO: Right.VIEW} | ({CTL: Right.OPERATE} if operate else {})
         self._sessions: dict[tuple[str, str, str], Carried] = {}
-        """By branch, caller and session."""
+        """The sessions by branch, caller and name of the session."""
         self._there: set[tuple[str, str, str]] = set()
         """Sessions whose clients are there, as their tokens say."""
         self._ended: dict[tuple[str, str, str], None] = {}
-        """Sessions that have ended; the last of them."""
+        """The last sessions that have ended."""
         self._bad: set[str] = set()
-        """Who has sent what is no message, which is said once."""
+        """Callers that have sent bytes that are no message; each is reported once."""
         self._refused: set[str] = set()
-        """Why there was no session, each said once."""
+        """Refusals of sessions; each is reported once."""
         self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False
         self._ends: list[Callable[[], None]] = []
-        """Each ends what is declared under the name of the kernel."""
+        """Functions that end the declarations under the name of the kernel."""
         self._engine: Engine
         self._keys: Keys
         self._loop: asyncio.AbstractEventLoop
@@ -78,18 +78,18 @@ class Serving:
         self._thread = threading.Thread(target=self._serve, name="aiorts zenoh control")
 
     def declare(self, engine: Engine, keys: Keys) -> None:
-        """Serve clients from now on. What the engine does here may wait for the network."""
+        """Serve clients from now on. The call may wait for the network."""
         self._engine = engine
         self._thread.start()
         if not self._ready.wait(_STARTS):
             raise ControlError("the thread that serves other hosts has not begun")
-        if self._closed:  # before it was there
+        if self._closed:  # closed before the thread was there
             self.close()
             raise ControlError("this kernel ends")
         self.declare_as(engine, keys)
 
     def declare_as(self, engine: Engine, keys: Keys) -> None:
-        """Serve those who know this kernel by these keys."""
+        """Serve the clients that know this kernel by these keys."""
         for end in self._ends:
             end()
         self._keys, self._ends = keys, []
@@ -111,7 +111,7 @@ class Serving:
                 carried.cut_off()
 
     def finish(self) -> None:
-        """Wait until the kernel has ended all sessions and their clients have what was sent last, for a moment."""
+        """Wait, for a moment, until the kernel has ended all sessions and their clients have its last messages."""
         until = time.monotonic() + _LAST_WORDS
         while self._sessions and time.monotonic() < until:
             time.sleep(0.005)
@@ -152,8 +152,8 @@ class Serving:
         name = branch, *session_in(key)
         carried = self._sessions.get(name)
         if carried is None:
-            # Where what began it was lost, it is asked for how much of it has come. Of one that has ended nothing is
-            # taken: who has recorded it may put it once more.
+            # A session whose first message was lost begins with a question how much has come. One that has ended
+            # begins no more: a program that has recorded its messages may put them again.
             begins = message.kind == FRAME and not message.first
             if name in self._ended or not (begins or (message.kind == LOOK and name in self._there)):
                 return
@@ -263,6 +263,6 @@ class Serving:
 
 
 def _said(error: AiortsError | OSError) -> dict[str, Any]:
-    """The answer where there is none; OSError: no descriptor is left."""
+    """The answer that reports an error; OSError: no descriptor is left."""
     code = error.code if isinstance(error, AiortsError) else ControlError.code
     return {"error": {"code": code, "text": str(error)}}

@@ -20,9 +20,9 @@ from aiorts_zenoh.keys import CTL, HELLO, INFO, ClientKeys, peer_of, session_in
 DEADLINE: Final = 3.0
 """Seconds in which kernels are found, and in which they say what this client may do."""
 _ROUND: Final = 0.5
-"""Seconds for the answers of all; a kernel that has not answered is asked again when a session with it begins."""
+"""Seconds for the answers of all kernels; one without an answer is asked again when a session with it begins."""
 _LATER: Final = 1.0
-"""Seconds that the answer below `ctl` may come after that below `info`."""
+"""Seconds that the answer below `ctl` may come after the answer below `info`."""
 _AGAIN: Final = 0.05
 
 
@@ -43,7 +43,7 @@ class Sessions:
         """Kernels that have said that this client may operate them; the others are asked again."""
 
     def declare(self) -> None:
-        """Take what kernels send from now on; in a thread."""
+        """Take the messages of kernels from now on; in a thread."""
         for branch in (INFO, CTL):
             self._engine.subscribe(self._keys.answers(branch), self._arrived)
 
@@ -55,7 +55,7 @@ class Sessions:
         self._operable |= {peer for peer, data in answers.items() if _operates(data)}
 
     async def _branch(self, peer: Peer) -> str:
-        """Below what a session with a kernel is to be: `ctl` if the kernel says so within the deadline, else `info`."""
+        """The branch for a session with a kernel: `ctl` if the kernel says so within the deadline, else `info`."""
         if peer in self._operable:
             return CTL
         with suppress(TimeoutError):
@@ -64,7 +64,7 @@ class Sessions:
         return INFO
 
     async def _ask_branch(self, peer: Peer) -> str:
-        """Ask below both until there is an answer. No answer below `ctl` counts only after one below `info`."""
+        """Ask below both branches until one answers. No answer below `ctl` counts only after one below `info`."""
         while True:
             operates, looks = (
                 asyncio.ensure_future(self.asked(self._keys.session(branch, peer, HELLO), DEADLINE))
@@ -82,10 +82,11 @@ class Sessions:
             await asyncio.sleep(_AGAIN)
 
     async def asked(self, key: str, first: float, following: float | None = None) -> dict[Peer, bytes]:
-        """The answers to a question, by who gave them.
+        """The answers to a question, by the kernels that gave them.
 
         Args:
-            first: seconds to wait for the first answer, and with `following` for another after each; else for all.
+            first: seconds to wait for the first answer; for all answers where `following` is None.
+            following: seconds to wait for another answer after each.
         """
         found: dict[Peer, bytes] = {}
         ended, news = asyncio.Event(), asyncio.Event()
@@ -113,10 +114,10 @@ class Sessions:
     async def carry(
         self, peer: Peer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, begun: bytes = b""
     ) -> None:
-        """Carry one session until either end ends it: it operates the kernel where that lets it, else it looks.
+        """Carry one session until either end ends it: it operates the kernel if the kernel permits that, else looks.
 
         Args:
-            begun: what has come from the local connection before.
+            begun: the bytes that have come from the local connection before.
         """
         session = secrets.token_hex(8)
         try:
@@ -136,7 +137,7 @@ class Sessions:
             writer.close()
 
     async def _begin(self, session: str, peer: Peer) -> str | None:
-        """Below what a session is to be, `ctl` or `info`; None: its kernel has gone meanwhile."""
+        """The branch for a session, `ctl` or `info`; None: its kernel has gone meanwhile."""
         self._begins[session] = peer
         try:
             branch = await self._branch(peer)
@@ -149,7 +150,7 @@ class Sessions:
         return branch
 
     def end(self, peer: Peer) -> None:
-        """The kernel is gone: end the sessions with it."""
+        """End the sessions with a kernel, which is gone."""
         self._operable.discard(peer)
         self._begins = {session: whose for session, whose in self._begins.items() if whose != peer}
         for whose, carried in tuple(self._there.values()):
@@ -157,7 +158,7 @@ class Sessions:
                 carried.peer_gone()
 
     def keep(self, there: Collection[Peer]) -> None:
-        """These kernels are there: end the sessions with all others."""
+        """End the sessions with all kernels but these, which are there."""
         for peer in {*self._operable, *self._begins.values(), *(whose for whose, _ in self._there.values())}:
             if peer not in there:
                 self.end(peer)
@@ -170,7 +171,7 @@ class Sessions:
 
 
 def _operates(data: bytes) -> bool:
-    """Whether a kernel has said by this that the client may operate it."""
+    """Whether a kernel's answer says that the client may operate it."""
     try:
         return bool(answer_in(data)["ok"]["right"] == "operate")
     except (WireError, LookupError, TypeError):

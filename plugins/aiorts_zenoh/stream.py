@@ -1,7 +1,7 @@
 """Both directions of a session with a kernel, over messages that may be lost. It knows no engine and no loop.
 
 Each end numbers the bytes that it sends, keeps them until the other end has used them, and sends them again from the
-first that is missing there. So what is under way is bounded, and what comes is whole and in order.
+first that is missing there. So the bytes under way are bounded, and the bytes that come are whole and in order.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Final
 from aiorts_zenoh.envelope import END, FRAME, HAVE, LOOK, TAKEN, Message, message
 
 WINDOW: Final = 128 * 1024
-"""Bytes that may be under way, or wait at the other end."""
+"""The most bytes that are under way, or wait at the other end."""
 CHUNK: Final = 32 * 1024
-"""Bytes of one message."""
+"""The most bytes of one message."""
 
 
 class Stream:
@@ -23,14 +23,14 @@ class Stream:
 
     Args:
         put: gives a message to the engine.
-        number: of the session; goes with each message.
+        number: the number of the session; goes with each message.
         now: ns since 1970.
     """
 
     def __init__(self, put: Callable[[bytes], None], number: int, now: Callable[[], int]) -> None:
         self._put, self._number, self._now = put, number, now
         self._kept: deque[tuple[int, int, bytes]] = deque()
-        """What the other end has not used: first number, kind, bytes."""
+        """Messages that the other end has not used: first number, kind, bytes."""
         self._sent = self._used = 0
         self._came = self._told = self._took = 0
         self.ended = False
@@ -65,7 +65,7 @@ class Stream:
             self._say(LOOK, self._sent)
 
     def arrived(self, came: Message) -> bytes:
-        """What is next with a message that has come; b"" where that is nothing."""
+        """Take a message; the next bytes in order that it brings, or b""."""
         if came.epoch != self._number:
             return b""
         if came.kind == TAKEN:
@@ -96,7 +96,7 @@ class Stream:
         return data
 
     def took(self, count: int) -> None:
-        """So many bytes that have come are used: the other end may send as many more."""
+        """Count so many bytes that have come as used: the other end may send as many more."""
         self._took += count
         if self._took - self._told >= WINDOW // 4:
             self._tell()

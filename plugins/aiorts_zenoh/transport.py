@@ -35,31 +35,31 @@ from aiorts_zenoh.sending import Budgets, Receiver, Sender
 from aiorts_zenoh.sessions import Sessions
 
 _LOOK_AGAIN: Final = 0.5
-"""Seconds until it is asked once more how far the other end has come."""
+"""Seconds until the other end is asked again how far it has come."""
 _ASK_AGAIN: Final = 0.05
-"""Seconds until a question is asked again that found nobody: who answers may not be known everywhere yet."""
+"""Seconds until a question that found no kernel is asked again: the kernel may not be known everywhere yet."""
 _ASKED: Final = 1_000
-"""Questions of one kernel that are being answered, or were last, at the most."""
+"""The most questions that are being answered, and the most answers that are kept."""
 _KEPT: Final = 65_536
-"""Bytes of an answer up to which it is kept, for a question that comes twice."""
+"""The most bytes of an answer that is kept, for a question that comes twice."""
 _CLOCK: Final = "clock"
-"""Asks for the time of the other kernel."""
+"""The question for the time of the other kernel."""
 _COMPARED: Final = 1.0
 """Seconds between two questions for the time."""
 _UNKNOWN: Final = 1 << 62
-"""How far the time of another machine may be off before the first answer, in ns."""
+"""The possible error of another machine's time before the first answer, in ns."""
 _CLOSES: Final = 3.0
 _SHORT: Final = 4_096
-"""Bytes of a message that takes no long time to read, whatever is in it."""
+"""The most bytes of a message that is read in no long time, whatever is in it."""
 _MARGIN: Final = 1.0
-"""Seconds that the engine keeps a question longer than who asks waits."""
+"""Seconds that the engine keeps a question longer than the caller waits."""
 _GIVEN: Final = 10 << 16
-"""Bytes of questions and answers that the engine surely has room for: its queue is of 16 times 64 KiB."""
+"""Bytes of questions and answers that the engine surely has room for: its queue has 16 times 64 KiB."""
 _DECLARED: Final = 32
-"""Links with one other kernel whose keys are declared to the engine: the first ones.
+"""The most links with one other kernel whose keys are declared to the engine: the first ones.
 
-It finds the way of a message with such a key at once. Any other key it compares with each declared one of the same two
-kernels, 32 in some 15 us. But a declaration takes the longer the more there are: some ms beside 3,000.
+The engine finds the way of a message with such a key at once. It compares any other key with each declared one of the
+same two kernels, 32 in some 15 us. But a declaration takes longer the more there are: some ms with 3,000.
 """
 
 
@@ -67,7 +67,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
     """Carries links to kernels that a Zenoh session reaches.
 
     Args:
-        host: by which others know this machine.
+        host: the name by which others know this machine.
         domain: kernels of different domains do not see each other.
         engine: settings of the engine by their keys; `aiorts_zenoh.network` makes them.
         machine: a number that tells machines apart; by default that of this one.
@@ -76,7 +76,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
 
     Raises:
         MissingExtra: the engine is not installed.
-        PluginError: it is of a version that is not known here.
+        PluginError: the engine is of a version that is not known here.
     """
 
     def __init__(
@@ -96,36 +96,36 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         self.answer(_CLOCK, self._tell_time)
         self._now = now
         self._clocks: dict[Peer, ClockOffset] = {}
-        """Of those whose links end here."""
+        """The clocks of the peers whose links end here."""
         self._comparing: asyncio.TimerHandle | None = None
         self._named: Counter[str] = Counter()
         """The peers, as host/kernel; the engine's threads look into it."""
         self._bad: set[Peer] = set()
-        """Those that have sent what is no message, which is said once."""
+        """Peers that have sent bytes that are no message; each is reported once."""
         self._gate: Gate
         self._answers: OrderedDict[tuple[str, bytes, int], asyncio.Future[tuple[bool, bytes]]] = OrderedDict()
-        """The answers to what was asked last, by who asks and its number: a question that comes twice is answered
+        """The answers to the last questions, by the caller and its number: a question that comes twice is answered
         once."""
         self._answering = 0
         """Questions that are being answered."""
         self._news = asyncio.Event()
-        """Set, and another one from then on, when there is another kernel."""
+        """Set, and replaced by a new one, when there is another kernel."""
         self._ways: dict[Peer, _Way] = {}
         self._looking: asyncio.TimerHandle | None = None
         self._closed = False
         self._inbox: Inbox | None = None
         self.beside: list[Callable[[Engine, Keys], None]] = []
-        """What is declared beside links, before others see this kernel; called in a thread."""
+        """Further declarations, besides links, before others see this kernel; called in a thread."""
         self.anew: list[Callable[[Engine, Keys], None]] = []
-        """What is declared once more where this kernel takes another name; called in a thread."""
+        """Declarations that are repeated where this kernel takes another name; called in a thread."""
         self._ends: list[Callable[[], None]] = []
-        """Each ends what is declared under the name of this kernel."""
+        """Functions that end the declarations under the name of this kernel."""
         self.known_as = ""
         """The name of this kernel here, where it is not its own."""
         self.last: list[Callable[[], None]] = []
         """Called before the session ends, in a thread; each may wait a moment."""
         self.sessions_denied = ""
-        """Why this kernel may not ask others for operations; "" where it may."""
+        """The reason why this kernel may not ask others for operations; "" where it may."""
         self.trust: Trust = AnyName()
         """The rules of which kernels may be there, and which may tell of others."""
         self.allowed = Allowed()
@@ -169,7 +169,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         assert self._inbox is not None  # noqa: S101 - both were made just before
         assert self._presence is not None  # noqa: S101
         engine.open(self._settings, self._inbox)
-        # Who sees the token may ask at once: so it comes last.
+        # A kernel that sees the token may ask at once: so the token comes last.
         self._declare_links(keys)
         if not self.sessions_denied:
             self._sessions.declare()
@@ -182,16 +182,16 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         self._ends.append(self.engine.answer(keys.questions, self._was_asked))
 
     def _renamed(self, keys: Keys) -> None:
-        """This kernel is another one from now on; nobody has seen that one yet, and nobody sees this one any more."""
+        """Take another name: other kernels have not seen it yet, and do not see the former one any more."""
         for end in self._ends:
-            end()  # what is sent there is for who has the name
+            end()  # messages there are for the kernel that has the name
         self.keys, self.known_as = keys, keys.own.kernel
         self._declare_links(keys)
         for declare in self.anew:
             declare(self.engine, keys)
 
     async def close(self) -> None:
-        """Give up everything."""
+        """End the session, and all links and questions. Idempotent."""
         if self._closed:
             return
         self._closed = True
@@ -226,17 +226,17 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
 
     @property
     def left_out(self) -> int:
-        """Messages that came while too much waited for the loop already: the ends of their links send them again."""
+        """Messages that found no room, as too many waited for the loop: the ends of their links send them again."""
         return 0 if self._inbox is None else self._inbox.dropped
 
     @property
     def standing(self) -> str:
-        """How this kernel stands with its name: claims, owns, withdrawn or refused."""
+        """The standing of this kernel with its name: claims, owns, withdrawn or refused."""
         return "" if self._presence is None else self._presence.standing.value
 
     @property
     def cut_off(self) -> Collection[str]:
-        """Who was beyond a limit, and is not heard for a while."""
+        """The peers that were beyond a limit, and are not heard for a while."""
         return () if self._inbox is None else self._gate.cut_off
 
     def deny(self, name: str) -> None:
@@ -245,7 +245,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
             self._presence.forget(name)
 
     def _say(self, text: str) -> None:
-        """From any thread."""
+        """Log a warning; from any thread."""
         if self._inbox is not None:
             self._inbox.put(self.kernel.report, text)
 
@@ -312,7 +312,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
     def _closed_at(self, key: str, peer: Peer) -> None:
         self.forget(key)
         if not self._closed:
-            self.loop.call_soon(self._pump, peer)  # what it had under way is free for others
+            self.loop.call_soon(self._pump, peer)  # the room of what it had under way is free for others
 
     def _arrived(self, key: str, data: bytes) -> None:
         channel = self.channels.get(key)
@@ -341,7 +341,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
             way.budgets.pump()
 
     def _look_again(self) -> None:
-        """What waits for room must not wait for an answer that was lost."""
+        """Ask again how far other kernels are: frames that wait for room must not wait for an answer that was lost."""
         self._looking = self.loop.call_later(_LOOK_AGAIN, self._look_again) if self.channels else None
         for way in self._ways.values():
             way.budgets.look_again()
@@ -411,7 +411,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
                     self.loop.call_later(_ASK_AGAIN, again, left)
 
             def give(left: float) -> None:
-                if self.is_awaited(number):  # else an old offer would come behind the new one, and be what counts
+                if self.is_awaited(number):  # else an old offer would come after the new one, and count
                     self.engine.ask(key, body, beside, left + _MARGIN, answered)
 
             def again(left: float) -> None:
@@ -423,7 +423,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         return await self.asked(peer, within, begin)
 
     async def session(self, peer: Peer) -> socket.socket:
-        """A connection for a session with another kernel, in which this one operates it if it is let, else looks.
+        """A connection for a session with another kernel, in which this one operates it if permitted, else looks.
 
         Raises:
             DeniedError: its own certificate lets this kernel do neither.
@@ -478,7 +478,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         return await self.answer_to(what, body, Caller(peer, f"kernel {peer.host}/{peer.kernel}", self.allowed))
 
     def _give(self, peer: Peer | None, size: int, work: Callable[[], None]) -> None:
-        """Give a question or answer to the engine, at once where that has room for it."""
+        """Give a question or answer to the engine, at once where the engine has room for it."""
         way = None if peer is None else self._ways.get(peer)
         if way is None or (not way.turn.locked() and way.takes(size)):
             work()
@@ -489,13 +489,13 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         async with way.turn:
             if self._closed:
                 return
-            if way.takes(size):  # something was heard meanwhile
+            if way.takes(size):  # the other kernel was heard meanwhile
                 work()
             else:
                 await in_thread(work)
 
     def _forget_answers(self) -> None:
-        """Forget those of the oldest that were given; the others are looked at again after all that came since."""
+        """Forget the given ones of the oldest answers; the others are looked at again after all later ones."""
         for key in tuple(islice(self._answers, _ASKED // 2)):
             if self._answers[key].done():
                 del self._answers[key]
@@ -510,13 +510,13 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
 
 
 class _Way:
-    """The way to one kernel. Where the engine has no room for a question or answer, it waits: in a thread, not on the
+    """The way to one kernel. A question or answer for which the engine has no room waits in a thread, not on the
     loop."""
 
     def __init__(self) -> None:
         self.budgets = Budgets()
         self.turn = asyncio.Lock()
-        """Held while one waits; all others to this kernel wait for it."""
+        """Held while a question or answer waits; all others to this kernel wait for the lock."""
         self.given = 0
         """Bytes that the engine was given since anything was heard of the kernel."""
 
@@ -527,7 +527,7 @@ class _Way:
 
 
 def _priority(offer: LinkOffer) -> str:
-    """Of the samples: those of which only the newest counts wait for the others."""
+    """The priority of a link's samples: where only the newest counts, they wait for those of other links."""
     return "DATA_LOW" if offer.profile.push == "new" else "DATA"
 
 
@@ -553,7 +553,7 @@ class _ZenohChannel(BaseChannel):
         self._receiver, self._whole = Receiver(theirs, self._tell), Whole()
         self._writes = writes
         self.came = 0
-        """Bytes of the long frame that the last message made whole."""
+        """Bytes of the long frame that the last message completed."""
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if not self.is_open:
@@ -562,7 +562,7 @@ class _ZenohChannel(BaseChannel):
         if not parts and not is_urgent and self.sender.send_alone(head):
             return True
         if is_urgent:
-            # Not in the queue of the samples, which it may overtake. It counts as nothing that was sent there.
+            # Not in the queue of the samples, which it may overtake. So its cost does not count there.
             self._urgent.put(message(FRAME, self._epoch, 0, time.time_ns(), (head,)))
             return True
         if not parts:
@@ -571,11 +571,11 @@ class _ZenohChannel(BaseChannel):
         return self.sender.send([head, *flat])
 
     def arrived(self, data: bytes) -> bool:
-        """A message has come; whether others may be sent now. ValueError: it is none."""
+        """Take a message; whether others may be sent now. ValueError: the bytes are none."""
         if (found := frame_of(data, self._epoch)) is not None:
             self.events.on_frames(((found[1], ()),))
             if self.is_open:
-                self._receiver.took(found[0], len(data))  # last: it may put a message, for which nobody waits
+                self._receiver.took(found[0], len(data))  # last: it may put a message, which no frame waits for
             return False
         kind, epoch, first, _, blocks = read(data)
         if epoch != self._epoch:

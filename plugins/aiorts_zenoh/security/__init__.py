@@ -1,4 +1,4 @@
-"""Who may do what over the network: certificates, the access table made from their names, and why one was refused.
+"""Security of the network: certificates, the access table made from their names, and the reasons of refusals.
 
 Nothing here knows the engine or a kernel.
 """

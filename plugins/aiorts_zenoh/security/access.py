@@ -1,8 +1,8 @@
-"""The table of who may send what to whom. Names come from certificates; nothing is looked up here.
+"""The table of messages that each role may send to each other. Names come from certificates; nothing is looked up.
 
 A message goes from one name to another, over the connection between them; `ROWS` says which messages a role may send
 to which, with {a} for the name of the sender and {b} for that of the receiver. The engine compares both with the
-certificate at the other end of the connection, so a name in a key cannot be another's. A router stands for everybody:
+certificate at the other end of the connection, so a name in a key cannot be another's. A router stands for all names:
 to it and from it the other name is any. What no row allows is denied.
 """
 
@@ -29,45 +29,45 @@ _DENIED: Final = "denied"
 """The role of a name that was revoked: it hears that it was, and nothing else."""
 _ANY: Final = "*"
 _WORD: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
-"""What a certificate can name: one part of a key of the engine, of the 64 letters that a common name has."""
+"""A name in a certificate: one part of a key of the engine, with at most the 64 letters of a common name."""
 
 
 class Row(NamedTuple):
-    """Messages that a name of these roles may send to one of those."""
+    """Messages that a name of the senders' roles may send to one of the receivers' roles."""
 
     senders: tuple[str, ...]
     receivers: tuple[str, ...]
     messages: tuple[str, ...]
     keys: tuple[str, ...]
-    """Below the domain."""
+    """The keys of these messages, below the domain."""
 
 
 _LOOKERS: Final = (VIEWER, *OPERATORS)
 _ALL: Final = (VIEWER, OPERATOR, *KERNELS)
 _WATCH: Final = ("declare_liveliness_subscriber", "liveliness_query")
 _ASK: Final = ("query", "put", "declare_subscriber", "liveliness_token")
-"""What a client does: it calls, and has sessions, which are there for as long as their tokens."""
+"""The messages of a client: it calls, and has sessions, which are there for as long as their tokens."""
 _OFFER: Final = ("declare_queryable", "declare_subscriber", *_WATCH)
 _ANSWER: Final = ("reply", "put")
 
 ROWS: Final = (
-    # Who is there: a kernel shows its own name alone.
+    # Presence: a kernel shows its own name alone.
     Row(_ALL, _ALL, _WATCH, ("live/*/*/**",)),
     Row(KERNELS, _ALL, ("liveliness_token",), ("live/*/{a}/**",)),
-    # What a kernel tells others of names that they may not see, and who tells it.
+    # News for kernels of names that they may not see, and the kernel that tells them.
     Row(KERNELS, KERNELS, ("declare_subscriber",), ("heard/*/{a}/*/*",)),
     Row(KERNELS, KERNELS, ("put",), ("heard/*/{b}/*/{a}",)),
-    # That a name was revoked, to that name alone, and who says so.
+    # News that a name was revoked, to that name alone, and the kernel that says so.
     Row((*_ALL, _DENIED), _ALL, _WATCH, ("denied/{a}/*",)),
     Row(KERNELS, (*_ALL, _DENIED), ("liveliness_token",), ("denied/{b}/{a}",)),
-    # What kernels ask each other.
+    # Questions of kernels to each other.
     Row(KERNELS, KERNELS, ("declare_queryable",), ("svc/*/{a}/*/**",)),
     Row(KERNELS, KERNELS, ("query",), ("svc/*/{b}/*/{a}/**",)),
     Row(KERNELS, KERNELS, ("reply",), ("svc/*/{a}/*/{b}/**",)),
-    # Frames of links: what its writer sends, and what its reader does.
+    # Frames of links: of the writer, and of the reader.
     Row(KERNELS, KERNELS, ("declare_subscriber",), ("link/*/*/*/{a}/*/w", "link/*/{a}/*/*/*/r")),
     Row(KERNELS, KERNELS, ("put",), ("link/*/{a}/*/{b}/*/w", "link/*/{b}/*/{a}/*/r")),
-    # Looking into kernels, and controlling them; a call may be one to all of them.
+    # Looking into kernels, and controlling them; a call may go to all of them.
     Row(_LOOKERS, KERNELS, _ASK, ("info/*/*/*/{a}/**",)),
     Row(KERNELS, _LOOKERS, _OFFER, ("info/*/{a}/*/**",)),
     Row(KERNELS, _LOOKERS, _ANSWER, ("info/*/{a}/*/{b}/**",)),
@@ -86,13 +86,13 @@ class Access:
 
     @classmethod
     def of_names(cls, roles: Mapping[str, str], denied: Iterable[str] = ()) -> Access:
-        """Of names and their roles; what is denied has none, whatever else is said."""
+        """The access of names with these roles; a denied name has no role, whatever else is said."""
         out = frozenset(denied)
         return cls(MappingProxyType({name: role for name, role in roles.items() if name not in out}), out)
 
     @classmethod
     def of_table(cls, table: Any, denied: Iterable[str] = ()) -> Access:
-        """Of lists of names by their role. ConfigurationError: it is no such table."""
+        """The access of lists of names by their role. ConfigurationError: it is no such table."""
         roles: dict[str, str] = {}
         if not isinstance(table, Mapping):
             raise ConfigurationError(f"access: expected a table of names by role, got {table!r:.80}")
@@ -108,7 +108,7 @@ class Access:
         return cls.of_names(roles, denied)
 
     def without(self, names: Iterable[str]) -> Access:
-        """The same, with further names that are denied."""
+        """This access, with further names that are denied."""
         return Access.of_names(self.roles, self.denied.union(names))
 
     def is_kernel(self, name: str) -> bool:
@@ -120,7 +120,7 @@ class Access:
         return self.roles.get(name) in (OPERATORS if operates else _LOOKERS)
 
     def fault(self, name: str) -> str:
-        """Why a name may do nothing; "" when it may."""
+        """The reason why a name may do nothing; "" when it has a role."""
         if name in self.denied:
             return f"{name!r} was revoked"
         new = "new names in index.json are known after the next start"
@@ -128,7 +128,7 @@ class Access:
 
 
 def check_word(name: object, what: str) -> str:
-    """The name itself, if a certificate can name it. ConfigurationError: it cannot."""
+    """The name, if a certificate can hold it. ConfigurationError: it cannot."""
     if not (isinstance(name, str) and _WORD.fullmatch(name)):
         raise ConfigurationError(f"{what}: expected at most 64 letters, digits, '_', '-' and '.', got {name!r:.80}")
     return name
@@ -149,7 +149,7 @@ def sends(sender: tuple[str, str], receiver: tuple[str, str], base: str) -> Iter
 
 
 def access_control(own: str, access: Access, base: str) -> dict[str, Any]:
-    """The engine's `access_control` at the end of one name: what each other one may send to it, and it to them."""
+    """The engine's `access_control` at one name's end: the messages that each other name may send it, and it them."""
     me = own, access.roles[own]
     rules: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
@@ -173,7 +173,7 @@ def access_control(own: str, access: Access, base: str) -> dict[str, Any]:
 
 
 def _rules(word: str, flow: str, allowed: Iterable[tuple[str, str]]) -> Iterator[dict[str, Any]]:
-    """A rule for each key, of all messages that may have it."""
+    """A rule for each key, with all messages that may have it."""
     by_key: dict[str, dict[str, None]] = {}
     for message, key in allowed:
         by_key.setdefault(key, {})[message] = None

@@ -24,16 +24,16 @@ except ImportError:
 PrivateKey = ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
 _AUTHORITY_DAYS: Final = 3_650
 _BEFORE: Final = timedelta(minutes=5)
-"""How far the clock of another machine may be behind this one's when a certificate is new."""
+"""The most by which another machine's clock may be behind this one's when a certificate is new."""
 _LOOPBACK: Final = ("localhost", "127.0.0.1", "::1")
 _LEAST: Final = ((rsa.RSAPublicKey, "RSA", 2_048), (ec.EllipticCurvePublicKey, "an elliptic curve", 256))
-"""Bits of a key, by its kind."""
+"""The least bits of a key, by its kind."""
 _HOST: Final = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*")
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What a certificate says."""
+    """The contents of a certificate, compared with its key and authority."""
 
     name: str
     role: str
@@ -47,7 +47,7 @@ class Facts:
     """The key that is too short, here or of the authority; "" when none is."""
 
     def fault(self, name: str, role: str) -> str:
-        """What is wrong with it as the certificate of a name with a role ("" is any); "" when nothing is."""
+        """The fault of the certificate for a name with a role ("" is any); "" when there is none."""
         now = datetime.now(UTC)
         if self.name != name:
             return f"is for {self.name!r}, not for {name!r}"
@@ -69,7 +69,7 @@ class Facts:
 def made_authority(days: float = _AUTHORITY_DAYS) -> tuple[bytes, bytes]:
     """The certificate and the key of a new authority."""
     key = _new_key()
-    # Of a name of its own, so that another one is taken for another, and not for a damaged one.
+    # Each authority has a name of its own, so that another one is reported as another, and not as a damaged one.
     word = f"aiorts authority {secrets.token_hex(4)}"
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, word)])
     builder = _builder(subject, subject, key, days)
@@ -111,7 +111,7 @@ def made_certificate(
 
 
 def facts(certificate: bytes, key: bytes, authority: bytes) -> Facts:
-    """What a certificate says. ConfigurationError: one of these is none."""
+    """The facts of a certificate. ConfigurationError: the certificate, the key or the authority is none."""
     found, issuer = _certificate(certificate), _certificate(authority)
     try:
         found.verify_directly_issued_by(issuer)
@@ -181,7 +181,7 @@ def _builder(
 
 
 def _usage(*, signs: bool) -> x509.KeyUsage:
-    """Of a key that signs handshakes, or that certifies others."""
+    """The usage of a key that signs handshakes, or that certifies others."""
     return x509.KeyUsage(
         digital_signature=signs,
         content_commitment=False,

@@ -2,8 +2,8 @@
 
     ca.pem  ca.key  index.json  NAME.pem  NAME.key
 
-The index is what the access table is made from. `ca.key` stays where certificates are issued; a machine that runs
-kernels needs the rest of it alone, and of names only its own.
+The access table is made from the index. `ca.key` stays where certificates are issued; a machine that runs kernels needs
+only the other files, and of names only its own.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 AUTHORITY: Final = "ca"
 DAYS: Final = 30.0
-"""How long a certificate is valid."""
+"""Days that a certificate is valid."""
 _INDEX: Final = "index.json"
 _LARGEST: Final = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What a kernel shows to others: paths, never what is in them."""
+    """The files that a kernel shows to others: paths, never their contents."""
 
     name: str
     role: str
@@ -43,7 +43,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Folder:
-    """A folder of certificates. ConfigurationError: whatever is wrong with it, and the next step."""
+    """A folder of certificates. A ConfigurationError names any fault in it, and the next step."""
 
     path: Path
 
@@ -64,9 +64,9 @@ class Folder:
         """Certify a name, or renew its certificate, with a key of its own.
 
         Args:
-            role: "" keeps the one that the name has.
-            addresses: host names and IP addresses at which it listens, beside those of the loopback; none keeps those
-                of the certificate that it has.
+            role: the role; "" keeps the role that the name has.
+            addresses: host names and IP addresses at which it listens, besides those of the loopback; none keeps those
+                of its present certificate.
         """
         check_word(name, "name")
         if name == AUTHORITY:
@@ -124,7 +124,7 @@ class Folder:
         return Access.of_names(roles, denied)
 
     def identity(self, name: str) -> Identity:
-        """What the kernel of this name shows to others: its own certificate, checked as others will."""
+        """The certificate that the kernel of this name shows to others, checked as others will."""
         roles, denied = self._index()
         role = roles.get(name, "")
         found = Identity(name, role, self._of(name, "pem"), self._of(name, "key"), self._of(AUTHORITY, "pem"))
@@ -140,7 +140,7 @@ class Folder:
         return found
 
     def facts(self, name: str) -> Facts:
-        """What the certificate of a name says, and how its key is kept."""
+        """The facts of a name's certificate. ConfigurationError: also where others can read its key."""
         from aiorts_zenoh.security.certificates import facts
 
         return facts(self._read(name, "pem"), self._read(name, "key"), self._read(AUTHORITY, "pem"))
@@ -152,7 +152,7 @@ class Folder:
 
     @contextmanager
     def _held(self) -> Iterator[None]:
-        """One process at a time changes the index: what one denies no other lets in again."""
+        """Hold the lock of the index: one process at a time changes it, so that none lets in what another denies."""
         self._index()
         with _reported():
             opened = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
@@ -206,7 +206,7 @@ class Folder:
 
 @contextmanager
 def _reported() -> Iterator[None]:
-    """ConfigurationError for what the system refuses."""
+    """Turn errors of the system into a ConfigurationError."""
     try:
         yield
     except OSError as error:
@@ -214,7 +214,7 @@ def _reported() -> Iterator[None]:
 
 
 def default_folder() -> Path:
-    """Where certificates are kept unless another folder is given."""
+    """The folder of certificates, unless another one is given."""
     base = os.environ.get("XDG_CONFIG_HOME", "")
     return (Path(base) if os.path.isabs(base) else Path.home() / ".config") / "aiorts" / "certs"
 
@@ -225,7 +225,7 @@ def _content(path: Path) -> bytes:
 
 
 def _put(path: Path, data: bytes, mode: int) -> None:
-    """Write a file whole or not at all; what is in it is never readable with a wider mode."""
+    """Write a file whole or not at all; its content is never readable with a wider mode."""
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, mode)

@@ -1,4 +1,4 @@
-"""Why a connection does not come about, in one line: a short handshake of its own says what the engine does not.
+"""The reason why a connection does not come about, in one line, found by a short handshake: the engine gives none.
 
 It sends nothing but the handshake, and blocks: it is called in a thread.
 """
@@ -17,7 +17,7 @@ _WITHIN: Final = 3.0
 _ALERT_WITHIN: Final = 0.5
 """Seconds that the other end has, after the handshake, to refuse what this one has shown."""
 _SILENT: Final = 0.9
-"""Seconds after which an end of aiorts closes a connection on which nothing is said: that is no refusal."""
+"""Seconds after which an end of aiorts closes a silent connection: that is no refusal."""
 _BUSY: Final = "is busy: it did not answer a handshake within {:g} s"
 """An end of aiorts, with certificates or without, answers or ends what it does not understand within a second."""
 _ENDS: Final = "it ends the connection"
@@ -32,7 +32,7 @@ _THEIRS: Final = {
     62: "the certificate there is for other host names; issue it with --address",
     64: "the certificate there is for other addresses; issue it with --address",
 }
-"""By the number that OpenSSL gives to what is wrong with a certificate."""
+"""The faults of the other end's certificate, by OpenSSL's number of the fault."""
 _OURS: Final = {
     "UNKNOWN_CA": "is of another authority",
     "CERTIFICATE_EXPIRED": "has expired, or is not yet valid, by the clock there",
@@ -42,14 +42,14 @@ _OURS: Final = {
     "CERTIFICATE_UNKNOWN": "is not taken",
     "HANDSHAKE_FAILURE": "is missing, or not taken",
 }
-"""By the alert of the other end: what is wrong with the certificate of this one."""
+"""The faults of this end's certificate, by the alert of the other end."""
 
 
 def probe(host: str, port: int, identity: Identity | None, within: float = _WITHIN) -> str:
-    """Why there is no connection with host:port; "" where nothing speaks against one.
+    """The reason why there is no connection with host:port; "" where none is found.
 
     Args:
-        identity: what this end shows; None: it speaks plain TCP.
+        identity: the certificate of this end; None: it speaks plain TCP.
     """
     try:
         with socket.create_connection((host, port), within) as connected:
@@ -68,7 +68,7 @@ def _handshake(connected: socket.socket, host: str, identity: Identity | None, w
         try:
             context.load_verify_locations(identity.authority)
             context.load_cert_chain(identity.certificate, identity.key)
-        except OSError as error:  # of TLS as well: one is gone, or worth nothing
+        except OSError as error:  # an SSLError as well: a file is gone, or worth nothing
             return f"is not reached: the certificate of this end: {_own_fault(identity) or error.strerror}"
     began = time.monotonic()
     try:
@@ -76,7 +76,7 @@ def _handshake(connected: socket.socket, host: str, identity: Identity | None, w
             secured.settimeout(_ALERT_WITHIN)
             said = _alert(secured)
             if said == _ENDS and time.monotonic() - began > _SILENT:
-                said = ""  # it ends those that say nothing
+                said = ""  # it ends silent connections
     except ssl.SSLCertVerificationError as error:
         return _THEIRS.get(error.verify_code, f"the certificate there is not taken: {error.verify_message}")
     except ssl.SSLError as error:
@@ -89,7 +89,7 @@ def _handshake(connected: socket.socket, host: str, identity: Identity | None, w
 
 
 def _alert(secured: ssl.SSLSocket) -> str:
-    """What the other end says against the certificate of this one; "" for nothing."""
+    """The alert of the other end against this end's certificate; "" for none."""
     try:
         return "" if secured.recv(1) else _ENDS
     except TimeoutError:
@@ -111,7 +111,7 @@ def _meaning(said: str, identity: Identity | None) -> str:
 
 
 def _own_fault(identity: Identity) -> str:
-    """What this end can see itself of what is wrong with its certificate."""
+    """The fault of this end's certificate, as far as this end can see it itself; else ""."""
     try:
         return Folder(identity.certificate.parent).facts(identity.name).fault(identity.name, "")
     except ConfigurationError as error:

@@ -1,4 +1,4 @@
-"""Which names a folder of certificates has denied since it was read: another process writes there, or copies to it."""
+"""The names that a folder of certificates has denied since it was read: another process writes or copies there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EVERY: Final = 1.0
 
 
 class Revoking:
-    """Looks into the index of a folder; what was denied once stays so. It blocks, and is called in a thread.
+    """Looks into the index of a folder; a name that was denied once stays so. It blocks, and is called in a thread.
 
     Args:
         denied: the names that are known to be denied.

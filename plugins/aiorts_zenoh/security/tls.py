@@ -1,4 +1,4 @@
-"""What the engine is told, so that beyond the host there is nothing but TLS with certificates at both ends."""
+"""The engine's settings by which beyond the host there is nothing but TLS with certificates at both ends."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from aiorts_zenoh.security.folder import Folder, Identity
 
 
 class Secured(NamedTuple):
-    """What one end shows to others, and what they may do."""
+    """The certificate that one end shows to others, and the access table."""
 
     identity: Identity
     access: Access
 
 
 def secured_by(folder: Path, name: str, roles: Collection[str], table: Any = None) -> Secured:
-    """The certificate of a name in a folder, and who may do what.
+    """The certificate of a name in a folder, and the access table.
 
     Args:
-        roles: those of which the name needs one.
+        roles: the roles of which the name needs one.
         table: names by role; None: as the folder's index says.
 
     Raises:
