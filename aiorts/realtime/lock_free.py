@@ -1,6 +1,6 @@
 """The receiver of lock-free transports, and how a port becomes lock-free and ordinary again: on the loop, in place.
 
-Read in the order of arrival by one thread, without a lock. What a reader finds may be gone in the next step,
+One thread reads in the order of arrival, without a lock. A sample that it finds may be gone in the next step,
 overwritten or disconnected: then it looks again. A thread that is inside with the port's lock leaves before the switch.
 """
 
@@ -79,7 +79,7 @@ class LockFreeReceiver(Receiver):
     def drain_sources(self) -> list[tuple[Connector, Any]]:
         pairs: list[tuple[Connector, Any]] = []
         try:
-            # What is written meanwhile is for the next time: a fast writer must not keep the reader here.
+            # Samples written meanwhile are for the next time: a fast writer must not keep the reader here.
             for _ in range(sum(len(transport.queue) for transport in self.extra.transports)):
                 sample = self.port._last = self.read()
                 pairs.append((self.source, sample))  # type: ignore[arg-type] # it was read
@@ -147,7 +147,7 @@ class LockFreeReceiver(Receiver):
             self.notify_across()
 
     def room_made(self) -> None:
-        """Have the loop wake threads that sleep at this port: a real-time thread may not take their lock."""
+        """Let the loop wake threads that sleep at this port: a real-time thread may not take their lock."""
         shared = self.extra
         if not shared.requested:
             shared.requested = True
@@ -161,7 +161,7 @@ class LockFreeReceiver(Receiver):
         self.extra.threads = True
 
     def settle_tokens(self) -> None:
-        """There are none: each transport knows the places of its samples."""
+        """Do nothing: there are no tokens, each transport knows the places of its samples."""
 
     def set_open(self, is_open: bool) -> None:
         if not is_open:
@@ -182,23 +182,23 @@ class LockFreeReceiver(Receiver):
 
 
 LOCK_FREE = TransportKind(LockFreeReceiver, LockFreeTransport, LockFreePeriodic, featured=False)
-"""What carries samples where a real-time thread is."""
+"""The kind of transport at ports of a real-time thread."""
 
 
 def make_all_lock_free(port: Port[Any]) -> None:
-    """A component with this port is about to run in a real-time thread."""
+    """Make the in-ports at a port lock-free: its component is about to run in a real-time thread."""
     for in_port in in_ports_at(port):
         make_lock_free(in_port)
 
 
 def let_go_all(port: Port[Any]) -> None:
-    """A component with this port has left its real-time thread."""
+    """Make the in-ports at a port ordinary if no thread is left: its component has left its real-time thread."""
     for in_port in in_ports_at(port):
         receiver_of(in_port).connector_ended()
 
 
 def make_lock_free(port: InPort[Any]) -> None:
-    """From now on no path at this port has a lock; a thread that is inside with its lock leaves first."""
+    """Make an in-port lock-free: no path at it has a lock. A thread that is inside with its lock leaves first."""
     receiver = receiver_of(port)
     if isinstance(receiver, LockFreeReceiver):
         return
@@ -210,7 +210,7 @@ def make_lock_free(port: InPort[Any]) -> None:
 
 
 def let_go(port: InPort[Any]) -> None:
-    """All that is left at this port runs on the loop."""
+    """Make an in-port ordinary: all that is left at it runs on the loop."""
     receiver_of(port).replace(PLAIN, all_transports=True).refresh_all()
     for connector in port.connectors:
         transport_of(connector).unmute()

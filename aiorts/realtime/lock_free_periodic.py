@@ -1,6 +1,6 @@
 """A periodic transport at a real-time thread: the writer fills the backlog, the loop's timer empties it, neither waits.
 
-The rules are those of `kernel/ports/periodic_transport.py`, the way of counting that of `lock_free_transport.py`.
+The rules are those of `kernel/ports/periodic_transport.py`, the counts those of `lock_free_transport.py`.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class LockFreePeriodic(LockFreeTransport, PeriodicTransport):
 
     def work_off(self) -> None:
         self.timer = None
-        # Before the backlog is looked at: who writes from now on asks for a timer.
+        # Before the look at the backlog: a write from now on asks for a timer.
         self.timer_requested = False
         sides, backlog = self.extra, self.backlog
         sides.moving = True
@@ -102,7 +102,7 @@ class LockFreePeriodic(LockFreeTransport, PeriodicTransport):
             self.set_timer()
 
     def _send(self, first: int, number: int) -> None:
-        """Raises IndexError when another thread has emptied the backlog."""
+        """Send what the push policy chooses of the backlog. IndexError: another thread has emptied it."""
         backlog, by_loop = self.backlog, self.extra.by_loop
         choices = choose(self.push, self.connector.profile.skip, first, number)
         while backlog and backlog[0][0] - first < len(choices):

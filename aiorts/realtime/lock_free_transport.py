@@ -2,8 +2,8 @@
 
 Each transport has one writing thread and one reading thread. Taking from and adding to a deque are single steps under
 the interpreter lock; each thread counts on a side of its own; what was delivered follows. A step that is more than
-one of these marks itself, and who reads the ledger looks again until no mark stands. Who waits is woken by the loop:
-a real-time thread asks the loop for it, once until it was done, and goes on.
+one of these marks itself, and a reader of the ledger looks again until no mark stands. Waiting threads are woken by
+the loop: a real-time thread asks the loop for it, once until it was done, and goes on.
 """
 
 from __future__ import annotations
@@ -32,45 +32,45 @@ _NEW: Final = Push.NEW
 _REFUSE: Final = Verdict.REFUSE
 _REPLACE_OLDEST: Final = Verdict.REPLACE_OLDEST
 _PATIENCE: Final = 1000
-"""Looks at a ledger until one is taken that a thread may have been in the middle of."""
+"""Looks at a ledger until one is taken during which a thread may have been in the middle of a step."""
 _EAGER: Final = 50
-"""Looks before who looks rests in between."""
+"""Looks at a ledger after which the thread rests between two looks."""
 EMPTY: Final = object()
-"""In the place of an item of a queue that has none."""
+"""The result of `take_one` for an empty queue."""
 
 
 class _Sides:
-    """What the threads at a transport count and mark; each field but the deque is written by one thread."""
+    """The counts and marks of the threads at a transport; each field but the deque is written by one thread."""
 
     __slots__ = ("by_loop", "by_reader", "moving", "places", "reading", "wanted", "writing")
 
     def __init__(self) -> None:
         self.by_reader: dict[str, int] = {}
         self.by_loop: dict[str, int] = {}
-        """What is dropped by a disconnection or at the end of a period."""
+        """Samples dropped by a disconnection or at the end of a period, by reason."""
         self.writing = self.reading = self.moving = False
-        """In the middle of a step: the writer, the reader, the loop."""
+        """Whether the writer, the reader, the loop is in the middle of a step."""
         self.places: deque[int] = deque()
-        """One for each unread sample: its place in the order of arrival at the in-port."""
+        """The place of each unread sample in the order of arrival at the in-port."""
         self.wanted = False
-        """A writer waits for room; set by it before it looks a last time, cleared by the reader who made room."""
+        """Whether a writer waits for room: set by it before its last look, cleared by the reader that makes room."""
 
 
 class Numbers:
-    """What the transports to one in-port share."""
+    """The numbers and marks that the transports to one in-port share."""
 
     __slots__ = ("numbers", "requested", "threads", "transports", "unread")
 
     def __init__(self, first: int, threads: bool) -> None:
         self.numbers: Iterator[int] = count(first)
         self.transports: tuple[Any, ...] = ()
-        """All of them, laid out for who reads."""
+        """All of the transports, laid out for the reader."""
         self.unread: dict[Transport, list[int]] = {}
-        """The places of samples that came before, of transports that are not lock-free yet."""
+        """The places of earlier samples, by transports that are not lock-free yet."""
         self.threads = threads
         """Whether a thread may sleep at this port, in a blocking read or write."""
         self.requested = False
-        """Whether the loop is to wake such threads and has not done it yet."""
+        """Whether the loop was asked to wake such threads and has not done it yet."""
 
 
 class LockFreeTransport(Transport):
@@ -82,7 +82,7 @@ class LockFreeTransport(Transport):
     dropped: Any
     listenable = False
     times_each: ClassVar[bool] = True
-    """Whether a send is a sample; of a periodic transport it is a period."""
+    """Whether a send is one sample; in a periodic transport it is a period."""
 
     def take_over(self, old: Transport, receiver: Receiver) -> None:
         super().take_over(old, receiver)
@@ -95,7 +95,7 @@ class LockFreeTransport(Transport):
             self.miss(newest)
 
     def held(self) -> Any:
-        """Never here: what is in the queue may be gone in the next step. The out-port keeps each that is written."""
+        """NOTHING: a sample in the queue may be gone in the next step. The out-port keeps each that is written."""
         return NOTHING
 
     def hand_over(self) -> None:
@@ -122,7 +122,7 @@ class LockFreeTransport(Transport):
     # -- the ledger ------------------------------------------------------------------------------------------------
 
     def statistics(self) -> ConnectorStatistics:
-        """The ledger at one moment, from whatever thread."""
+        """The ledger at one moment; for any thread."""
         sides = self.extra
         written, buffered, dropped = self._look()
         for look in range(_PATIENCE):
@@ -130,7 +130,7 @@ class LockFreeTransport(Transport):
             written, buffered, dropped = seen = self._look()
             if not marked and self._look() == seen and not (sides.writing or sides.reading or sides.moving):
                 break
-            time.sleep(0 if look < _EAGER else 50e-6)  # lets who is in the middle of a step end it
+            time.sleep(0 if look < _EAGER else 50e-6)  # lets a thread in the middle of a step end it
         delivered = written - sum(dropped.values()) - buffered
         return statistics_of(self, written, delivered, buffered, dropped)
 
@@ -197,14 +197,14 @@ class LockFreeTransport(Transport):
     def moved(self, entry: Waiting) -> bool:
         waiting = self.waiting
         while waiting and not entry.done:
-            # Asked for before looked at: room that is made in between is noticed.
+            # Set before the look: room that is made in between is noticed.
             self.extra.wanted = True
             if not self._move(waiting[0]):
                 break
         return entry.done
 
     def admit_waiting(self) -> None:
-        """On the loop, which is where writers wait that are not in a thread."""
+        """Move in the samples of tasks that wait, on the loop; threads move in theirs themselves."""
         waiting = self.waiting
         while waiting and waiting[0].future is not None:
             self.extra.wanted = True
@@ -212,7 +212,7 @@ class LockFreeTransport(Transport):
                 break
 
     def _move(self, entry: Waiting) -> bool:
-        """Move the sample that waits longest in, or drop it when the reader is closed; False: there is no room."""
+        """Move in the sample that waits longest, or drop it if the reader is closed; False: there is no room."""
         sides = self.extra
         sides.writing = True
         try:
@@ -235,7 +235,7 @@ class LockFreeTransport(Transport):
         return True
 
     def refused(self) -> str:
-        """Why nothing comes in any more, if that is so."""
+        """The reason why no sample comes in any more; "" where samples do."""
         return "disconnected" if self.closed else "" if self.receiver.open else "inactive"
 
     def store(self, sample: Any) -> bool:
@@ -267,7 +267,7 @@ class LockFreeTransport(Transport):
         return True
 
     def replace_newest(self, sample: Any, reason: str, dropped: dict[str, int]) -> bool:
-        """In one step, so that the reader never finds nothing; False when it has taken everything."""
+        """Replace the newest sample in one step, so that the reader never finds none; False: it has taken all."""
         times = self.times if self.times_each else None
         began_ns = 0 if times is None else self.clock.monotonic_ns()
         try:
@@ -279,7 +279,7 @@ class LockFreeTransport(Transport):
         try:  # noqa: SIM105 - one step of a real-time thread, without a call
             self.extra.places[-1] = place
         except IndexError:
-            pass  # the reader has taken it meanwhile, and its place
+            pass  # the reader has taken the sample meanwhile, and its place
         self._settle(dropped)
         if times is not None:
             times.add(began_ns, self.clock.monotonic_ns())
@@ -296,7 +296,7 @@ class LockFreeTransport(Transport):
             times.add(began_ns, self.clock.monotonic_ns())
 
     def _settle(self, dropped: dict[str, int]) -> None:
-        """The sample is in: notify the reader, or take it back if the end came while it was put in."""
+        """Notify the reader of a stored sample, or take it back if the end came while it was put in."""
         reason = self.refused()
         if not reason:
             self.receiver.arrived(self, False)
@@ -307,14 +307,14 @@ class LockFreeTransport(Transport):
     # -- the reader's thread ---------------------------------------------------------------------------------------
 
     def take(self) -> Any:
-        """The oldest sample; IndexError when it was overwritten or disconnected in this moment."""
+        """Take the oldest sample. IndexError: it was overwritten or disconnected in this moment."""
         sample = self.queue.popleft()
         take_one(self.extra.places)
         self.room_made()
         return self.stamp_out(sample)
 
     def take_all(self) -> tuple[Any, int]:
-        """The newest sample and how many were taken; what is written meanwhile stays."""
+        """Take all samples; the newest one and their number. Samples written meanwhile stay."""
         sample, number = None, 0
         for _ in range(len(self.queue)):
             taken = take_one(self.queue)
@@ -333,7 +333,7 @@ class LockFreeTransport(Transport):
         return self.stamp_out(sample)
 
     def superseded(self, number: int) -> None:
-        """Of the samples that were taken so many are not read."""
+        """Count so many of the taken samples as superseded: they are not read."""
         if number > 0:
             add(self.extra.by_reader, "superseded", number)
         self.extra.reading = False
@@ -363,7 +363,7 @@ class LockFreeTransport(Transport):
                 self.on_loop(methodcaller("admit_waiting"))
 
     def empty(self) -> int:
-        """Take everything out; how much that was."""
+        """Take all samples out; their number."""
         number = self.take_all()[1]
         return number
 
@@ -384,7 +384,7 @@ class LockFreeTransport(Transport):
 
 
 def take_one(queue: deque[Any], *, newest: bool = False) -> Any:
-    """One item, or EMPTY."""
+    """Take one item of a queue; EMPTY if it has none."""
     try:
         return queue.pop() if newest else queue.popleft()
     except IndexError:

@@ -1,7 +1,7 @@
 """Sleeping until an absolute moment of CLOCK_MONOTONIC, and the thread's timer slack; nothing here decides how long.
 
-By ctypes, with the interpreter lock given up while the thread sleeps. The two structures a call needs are made once.
-Where the system has no such call, `time.sleep` with what is left serves, and says so.
+The call goes by ctypes, and gives up the interpreter lock while the thread sleeps. The two structures that it needs are
+made once. Where the system has no such call, `time.sleep` for the rest serves, as `Granted.denied` says.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Sleep(Protocol):
 
 
 def relative_sleep(deadline_ns: int, /) -> None:
-    """What serves where there is no absolute sleep: late by what happens between the look and the call."""
+    """Sleep where there is no absolute sleep: late by the time between the look at the clock and the call."""
     while (rest := deadline_ns - time.monotonic_ns()) > 0:
         time.sleep(rest / 1e9)
 
@@ -57,7 +57,7 @@ def _absolute(call: Callable[..., int], spec: Any, address: int, clock: int) -> 
 
 
 def set_timer_slack(nanoseconds: int) -> bool:
-    """How much later the system may wake this thread to save energy; False where it cannot be set."""
+    """Set how much later the system may wake this thread to save energy; False: it cannot be set."""
     library = libc()
     call = getattr(library, "prctl", None)
     if call is None:
@@ -68,7 +68,7 @@ def set_timer_slack(nanoseconds: int) -> bool:
 
 
 def libc() -> Any:
-    """The C library, loaded so that its calls give up the interpreter lock; None where calls like these are not."""
+    """The C library, loaded so that its calls give up the interpreter lock; None where there are no such calls."""
     if sys.platform != "linux":
         return None
     try:

@@ -1,6 +1,6 @@
-"""What a real-time thread asks of the system for itself: a scheduling class, processors, exact timers, resident memory.
+"""The privileges that a real-time thread asks for: a scheduling class, processors, exact timers, resident memory.
 
-Everything here runs in that thread. What is denied is kept with the reason and what to do about it; nothing is raised.
+Everything here runs in that thread. A denied privilege is kept with the reason and the remedy; nothing is raised.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _SLACK_NS: Final = 1
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What a real-time context asks the system for."""
+    """The privileges that a real-time context asks for."""
 
     priority: int | None = None
     cpus: frozenset[int] | None = None
@@ -30,10 +30,10 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True)
 class Granted:
-    """What is in force for a real-time context; all empty before it starts and in simulated time."""
+    """The privileges in force for a real-time context; all empty before it starts and in simulated time."""
 
     priority: int | None = None
-    """Of SCHED_FIFO; None: scheduled as any other thread."""
+    """The priority in SCHED_FIFO; None: scheduled as any other thread."""
     cpus: frozenset[int] | None = None
     """The processors that the thread keeps to; None: any."""
     locked: bool = False
@@ -47,11 +47,11 @@ class Granted:
     switch_interval: float | None = None
     """Seconds after which a thread that holds the interpreter lock has to release it."""
     denied: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    """What was requested and not granted -> why, and what to do about it."""
+    """The reason and the remedy, by the privilege that was requested and not granted."""
 
 
 def obtain(wanted: Wanted) -> tuple[Granted, Sleep]:
-    """Ask for everything that is wanted, for the calling thread; what is in force then, and how it sleeps."""
+    """Ask for all that is wanted, for the calling thread; the privileges in force then, and its sleep function."""
     denied: dict[str, str] = {}
     sleep = sleeper()
     if sleep is None:
@@ -83,9 +83,9 @@ def _granted(denied: dict[str, str], what: str, reason: str) -> bool:
 
 
 def _fifo(priority: int) -> str:
-    """Put this thread, and no other, into SCHED_FIFO; what is said when that is denied, else nothing."""
+    """Put this thread, and no other, into SCHED_FIFO; the reason if that is denied, else ""."""
     try:
-        # 0 is the calling thread. What it starts does not inherit the class.
+        # 0 is the calling thread. Threads that it starts do not inherit the class.
         policy = os.SCHED_FIFO | getattr(os, "SCHED_RESET_ON_FORK", 0)
         os.sched_setscheduler(0, policy, os.sched_param(priority))
     except AttributeError:
@@ -96,7 +96,7 @@ def _fifo(priority: int) -> str:
 
 
 def _affinity(cpus: frozenset[int], denied: dict[str, str]) -> frozenset[int] | None:
-    """Keep this thread to these processors, as far as they are there; those it keeps to, None for any."""
+    """Keep this thread to these processors, as far as they are there; the processors that it keeps to, None: any."""
     try:
         os.sched_setaffinity(0, cpus)
         kept = frozenset(os.sched_getaffinity(0))

@@ -1,8 +1,8 @@
-"""What real-time contexts change of the whole process while at least one runs: collector, switch interval, memory lock.
+"""Settings of the whole process while at least one real-time context runs: collector, switch interval, memory lock.
 
-These settings belong to the process, so there is one `SETTINGS`, which counts who needs them: the first context sets
-them, the last one puts back what was there, unless somebody has changed it meanwhile. While they are set, garbage is
-collected when a context has slack: `collect` decides which generation fits, from what each has cost so far, and one
+These settings belong to the process, so there is one `SETTINGS`, which counts its users: the first context sets them,
+the last one puts the former ones back, unless other code has changed them meanwhile. While they are set, garbage is
+collected when a context has slack: `collect` decides which generation fits, from the cost of each so far. A generation
 that is long overdue is collected all the same, so that memory stays flat.
 """
 
@@ -17,13 +17,13 @@ from typing import Any, Final
 
 SWITCH_INTERVAL: Final = 100e-6
 _OVERDUE: Final = 20
-"""Times its threshold at which a generation is collected, slack or not."""
+"""Multiple of its threshold at which a generation is collected, slack or not."""
 _GUESS_NS: Final[tuple[int, ...]] = (50_000, 100_000, 300_000)
-"""What a collection of each generation costs before one has been measured; what was there at the start is frozen."""
+"""The assumed cost of each generation's collection before one was measured; objects of the start are frozen."""
 _LOCK_FLAGS: Final = 1 | 2 | 4
-"""MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT: what was used once stays; what never was takes no memory."""
+"""MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT: pages that were used once stay; others take no memory."""
 _OF_THE_INTERPRETER: Final = 2000
-"""Objects that CPython 3.12 has frozen before any code runs are a few hundred."""
+"""More objects than CPython 3.12 has frozen before any code runs: those are a few hundred."""
 _CAP_IPC_LOCK: Final = 1 << 14
 
 
@@ -44,7 +44,7 @@ class ProcessSettings:
         """The switch interval in force for real-time contexts; None while there is none."""
 
     def acquire(self) -> None:
-        """One more real-time context runs."""
+        """Count one more real-time context; the first one sets the settings."""
         with self._lock:
             self._users += 1
             if self._users > 1:
@@ -55,18 +55,18 @@ class ProcessSettings:
             sys.setswitchinterval(SWITCH_INTERVAL)
             self.switch_interval = self._interval_set = sys.getswitchinterval()
             if gc.isenabled():
-                # A host that has switched it off has its reasons: then nothing is collected here either.
+                # A host that has switched the collector off has its reasons: then nothing is collected here either.
                 self.collects = True
                 self._cost_ns = list(_GUESS_NS)
                 gc.disable()
                 gc.collect()
-                # What a host has frozen could not be told from ours afterwards: then it stays as it is.
+                # A host's frozen objects could not be told from ours afterwards: then nothing is frozen here.
                 self._froze = gc.get_freeze_count() <= _OF_THE_INTERPRETER
                 if self._froze:
                     gc.freeze()
 
     def release(self) -> None:
-        """One less; after the last everything is as it was found."""
+        """Count one real-time context less; after the last all settings are as they were found."""
         with self._lock:
             self._users -= 1
             if self._users:
@@ -81,7 +81,7 @@ class ProcessSettings:
                 gc.enable()
 
     def after_fork(self) -> None:
-        """In the child no real-time thread is there: everything as it was found."""
+        """Restore all settings in a forked child, which has no real-time thread."""
         self._lock = threading.Lock()
         self._lockers = 0
         if self._users:
@@ -112,13 +112,13 @@ class ProcessSettings:
         began = time.monotonic_ns()
         gc.collect(generation)
         took = time.monotonic_ns() - began
-        # The highest cost is forgotten slowly: one that was interrupted must not keep collections away forever.
+        # The highest cost is forgotten slowly: an interrupted collection must not keep others away without end.
         self._cost_ns[generation] = max(took, self._cost_ns[generation] * 7 // 8)
 
     # -- memory ----------------------------------------------------------------------------------------------------
 
     def lock_memory(self) -> str:
-        """Keep the memory of the process resident; what is said when that is denied, else nothing."""
+        """Keep the memory of the process resident; the reason if that is denied, else ""."""
         with self._lock:
             if self._lockers == 0:
                 reason = self._lock_now()
@@ -128,7 +128,7 @@ class ProcessSettings:
         return ""
 
     def unlock_memory(self) -> None:
-        """One context less needs it; after the last it is unlocked, unless it was locked before the first."""
+        """Count one context less; after the last the memory is unlocked, unless it was locked before the first."""
         with self._lock:
             self._lockers -= 1
             if self._lockers == 0 and self._unlocks:
@@ -155,7 +155,7 @@ class ProcessSettings:
 
 
 def _status() -> dict[str, str]:
-    """What the system says of this process, by key; nothing where it says nothing."""
+    """The system's status of this process, by key; empty where there is none."""
     try:
         with open("/proc/self/status", "rb") as file:
             lines = file.read().decode("utf-8", "replace").splitlines()
@@ -180,6 +180,6 @@ def _libc() -> Any:
 
 
 SETTINGS: Final = ProcessSettings()
-"""There is one process."""
+"""The only instance: there is one process."""
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=SETTINGS.after_fork)

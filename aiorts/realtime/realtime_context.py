@@ -1,7 +1,7 @@
-"""A context in a real-time thread of its own: what can be requested, and what of that is in force.
+"""A context in a real-time thread of its own: the options that can be requested, and those that are in force.
 
-How the thread waits and runs hooks is in `realtime_thread.py`, what it asks of the system in `privileges.py` and
-`process.py`. When ticks are due is decided as everywhere, by `contexts/schedule.py`.
+`realtime_thread.py` waits and runs hooks, `privileges.py` and `process.py` ask the system. As everywhere,
+`contexts/schedule.py` decides when ticks are due.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class RealtimeContext(PeriodicContext):
         self._wanted = Wanted(priority, _checked_cpus(cpus), bool(lock_memory))
         self._spin_ns = round((_SPIN if spin is True else spin) * 1e9)
         self.spin = spin
-        """How much earlier it wakes up, as it was asked for."""
+        """The requested time by which it wakes up earlier."""
         self._granted = Granted()
 
     @property
@@ -118,7 +118,7 @@ class RealtimeContext(PeriodicContext):
 
     @property
     def granted(self) -> Granted:
-        """What is in force, and what was denied for which reason; of the last run once the context has stopped."""
+        """The privileges in force, and the denied ones with reasons; of the last run once the context has stopped."""
         return self._granted
 
     def _make_driver(self, kernel: KernelSide) -> RealtimeDriver:
@@ -134,7 +134,7 @@ class RealtimeContext(PeriodicContext):
             raise
 
     def _longest_spin_ns(self) -> int:
-        """How long before a deadline the thread looks at the clock: never most of the time."""
+        """The time before a deadline in which the thread looks at the clock: at most a quarter of a period."""
         rate = self.rate
         return self._spin_ns if not self._spin_ns or rate is None else min(self._spin_ns, round(0.25e9 / rate))
 
@@ -159,7 +159,7 @@ class RealtimeContext(PeriodicContext):
 
 
 def _let_out(component: ComponentSide) -> None:
-    """It runs in no real-time thread any more, and is one of the loop's again."""
+    """Make a component one of the loop's again if it is in no context: it has left its real-time thread."""
     if component.contexts or cell(component).abandoned is not None:
         return  # an abandoned hook may still be inside
     host, log = cell(component), cell(component).log

@@ -1,8 +1,8 @@
-"""How a real-time thread carries out the steps of a context's life: it waits for deadlines and for nothing else.
+"""The driver of a real-time thread: it carries out a context's steps, waits for deadlines and for nothing else.
 
-A deadline that is near is slept for by the system's absolute sleep, which nobody can cut short; one that is far is
-first waited for in slices that a request ends. Garbage is collected before the thread sleeps. A coroutine is stepped
-once: what suspends has no event loop to go on.
+For a near deadline the thread sleeps by the system's absolute sleep, which no request cuts short. For a far one it
+first waits in slices that a request ends. Garbage is collected before the thread sleeps. A coroutine is stepped once:
+if it suspends, there is no event loop to go on.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _FAR_NS: Final = 20_000_000
 """A request waits no longer than this, or a period when that is less."""
 _NEAR_NS: Final = 5_000_000
 _SLICE_NS: Final = 50_000_000
-"""Garbage is looked after at least so often."""
+"""The longest time between two looks for garbage."""
 _BREATH_NS: Final = 50_000
-"""What a thread that is always late sleeps after each cycle: others want the processor too."""
+"""The sleep of a thread that is always late, after each cycle: others want the processor, too."""
 _UNBOUNDED_TURNS: Final = 1 << 29
 _GUARD_SECONDS: Final = 1.0
 
@@ -50,14 +50,14 @@ class RealtimeDriver(ThreadDriver):
         self._parked = False
         self._acquired = False
         super().__init__(context, kernel)
-        # After the thread, which may not have come into being.
+        # After the thread was made, which may fail.
         self._guard = None if self._virtual else kernel.loop.call_later(_GUARD_SECONDS, self._relieve)
 
     def kick(self) -> None:
         if self._virtual:
             super().kick()
             return
-        # No lock on the way of a thread that is about to sleep: it looks at this before and after.
+        # No lock in the way of a thread that is about to sleep: it looks at the flag before and after.
         self._kicked = True
         if self._parked:
             with self._changed:
@@ -87,7 +87,7 @@ class RealtimeDriver(ThreadDriver):
             return
         if not self._kicked:
             self._sleep_until(None if deadline_ns is None else self._real_ns(deadline_ns))
-        # Whoever asks for something does so first and kicks then: what is cleared here is seen next.
+        # A request is made first, and the kick follows: a request whose kick is cleared here is seen next.
         self._kicked = False
 
     def _sleep_until(self, deadline_ns: int | None) -> None:
@@ -108,7 +108,7 @@ class RealtimeDriver(ThreadDriver):
                 pass
 
     def _park(self, nanoseconds: int) -> None:
-        """Wait where a kick can be heard."""
+        """Wait for so many nanoseconds, or until a kick."""
         with self._changed:
             self._parked = True
             if not self._kicked:
@@ -152,6 +152,6 @@ def _report_denied(name: str, granted: Granted) -> None:
 
 
 def _where(coroutine: Coroutine[Any, Any, Any]) -> str:
-    """In which file and line a coroutine of the user's suspended."""
+    """The file and line in which a coroutine of the user's suspended."""
     frame: FrameType | None = coroutine.cr_frame  # type: ignore[attr-defined] # an `async def` function made it
     return "" if frame is None else f" in {frame.f_code.co_filename}:{frame.f_lineno}"
