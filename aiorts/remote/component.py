@@ -1,8 +1,8 @@
-"""What stands in a kernel for a component of another one.
+"""The stand-in in a kernel for a component of another one.
 
 It has the component's data ports and parameters, and is started here as any other, such as with the composite that it
-is a member of. Its hooks ask the other kernel to do the same; what happens there happens to it. While it is in a
-context here, that says whether the component is active; when it has left, the component is as it was before.
+is a member of. Its hooks ask the other kernel to do the same; changes of the component there happen to it. While the
+stand-in is in a context here, its state decides whether the component is active; afterwards the component is as before.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _ACTIVE, _ERROR, _INACTIVE = LifecycleState.ACTIVE, LifecycleState.ERROR, Lifecy
 _LINKED: Final = 2.0
 """Seconds that an activation waits for the links of its out-ports."""
 _TIMEOUT: Final = 4.0
-"""Seconds that a transition may take there."""
+"""Seconds that a transition may take in the other kernel."""
 _NEWS: Final = (
     *("StateChanged", "HookFailed", "ParametersChanged", "PortAdded", "PortRemoved", "ComponentRemoved"),
     *("MemberAdded", "MemberRemoved", "ContextStopped"),
 )
-"""Events after which it is looked how the component is."""
+"""Events after which the stand-in looks at the component."""
 
 
 class FarKind(Kind):
@@ -57,23 +57,23 @@ class FarComponent(Component, Elsewhere, kind=FarKind()):
     _holder = ""
     _session: KernelSession | None = None
     _there = _INACTIVE
-    """The state that its kernel has told last."""
+    """The last state that its kernel has told."""
     _was_active = False
-    """Whether it was active before it was in a context here."""
+    """Whether the component was active before the stand-in was in a context here."""
     _own = 0
     """Transitions of this end that are under way."""
     _looks: asyncio.Task[None] | None = None
     _news = False
 
     def bind(self, where: Path, holder: str, session: KernelSession) -> None:
-        """It is the component of this path, held for a composite of this name."""
+        """Make it the stand-in of the component of this path, held for a composite of this name."""
         self._where, self._holder, self._session = where, holder, session
         self._turn = asyncio.Lock()
-        """One question that changes something, or look, at a time."""
+        """The lock that lets one look, or one question that changes something, run at a time."""
 
     @property
     def path(self) -> str:
-        """Of the component in its kernel."""
+        """The path of the component in its kernel."""
         return str(self._where)
 
     # -- its kernel ------------------------------------------------------------------------------------------------
@@ -88,7 +88,7 @@ class FarComponent(Component, Elsewhere, kind=FarKind()):
             self._session.close()
 
     async def _begin(self) -> None:
-        """Hold it there, and have its ports and configuration."""
+        """Hold the component in its kernel, and take over its ports and configuration."""
         session, name = self._open_session, self._where.component
         links = self.kernel.service(Links)
         holder = f"{links.reached_as}/{self._holder}" if self._holder else f"kernel {links.reached_as}"
@@ -99,14 +99,14 @@ class FarComponent(Component, Elsewhere, kind=FarKind()):
 
     async def _connect(self) -> None:
         """Reach its kernel again, where it was lost."""
-        from aiorts.remote.finding import opened  # late: that knows this class
+        from aiorts.remote.finding import opened  # late: that module knows this class
 
         if self._session is None or not self._session.is_open:
             self._session = await opened(self.kernel, self._where, self.path)
             try:
                 await self._begin()
             except BaseException:
-                self._session.close()  # the next reset begins anew
+                self._session.close()  # the next reset begins from the start
                 raise
 
     @property
@@ -141,14 +141,14 @@ class FarComponent(Component, Elsewhere, kind=FarKind()):
             try:
                 await self._follow_state(*await self._look())
             except NoAnswerError:
-                self._news = True  # it waited long enough; what has happened is still to be seen
+                self._news = True  # the wait was long enough; the change is still to be seen
             except (ClosedError, LinkError, StateError):
-                continue  # it is lost, which the session says, or its state here has changed meanwhile
+                continue  # the kernel is lost, as the session says, or the state here has changed meanwhile
             except AiortsError as error:
                 self.log.warning("%s", error)
 
     async def _look(self) -> tuple[bool, str]:
-        """Have its ports, values and state; returns whether it has finished, and its error."""
+        """Take over its ports, values and state; returns whether it has finished, and its error."""
         async with self._turn:
             names, report, outline = await self._see()
         states = names["components"][self._where.component].values()
@@ -159,12 +159,12 @@ class FarComponent(Component, Elsewhere, kind=FarKind()):
             )
         follow(self, rows, names["links"] or self._where.kernel, self._where.host)
         self._there = _ERROR if "error" in states else _ACTIVE if "active" in states else _INACTIVE
-        # A hook that waits for its turn holds up the context which the values are to be in force in.
+        # After the turn: a hook that waits for it holds up the context in which the values are to be in force.
         await self._copy(report["configuration"])
         return self._where.component in names["finished"], report["last_error"] or "is in error"
 
     async def _see(self) -> tuple[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any]]:
-        """Its kernel's names, and its report and outline there. LinkError: it is there no more."""
+        """Its kernel's names, and its report and outline there. LinkError: the component is there no more."""
         session, name = self._open_session, self._where.component
         names = await session.call("names")
         if name not in names["components"]:
@@ -177,18 +177,18 @@ class FarComponent(Component, Elsewhere, kind=FarKind()):
         return names, report, (await session.call("outline", components=[name]))[name]
 
     async def _copy(self, configuration: Mapping[str, Any]) -> None:
-        """Have the values that are in force there."""
+        """Take over the values that are in force in the other kernel."""
         sets, active = configuration["sets"], configuration["active"]
         here = {key: plain_value(dict(values)) for key, values in self.configuration.sets.items()}
         if (sets, active) == (here, self.configuration.active):
             return
         checked = cell(self).configuration.replaced(sets, active, self.name).sets
         edit = partial(_replaced, checked, active, self.name)
-        await between_cycles(self.kernel, self, partial(commit, self, edit))  # it need not be asked for there
+        await between_cycles(self.kernel, self, partial(commit, self, edit))  # not passed on: they are from there
 
     async def _follow_state(self, finished: bool, error: str) -> None:
         if self._own:
-            return  # the hook that asks for it has not come to its end
+            return  # a hook here has asked for the change and has not ended
         if self._there is _ERROR:
             self._fails(ComponentError(f"{self.path}: {error}"))
         elif self._there is _INACTIVE and self.state is _ACTIVE:
@@ -202,7 +202,7 @@ class FarComponent(Component, Elsewhere, kind=FarKind()):
     # -- what is asked of it ---------------------------------------------------------------------------------------
 
     async def passes_on(self, state: ConfigurationState) -> None:
-        """Ask for this configuration there."""
+        """Ask the other kernel for this configuration."""
         before = cell(self).configuration
         if self._session is None or self.kernel.registry.is_arriving(self):
             return
@@ -230,7 +230,7 @@ class FarComponent(Component, Elsewhere, kind=FarKind()):
             await (self._to(_ACTIVE, "activate") if self._was_active else self._to(_INACTIVE, "deactivate"))
 
     async def on_activated(self) -> None:
-        # What it wrote before its links are made would have no connector that counts it.
+        # Samples that it wrote before its links are made would have no connector that counts them.
         connectors = [one for port in self.ports.values() for one in port.connectors]
         await self.kernel.service(Links).up(connectors, _LINKED)
         await self._to(_ACTIVE, "activate")
@@ -247,10 +247,10 @@ class FarComponent(Component, Elsewhere, kind=FarKind()):
         await self._to(_INACTIVE, "deactivate")
 
     async def _to(self, state: LifecycleState, operation: str) -> None:
-        """Have it in this state there."""
+        """Bring the component into this state in its kernel."""
         self._own += 1
         try:
-            async with self._turn:  # the look that had it may have seen another state
+            async with self._turn:  # a look that held the turn may have seen another state
                 if self._there is not state and not (self._there is _ERROR and state is _INACTIVE):
                     await self._open_session.call(operation, component=self._where.component, timeout=_TIMEOUT)
                     self._there = state
@@ -280,7 +280,7 @@ def _differs(before: ConfigurationState, key: str, name: str, value: Any) -> boo
 
 
 def _rows(name: str, report: Mapping[str, Any], outline: Mapping[str, Any]) -> list[list[Any]]:
-    """Its data ports, as `follow` takes them."""
+    """The component's data ports, as `follow` takes them."""
     exported = (report["composite"] or {}).get("exported", {})
     rows = []
     for port, one in report["ports"].items():

@@ -1,4 +1,4 @@
-"""Finds the kernel of a component elsewhere, opens a session with it, and makes the class of what stands for it here.
+"""Finds the kernel of a component elsewhere, opens a session with it, and makes the class of the stand-in here.
 
 A kernel of this host is found by its control socket; one of another host by a transport that carries sessions.
 """
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
 
 _APPEARS: Final = 3.0
-"""Seconds in which a kernel, or component, that is not there yet may come: both may be started at the same time."""
+"""Seconds in which an absent kernel or component may come: both may be started at the same time."""
 _LOOK: Final = 0.1
 
 
@@ -67,8 +67,8 @@ async def opened(kernel: Microkernel, where: Path, path: str, patience: float = 
         patience: seconds in which kernel and component may come.
 
     Raises:
-        LinkError: it is not there, or cannot be reached.
-        DeniedError: it lets others look only.
+        LinkError: the kernel is not there, or cannot be reached.
+        DeniedError: the kernel lets others look only.
     """
     until = kernel.loop.time() + patience
     connected, address = await _connected(kernel, where, path, until)
@@ -86,7 +86,7 @@ async def opened(kernel: Microkernel, where: Path, path: str, patience: float = 
     try:
         while where.component not in (await session.call("names"))["components"]:
             if kernel.loop.time() >= until:
-                break  # who asks for it there is told that there is none
+                break  # the call that asks for it there is told that there is none
             await asyncio.sleep(_LOOK)
     except BaseException:
         session.close()
@@ -131,7 +131,7 @@ def _connect(entry: Entry) -> socket.socket | None:
 
 
 def _class_of(name: str, configuration: Mapping[str, Any]) -> type[FarComponent]:
-    """A class with the parameters and sets that a component has."""
+    """A class of stand-ins with the parameters and sets that a component has."""
     body: dict[str, Any] = {one["name"]: _param(one) for one in configuration["parameters"]}
     sets: Mapping[str, Any] = configuration["sets"]
     body["configurations"] = {key: values for key, values in sets.items() if key != DEFAULT}
@@ -143,6 +143,6 @@ def _param(one: Mapping[str, Any]) -> Any:
     told = {"unit": one["unit"], "doc": one["doc"], "widget": one["widget"], "file": one.get("file", "")}
     try:
         kind = parse_type(one["type"])
-    except ValueError:  # an Enum of there: its names
+    except ValueError:  # an Enum of the other kernel: its names
         return Param(str(one["default"]), choices=tuple(one["choices"] or ()) or None, **told)
     return Param(convert_value(one["default"], kind), type=kind, constraint=one["constraint"] or None, **told)

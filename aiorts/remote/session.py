@@ -10,11 +10,11 @@ if TYPE_CHECKING:
     import socket
 
 _LONGEST: Final = 8 << 20
-"""Bytes of an answer."""
+"""The most bytes of an answer."""
 _GREETS: Final = 4.0
-"""Seconds that a kernel has to say hello: longer than another host is asked what this kernel may do there."""
+"""Seconds for a kernel's hello: more than the deadline for the question what this kernel may do on another host."""
 WITHIN: Final = 4.5
-"""Seconds that a call waits: less than who asks for a transition waits for it."""
+"""Seconds that a call waits: less than the caller of a transition waits for it."""
 
 
 class KernelSession(AsyncClient):
