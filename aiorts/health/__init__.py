@@ -1,4 +1,4 @@
-"""How a kernel does: its connectors, contexts and components are counted over windows of time, beside what runs.
+"""The health of a kernel: counts of its connectors, contexts and components over windows of time, while it runs.
 
 `aiorts.model.health` compares two windows.
 """

@@ -1,4 +1,4 @@
-"""Counts a running system at two moments; it costs what runs nothing but the time in which it looks.
+"""Counts a running system at two moments; it costs the system nothing but the time in which it looks.
 
 It looks at a few things at a time, and the loop turns in between: the counts of one snapshot are of a few milliseconds.
 """
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 _CONNECTORS_AT_ONCE: Final = 200
 _COMPONENTS_AT_ONCE: Final = 400
 _CONTEXTS_AT_ONCE: Final = 4
-"""How many are looked at before the loop turns: at most 1 ms of each."""
+"""Numbers of things that are looked at before the loop turns: at most 1 ms of each kind."""
 _HELD: Final = 2
-"""Of windows that are watched: one is always as long as what may be asked for."""
+"""Windows that are kept while watching: one is always as long as the window that may be asked for."""
 _ACTIVE, _ERROR = LifecycleState.ACTIVE, LifecycleState.ERROR
 _NO_EDGES: Final[Mapping[str, EdgeCounts]] = MappingProxyType({})
 _NO_CONTEXTS: Final[Mapping[str, ContextCounts]] = MappingProxyType({})
@@ -51,10 +51,10 @@ class Health:
         self._kernel = kernel
         self._rolling: asyncio.Task[None] | None = None
         self._held: deque[_Measurement] = deque()
-        """While it watches: those that have begun last, the older first."""
+        """The measurements that have begun last, the older first, while it watches."""
 
     async def window(self, seconds: float) -> Window:
-        """What is counted in the next so many seconds.
+        """The counts of the next so many seconds.
 
         Raises:
             ClosedError: the kernel closes.
@@ -65,7 +65,7 @@ class Health:
             return await measured.end()
 
     async def before(self, seconds: float) -> Window:
-        """What was counted in the last so many seconds at least, where it was watched for so long; else `window`."""
+        """The counts of at least the last so many seconds, where it was watched for so long; else `window`."""
         now_ns = self._kernel.clock.monotonic_ns()
         for held in self._held:
             if held.began_ns is not None and now_ns - held.began_ns >= seconds * 1e9:
@@ -73,7 +73,7 @@ class Health:
         return await self.window(seconds)
 
     def watch(self, seconds: float) -> None:
-        """From now on have what was counted in the last so many seconds at hand, until `forget` or the kernel's end."""
+        """Keep the counts of the last so many seconds at hand from now on, until `forget` or the kernel's end."""
         self.forget()
         self._rolling = kernel_task(self._kernel.loop, self._roll(seconds), "aiorts health")
 
@@ -93,7 +93,7 @@ class Health:
                     held.popleft().close()
                 await _wait(self._kernel, seconds)
         except ClosedError:
-            pass  # what was watched ends
+            pass  # the watched kernel ends
         finally:
             for one in held:
                 one.close()
@@ -107,16 +107,16 @@ class _Measurement:
         self._kernel = kernel
         self._errors: dict[str, str] = {}
         self._by_machine: dict[str, tuple[int, int]] = {}
-        """By context: overruns for which the machine is to blame, and ticks that were left out by them."""
+        """Overruns for which the machine is to blame, and ticks that they left out, by context."""
         self._backlogs: dict[str, Backlog] = {}
         self._unsubscribe: tuple[Callable[[], None], ...] = ()
         self._edges: Mapping[str, EdgeCounts] = _NO_EDGES
         self._contexts: Mapping[str, ContextCounts] = _NO_CONTEXTS
         self._real_ns = self._stalled_ns = 0
         self._stalls: Stalls | None = None
-        """None on a simulated clock, for which no machine is too slow."""
+        """The stalls of threads; None on a simulated clock, for which no machine is too slow."""
         self.began_ns: int | None = None
-        """When, once all has been counted."""
+        """The time of its beginning, on the kernel's clock; None until all has been counted."""
 
     def __enter__(self) -> _Measurement:
         kernel, bus = self._kernel, self._kernel.bus
@@ -129,21 +129,21 @@ class _Measurement:
         self.close()
 
     def close(self) -> None:
-        """Measure no more."""
+        """End the measurement."""
         for unsubscribe in self._unsubscribe:
             unsubscribe()
         if self._stalls is not None:
             self._stalls.close()
 
     async def begin(self) -> None:
-        """Count what is compared with."""
+        """Count the system at the beginning, for the comparison at the end."""
         began_ns = self._kernel.clock.monotonic_ns()
         self._real_ns, self._stalled_ns = time.monotonic_ns(), self._stalled()
         self._edges, self._contexts = await self._count_edges(), await self._count_contexts()
         self.began_ns = began_ns
 
     async def end(self) -> Window:
-        """What was counted since then; measuring goes on."""
+        """The counts since the beginning; measuring goes on."""
         kernel, began_ns = self._kernel, self.began_ns or 0
         length_ns, real_ns = kernel.clock.monotonic_ns() - began_ns, time.monotonic_ns() - self._real_ns
         stalled = (self._stalled() - self._stalled_ns) / max(1, real_ns)
@@ -167,7 +167,7 @@ class _Measurement:
             self._by_machine[event.context] = count + 1, left_out + event.skipped
 
     def _is_by_machine(self, event: Overrun) -> bool:
-        """Whether the machine is to blame for it, or it would have been in time had the machine not run others."""
+        """Whether the machine is to blame for an overrun, or the cycle was in time had the machine not run others."""
         blamed = event.blame is not None and event.blame.kind == "machine"
         context = self._kernel.contexts.get(event.context)
         if self._stalls is None or context is None:
@@ -210,7 +210,7 @@ class _Measurement:
         )
 
     async def _look_at_components(self) -> tuple[dict[str, str], set[str]]:
-        """Those in error, each with why, and those that are not active though in a context."""
+        """The components in error, each with its error, and those that are not active though in a context."""
         errors: dict[str, str] = {}
         idle: set[str] = set()
         async for some in _batches(self._kernel.components.values(), _COMPONENTS_AT_ONCE):
@@ -235,7 +235,7 @@ def _why(component: Component) -> str:
 
 
 async def _batches(things: Iterable[T], at_once: int) -> AsyncIterator[tuple[T, ...]]:
-    """Those that there are now, so many at once."""
+    """The things that there are now, so many at once."""
     left = iter(tuple(things))
     while some := tuple(islice(left, at_once)):
         yield some
@@ -243,7 +243,7 @@ async def _batches(things: Iterable[T], at_once: int) -> AsyncIterator[tuple[T, 
 
 
 async def _wait(kernel: Microkernel, seconds: float) -> None:
-    """Wait on the kernel's clock; ClosedError as soon as it closes."""
+    """Wait on the kernel's clock. ClosedError: the kernel closes."""
     if seconds > 0:
         done = kernel.loop.create_future()
         timer = kernel.call_later(seconds, lambda: None if done.done() else done.set_result(None))

@@ -1,8 +1,8 @@
-"""How long threads were ready to run while the machine ran others, as the system counts it for each thread.
+"""The time that threads were ready to run while the machine ran others, as the system counts it for each thread.
 
-A hook that was running when the processor was taken away is blamed for the delay (`aiorts.diagnostics.blame`); by these
-counts it is known what the delay would have been without. All threads of the process are counted: one that is stopped
-while it has the interpreter lock stops the others. On a system that does not count it, nothing is known.
+A hook that was running when the processor was taken away is blamed for the delay (`aiorts.diagnostics.blame`); these
+counts tell what the delay would have been otherwise. All threads of the process are counted: a thread that is stopped
+while it has the interpreter lock stops the others. On a system without such counts nothing is known.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ if TYPE_CHECKING:
     import asyncio
 
 _THREADS: Final = "/proc/self/task"
-"""Of Linux: a folder for each thread; in its file `schedstat` is the time that it was on a processor, the time that it
-waited for one, in nanoseconds, and how often it had one."""
+"""The folder of Linux with a folder for each thread. Its file `schedstat` has the time that the thread was on a
+processor, the time that it waited for one, in nanoseconds, and how often it had one."""
 _EVERY: Final = 0.02
-"""Seconds between two looks; beside them each late cycle is one."""
+"""Seconds between two looks; each late cycle is a look, too."""
 _KEPT: Final = 256
 
 
 class Stalls:
-    """What was counted of the threads of this process while this was open; on a loop, for which it looks."""
+    """The stalls of this process's threads while this object is open; it looks on a loop, at intervals."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
         self._per_thread: dict[str, tuple[int, int]] = {}
-        """For each its file, and what was counted there last."""
+        """For each thread its file, and the last count in it."""
         self.total_ns = 0
-        """How long they have been stalled since this was made, all together, in nanoseconds, by the last look."""
+        """Nanoseconds that all threads together were stalled since this object was made, by the last look."""
         self._looks: deque[tuple[int, int]] = deque(maxlen=_KEPT)
-        """When, in real time, and how long they had been stalled by then."""
+        """The last looks: the real time, and the total by then."""
         self._timer: asyncio.TimerHandle | None = None
         if os.path.isdir(_THREADS):
             self._look_again()
 
     def close(self) -> None:
-        """Look no more; idempotent."""
+        """End the looks. Idempotent."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -48,14 +48,14 @@ class Stalls:
         self._per_thread.clear()
 
     def look(self) -> int:
-        """The total by now; 0 where nothing is known."""
+        """Look now; the total, 0 where nothing is known."""
         if self._timer is not None:
             self._count()
             self._looks.append((time.monotonic_ns(), self.total_ns))
         return self.total_ns
 
     def since(self, real_ns: int) -> int:
-        """How long they were stalled from this moment on, and from the look before it, in nanoseconds."""
+        """Nanoseconds that threads were stalled since the last look before this moment of real time."""
         now = self.look()
         if not self._looks:
             return 0
@@ -81,7 +81,7 @@ class Stalls:
                     os.open(f"{_THREADS}/{name}/schedstat", os.O_RDONLY | os.O_CLOEXEC) if known is None else known[0]
                 )
             except OSError:
-                continue  # it has ended meanwhile
+                continue  # the thread has ended meanwhile
             now = _stalled_ns(file)
             threads[name] = file, now
             if known is not None:
@@ -92,4 +92,4 @@ def _stalled_ns(file: int) -> int:
     try:
         return int(os.pread(file, 128, 0).split()[1])
     except (OSError, ValueError, IndexError):
-        return 0  # it has ended meanwhile, or the system does not count
+        return 0  # the thread has ended meanwhile, or the system does not count
