@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
 FORMAT = 1
-"""The version of the frames, which each begins with."""
+"""The version of the frames, with which each frame begins."""
 
 # A packer keeps the room that its largest frame took.
 _KEPT = 1_048_576
 
 
 class Codec(Protocol):
-    """What turns records into bytes and back."""
+    """An object that turns records into bytes and back."""
 
     def encode(self, record: Any) -> bytes:
         """The record as one frame. RecordError if it cannot travel, LimitError if it is too large."""
@@ -47,7 +47,7 @@ class Codec(Protocol):
 
 
 class PartsCodec(Protocol):
-    """A codec that also turns records into a head and parts: what large arrays need on their way to another kernel."""
+    """A codec that also turns records into a head and parts, for large arrays on their way to another kernel."""
 
     def encode_parts(self, record: Any) -> tuple[bytes, Sequence[memoryview]]:
         """The record as a head and parts. RecordError if it cannot travel, LimitError if it is too large."""
@@ -118,7 +118,7 @@ class MsgpackCodec:
             return encode(record)
         if (known := _known.get(cls)) is None:
             _know(cls)
-            return MsgpackCodec.encode(self, record)  # as all that follow: the class may have its own encoder now
+            return MsgpackCodec.encode(self, record)  # like all later calls: the class may have its own encoder now
         name, form = known
         content = FORMAT, name, form.put(record)
         try:
@@ -136,7 +136,7 @@ class MsgpackCodec:
         """A faster `encode` for records of exactly this class, for one thread at a time.
 
         Raises:
-            DeclarationError: the class cannot travel. What it gives raises LimitError for a frame that is too large.
+            DeclarationError: the class cannot travel. The encoder raises LimitError for a frame that is too large.
         """
         name, form = _known.get(cls) or _know(cls)
         if (written := self._encoders.get(cls)) is not None:
@@ -180,7 +180,7 @@ class MsgpackCodec:
         """A faster `encode_parts` for records of exactly this class, for one thread at a time.
 
         Raises:
-            DeclarationError: the class cannot travel. What it gives raises RecordTypeError for another class.
+            DeclarationError: the class cannot travel. The encoder raises RecordTypeError for another class.
         """
         target, name, packed, (put, _) = _parts_of(cls)
         if packed is not None:
@@ -218,7 +218,7 @@ class MsgpackCodec:
         """A faster `decode_parts` for records of exactly this class.
 
         Raises:
-            DeclarationError: the class cannot travel. What it gives raises as `decode`.
+            DeclarationError: the class cannot travel. The decoder raises as `decode`.
         """
         _, name, packed, (_, take) = _parts_of(cls)
         if packed is not None:
@@ -252,7 +252,7 @@ class MsgpackCodec:
         return encode_all
 
     def heads_decoder(self, cls: type) -> Callable[[Sequence[Buffer]], Iterator[Any]] | None:
-        """A function that makes the records of such heads in turn; the first that is none raises.
+        """A function that makes the records of such heads in turn; it raises at the first bad head.
 
         None: `parts_decoder` has to look at each head.
         """
@@ -263,9 +263,9 @@ class MsgpackCodec:
         return lambda heads: starmap(build, map(unpack, heads))
 
     def taking_parts(self, name: str, take: Take) -> Callable[[Buffer, Sequence[Buffer]], Any]:
-        """What decodes heads and parts of a type of this name by a function that takes its value out of them.
+        """A decoder of heads and parts of a type of this name, by a function that takes the value out of them.
 
-        What it gives raises as `decode`.
+        The decoder raises as `decode`.
         """
 
         longest = min(self.limits.head, self.limits.frame)
@@ -350,10 +350,10 @@ _known: dict[type, tuple[str, Form]] = {}
 _encoders: dict[type, Callable[[Any], bytes]] = {}
 """The encoders of records of numbers, by class."""
 _decoders: dict[bytes, Callable[[bytes, type | None], Any]] = {}
-"""By the name that stands in the frame."""
+"""The decoders of short frames, by the type name in the frame."""
 _packers: list[Any] = []
-"""Those that nobody uses at this moment: to make one takes as long as to pack a small record. Who packs takes one out,
-so that threads never share one."""
+"""The packers that are not in use: to make one takes as long as to pack a small record. `encode` takes one out, so that
+threads never share one."""
 
 
 def _new_packer() -> Any:
@@ -361,7 +361,7 @@ def _new_packer() -> Any:
 
 
 def _parts_of(cls: type) -> tuple[type, str, Packed | None, Positions]:
-    """The class itself, its wire name, and how its values lie in head and parts. DeclarationError: it cannot travel."""
+    """The class itself, its wire name, and its layout in head and parts. DeclarationError: it cannot travel."""
     target = original(cls)
     name, _ = _known.get(target) or _know(target)
     return target, name, *layout_of(target)

@@ -1,4 +1,4 @@
-"""Codecs by name: aiorts' own, and whatever else the layer above says there is; nothing here imports a plugin."""
+"""Codecs by name: aiorts' own, and others that the layer above finds; nothing here imports a plugin."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Frames of checked records, read by functions that are generated for their fields, and written where all are numbers.
 
-They write and read the frames of `forms`, and do less for it: nothing is decided anew for each frame. What they do not
-read, such as fields in another order or a value of another type, they leave to the general way, which takes it or says
-what is wrong with it. A record of nothing but numbers is one structure: every byte between its numbers is the same in
-each frame.
+The functions write and read the frames of `forms`, and decide nothing again for each frame. Frames that they do not
+read, such as with fields in another order or a value of another type, they leave to the general way, which takes the
+frame or names its fault. A record of nothing but numbers is one structure: every byte between its numbers is the same
+in each frame.
 """
 
 from __future__ import annotations
@@ -27,28 +27,28 @@ if TYPE_CHECKING:
     from aiorts.types.structure import Structure
 
 SHORT: Final = 1024
-"""Bytes of a frame that is parsed at once: all that its headers could claim together is below 4 MiB."""
+"""The most bytes of a frame that is parsed at once: all that its headers could claim together is below 4 MiB."""
 _FIELDS: Final = 15
-"""Fields of a record, since the header of a longer map has three bytes; and the values of a record with all in it."""
+"""The most fields of a record, since a longer map's header has three bytes; and the most numbers in all of a record."""
 _NUMBERS: Final = {
     "i8": ("b", 0xD0), "i16": ("h", 0xD1), "i32": ("i", 0xD2), "i64": ("q", 0xD3), "f64": ("d", 0xCB),
     "u8": ("B", 0xCC), "u16": ("H", 0xCD), "u32": ("I", 0xCE), "u64": ("Q", 0xCF), "stamp": ("Q", 0xCF),
 }  # fmt: skip
-"""How a number is packed, and the byte in front of it. Numbers of 32 bits travel as those of 64: they are left out."""
+"""The code of a packed number, and the byte before it. f32 travels as f64, and is left out."""
 
 
 class Direct(NamedTuple):
-    """How frames of one record type are read at once, and written where it has nothing but numbers."""
+    """The functions that read frames of one record type at once, and write them where it has nothing but numbers."""
 
     decode: Callable[[bytes, type | None], Any]
-    """The record of a frame, if it is of the class that is expected, or none is. None: the general way reads the frame,
-    or says what is wrong with it."""
+    """Gives the record of a frame, if it is of the expected class or none is expected. None: the general way reads the
+    frame, or names its fault."""
     encode: Callable[[Any], bytes] | None = None
-    """The frame of a record, of at most `SHORT` bytes."""
+    """Gives the frame of a record, of at most `SHORT` bytes."""
 
 
 def direct_of(structure: Structure, version: int, name: str) -> Direct | None:
-    """How records of this structure and wire name are written and read; None where only the general way is."""
+    """The functions for records of this structure and wire name; None where only the general way takes them."""
     leaves = list(_leaves(structure, "")) if _is_short(structure) else []
     if not leaves:
         return None
@@ -64,7 +64,7 @@ def _is_short(structure: Structure) -> bool:
     return (
         structure.checked
         and 0 < len(fields) <= _FIELDS
-        and all(field.name.isascii() for field in fields)  # others are written as Python normalises them
+        and all(field.name.isascii() for field in fields)  # in generated code Python would normalise other names
         and all(_is_short(field.kind.structure) for field in fields if isinstance(field.kind, RecordKind))
     )
 
@@ -133,19 +133,19 @@ def _packed(value: int | str) -> bytes:
 
 
 def _wanted(structure: Structure, too_long: str, known: dict[str, Any]) -> list[str]:
-    """The lines that leave a frame to the general way that is too long, or not of the class that is to be read."""
+    """The lines that leave a frame to the general way if it is too long, or not of the expected class."""
     known |= {"cls": structure.cls, "full_name": full_name(structure.cls), "types": all_types()}
     return [
-        # The class may have been defined again: another one has its name then.
+        # The class may have been defined again: then another class has its name.
         f"if {too_long} or (expected is not None and expected is not cls) or types.get(full_name) is not cls:",
         " return None",
     ]
 
 
 def number_builder(structure: Structure) -> Callable[..., Any]:
-    """The maker of a record of its numbers, in order, those of records in it too; they are of the class they should be.
+    """The maker of a record from its numbers, in order, those of nested records too, each of the right class.
 
-    What it gives raises RecordError where a time stamp is too large, or a record refuses its fields. A record without
+    The maker raises RecordError where a time stamp is too large, or a record refuses its fields. A record without
     conditions of its own is filled, not constructed: a TimedPose3D takes 0.9 us instead of 1.9 us.
     """
     known: dict[str, Any] = {}
@@ -155,7 +155,7 @@ def number_builder(structure: Structure) -> Callable[..., Any]:
 
 
 def _building(structure: Structure, known: dict[str, Any]) -> list[str]:
-    """The lines that make a record of the numbers v0, v1 ..."""
+    """The lines that make a record from the numbers v0, v1 ..."""
     known |= {"new": object.__new__, "LIMIT": STAMP_LIMIT}
     lines: list[str] = []
     count = 0
@@ -191,7 +191,7 @@ def _building(structure: Structure, known: dict[str, Any]) -> list[str]:
 
 
 _CHECKED: Final = {"stamp": "if {0} >= LIMIT: "}
-"""Numbers whose kind takes less than their code: when they are looked at."""
+"""Numbers whose kind takes less than their code: the condition on which they are checked."""
 
 
 _REFUSED: Final = (RecordError, ValueError, TypeError, msgpack.UnpackException)

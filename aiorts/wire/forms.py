@@ -1,8 +1,8 @@
-"""How each kind of field lies in a frame: a pair of functions, made once for each type.
+"""The form of each kind of field in a frame: a pair of functions, made once for each type.
 
-Records are maps from field name to value, so that a frame says what is missing or unknown; number sequences and
+Records are maps from field name to value, so that a frame shows missing and unknown fields; number sequences and
 sequences of records with one element type are one binary each; enumerations are their integer, or their member's name;
-what is absent is nil, and a datetime its nanoseconds since the epoch.
+an absent value is nil, and a datetime its nanoseconds since the epoch.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ Take = Callable[[Any, str], Any]
 
 
 class Form(NamedTuple):
-    """Record -> what msgpack packs, and back. `take` raises WireError or RecordError naming the field."""
+    """A record to the value that msgpack packs, and back. `take` raises WireError or RecordError naming the field."""
 
     put: Put
     take: Take
 
 
-# None: the value goes into the frame as it is, and the record's constructor checks what comes out of one.
+# None: the value goes into the frame as it is, and the record's constructor checks a value that comes out of one.
 Pair = tuple[Put | None, Take | None]
 _forms: dict[type, Form] = {}
 
@@ -74,7 +74,7 @@ def _putter(structure: Structure, names: tuple[str, ...], pairs: tuple[Pair, ...
 
 
 def _entries(structure: Structure, record: str, known: dict[str, Any]) -> str:
-    """The text of the map that a checked record is packed as; `known` gets what it names."""
+    """The code of the map as which a checked record is packed; `known` gets the objects that it names."""
     entries = []
     for field in structure.fields:
         # Python would normalise a name that is written out, if it is not ASCII.
@@ -213,7 +213,7 @@ def _fixed_pair(kind: FixedTupleKind) -> Pair:
 
 
 def _map_pair(kind: MapKind) -> Pair:
-    """Entries have no declared kind: a binary is an array, bytes are a list with the one binary in it, a map is one."""
+    """The pair of a map. Entries have no declared kind: a binary is an array, bytes are a list of one binary."""
 
     def put(entries: Any) -> Any:
         return {name: _put_entry(entry) for name, entry in entries.items()}
@@ -222,7 +222,7 @@ def _map_pair(kind: MapKind) -> Pair:
 
 
 def map_entries(entries: Any, where: str) -> Any:
-    """The entries of a map that stands in a frame."""
+    """The entries of a map in a frame."""
     if type(entries) is not dict:
         raise WireError(f"{where}: expected a map, got {shown(entries)}")
     return _take_entries(entries, where, MAP_LEVELS)
@@ -233,7 +233,7 @@ def _take_entries(entries: Any, where: str, levels: int) -> Any:
     for name, entry in entries.items():
         cls = type(entry)
         if cls is bytes:
-            # Where it stands is only said where it is none: to write that takes as long as to look at it.
+            # Its place is written only where it is no array: that takes as long as to read the array.
             with suppress(WireError):
                 found[name] = unpack_array(entry, where)
                 continue

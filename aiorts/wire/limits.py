@@ -1,4 +1,4 @@
-"""How large a frame may be, and how much may be in it, before anything is allocated for it."""
+"""The limits of a frame's size and contents, which hold before anything is allocated for it."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ class Limits:
     length: int = 65_536
     """Items of one list or map."""
     parts: int = 64
-    """Buffers beside the head of a frame; `frame` limits all of it together."""
+    """Buffers that travel with the head of a frame; `frame` limits head and buffers together."""
     head: int = 64 * MIB
-    """Bytes of the head of a frame with parts: texts, small arrays, whatever is not beside it."""
+    """Bytes of the head of a frame with parts: texts, small arrays, all that is no part."""
 
     def __post_init__(self) -> None:
         for name in ("frame", "string", "values", "length", "parts", "head"):
             limit = getattr(self, name)
-            # Text of up to 31 bytes is not measured one by one: nobody can do harm with it.
+            # Texts of up to 31 bytes are not measured one by one: they can do no harm.
             least = 32 if name == "string" else 1
             if type(limit) is not int or not least <= limit < 2**31:
                 raise ValueError(f"Limits.{name}: expected an integer {least}..2147483647, got {limit!r}")
@@ -37,8 +37,8 @@ DATA = Limits()
 CONTROL = Limits(frame=64 * KIB, string=64 * KIB, length=64)
 """Smaller limits, for short messages."""
 LINK = Limits(values=4_096, length=4_096, head=2 * MIB)
-"""Smaller limits, for what another kernel sends, so that a bomb does not hold up the loop: it is refused in 10 ms.
+"""Smaller limits, for frames of another kernel, so that a bomb does not hold up the loop: it is refused in 10 ms.
 
 A frame that is no bomb takes 1 us a value for texts, up to 4 ms for a MiB of them, 3 us for arrays without elements,
-and 4 us for a record of a plain dataclass, however deep it lies in others: some 10 ms at the most.
+and 4 us for a record of a plain dataclass, however deep it lies in others: at most some 10 ms.
 """

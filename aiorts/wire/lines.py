@@ -1,4 +1,4 @@
-"""Samples as lines of strict JSON, and back: what components read and write as Unix filters. It opens no stream.
+"""Samples as lines of strict JSON, and back, for components that run as Unix filters. It opens no stream.
 
 A line out: `{"port": "output0", "type": "TimedLong", "tm": 1700000000000000000, "data": 6200}`. A record whose fields
 besides `tm` are not `data` alone has an object of them as its `data`; where a header holds the time, both tell it, and
@@ -27,7 +27,7 @@ _NUMBERS: Final[dict[str, type]] = {
     **dict.fromkeys(("i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64"), int),
     **dict.fromkeys(("f32", "f64"), float),
 }
-"""Kinds of `data` whose values, when they are of this very class, are in JSON what they are in Python."""
+"""Kinds of `data` whose values, if of exactly this class, are written in JSON as in Python."""
 
 
 def line_of(port: str, sample: Any) -> str:
@@ -55,16 +55,16 @@ def split_sample(sample: Any) -> tuple[int | None, Any]:
 
 
 def json_text(plain: Any) -> str:
-    """Strict JSON on one line; what does not print, a terminal's escapes for one, is written by its number."""
+    """Strict JSON on one line; characters that do not print, such as a terminal's escapes, are written by number."""
     text = _encode(plain)
-    # JSON escapes the first 32 characters itself; the rest of what does not print is written as JSON would.
+    # JSON escapes the first 32 characters itself; other characters that do not print are written as JSON would.
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text)
 
 
 class LineWriter:
-    """Writes the lines of one port, as `line_of` does, with what all of them share made once."""
+    """Writes the lines of one port, as `line_of` does, with their common beginning made once."""
 
     def __init__(self, port: str, cls: type[Any]) -> None:
         self._port = port
@@ -93,7 +93,7 @@ _numbers: dict[type, type | None] = {}
 
 def _found_number_of(cls: type) -> type | None:
     if not hasattr(cls, "__dataclass_fields__") or original(cls) is not cls:
-        return None  # the class of a snapshot is nobody's type
+        return None  # the class of a snapshot is no port's type
     structure = describe(cls)
     if not structure.checked or [field.name for field in structure.fields] != ["tm", "data"]:
         return None
@@ -102,9 +102,9 @@ def _found_number_of(cls: type) -> type | None:
 
 
 class LineReader:
-    """Reads lines for these in-ports.
+    """Reads lines for the given in-ports.
 
-    With a single in-port every line is for it, whatever port the line names: the out-port of who wrote it. A line of
+    With a single in-port every line is for it, whatever port the line names: that of its writer. A line of
     `output1` is for `input1` where there is no in-port `output1`: filters in a pipe need not be told their names.
 
     Args:
@@ -128,7 +128,7 @@ class LineReader:
             now_ns: `tm` where the line has none, nanoseconds since the epoch.
 
         Raises:
-            RecordError: says what is wrong with the line.
+            RecordError: names the fault of the line.
         """
         try:
             plain = self._decode(line)
@@ -164,7 +164,7 @@ class LineReader:
 
 
 class _Form:
-    """How the plain data of one type stands in a line."""
+    """The plain data of one type in a line, and the way back to a sample."""
 
     def __init__(self, cls: type) -> None:
         self._cls = cls
@@ -178,12 +178,12 @@ class _Form:
         self._number = _number_of(cls) is not None
 
     def check_type(self, name: Any) -> None:
-        """RecordError when the line says it is of another type."""
+        """Check the type that a line names. RecordError: it is another one."""
         if name is not None and (type(name) is not str or name not in self._names):
             raise RecordError(f"a {_shown(name)} for a port of {self._name}; {self._advice(name)}")
 
     def _advice(self, name: Any) -> str:
-        """What to do with lines of another type."""
+        """The advice for lines of another type."""
         try:
             other = wire_type(name, bare=True) if type(name) is str else None
         except AiortsError:
@@ -195,7 +195,7 @@ class _Form:
     def sample(self, data: Any, tm: Any) -> Any:
         """The sample with this data."""
         if self._number and (type(data) is int or type(data) is float):
-            return self._cls(tm, data)  # what `from_plain` comes to, for a number alone
+            return self._cls(tm, data)  # as `from_plain` would, for a number alone
         if self._bare:
             return from_plain(self._cls, data)
         if not self._whole:

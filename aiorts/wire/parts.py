@@ -1,9 +1,9 @@
-"""Records to a head and parts: values by position, without names, and large arrays beside them.
+"""Records to a head and parts: values by position, without names, and large arrays apart.
 
 Both ends know the type and have compared its layout, so that a frame says neither the names of the fields nor that of
 the type. A record of nothing but numbers is a packed structure, little-endian. Any other is one msgpack value: a list
-of its fields in order, records in it alike. An array or bytes of 16 KiB and more are a part: in the list stands the
-head of the array in a list, or an empty list for bytes, and the parts follow in that order.
+of its fields in order, nested records likewise. An array or bytes of 16 KiB and more are a part: the list has the head
+of the array in a list, or an empty list for bytes, and the parts follow in that order.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from aiorts.types.structure import Structure
 
 BESIDE: Final = 16_384
-"""Bytes from which on an array travels beside the head."""
+"""The least bytes of an array that is a part, apart from the head."""
 _LARGEST_ARRAY: Final = BESIDE + 8 + 8 * MAX_DIMENSIONS
-"""Bytes that no array in a head has, with what stands in front of its elements."""
+"""Bytes that no array in a head has, its own head included."""
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Put: TypeAlias = Callable[[Any, list[memoryview]], Any]
 Take: TypeAlias = Callable[[Any, str, Iterator[Buffer]], Any]
@@ -44,21 +44,21 @@ NUMBER_CODES: Final = {
     "bool": "?",
     "stamp": "Q",
 }
-"""What stands for a field in the packed structure of a record of numbers."""
+"""The code of a field in the packed structure of a record of numbers, by its type."""
 
 
 class Packed(NamedTuple):
-    """How a record of nothing but numbers lies in its frame."""
+    """The layout of a record of nothing but numbers in its frame."""
 
     layout: struct.Struct
     read: Callable[[Any], tuple[Any, ...]]
-    """The numbers of a record, in order, nested ones too."""
+    """Gives the numbers of a record, in order, those of nested records too."""
     build: Callable[..., Any]
-    """The record of such numbers. RecordError: one does not fit."""
+    """Makes the record of such numbers. RecordError: one does not fit."""
 
 
 def packed(structure: Structure) -> Packed | None:
-    """How the record is packed; None where it has other fields than numbers."""
+    """The packed layout of a record; None where it has other fields than numbers."""
     leaves = list(_leaves(structure, ""))
     if not leaves or any(kind is None for _, kind in leaves):
         return None
@@ -80,14 +80,14 @@ def _leaves(structure: Structure, prefix: str) -> Iterator[tuple[str, Kind | Non
 
 
 class Positions(NamedTuple):
-    """How a value lies in a frame: what msgpack packs of it, and back."""
+    """The way of a value into a frame and back: from and to the value that msgpack packs."""
 
     put: Put
     take: Take
 
 
 def positions_of(kind: Kind) -> Positions:
-    """How the values of a kind lie in a frame."""
+    """The way of a kind's values into a frame and back."""
     for base, make in _MAKERS:
         if isinstance(kind, base):
             return make(kind)
@@ -103,7 +103,7 @@ def _as_it_is(value: Any, _where: str, _parts: Iterator[Buffer]) -> Any:
 
 
 def record_positions(structure: Structure, *, nested: bool = False) -> Positions:
-    """How a record lies in a frame: a list of its fields, in order. `nested`: it is taken as it may travel."""
+    """The way of a record into a frame and back: a list of its fields. `nested`: taken ready to travel on."""
     cls, fields = structure.cls, structure.fields
     ways = [positions_of(field.kind) for field in fields]
     wheres = [f"{cls.__qualname__}.{field.name}" for field in fields]
@@ -148,7 +148,7 @@ def _record_taker(structure: Structure, takes: Sequence[Take], wheres: Sequence[
 
 
 def _settled(kind: Kind) -> bool:
-    """Whether what is taken of a kind is as it may travel: nothing around it needs to look into it again."""
+    """Whether taken values of a kind are ready to travel on: a record around them need not look into them again."""
     if isinstance(kind, OptionalKind):
         return _settled(kind.inner)
     if isinstance(kind, FixedTupleKind):
@@ -164,7 +164,7 @@ def _next(parts: Iterator[Buffer], where: str) -> Buffer:
 
 
 def _beside(value: Any) -> bool:
-    """Whether the value in the frame stands for a part."""
+    """Whether a value in the frame stands for a part."""
     return type(value) is list
 
 
@@ -190,7 +190,7 @@ def _put_array(array: Any, parts: list[memoryview]) -> Any:
 
 
 def take_array(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
-    """The array that stands in a frame, or beside it; of any element type and shape."""
+    """The array of a frame, from the head or from a part; of any element type and shape."""
     if not _beside(value):
         if type(value) is bytes and len(value) >= _LARGEST_ARRAY:
             raise _belongs_beside(value, where)
@@ -232,7 +232,7 @@ def _bytes_positions(_kind: BytesKind) -> Positions:
 
 
 def take_bytes(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
-    """The bytes that stand in a frame, or beside it."""
+    """The bytes of a frame, from the head or from a part."""
     if not _beside(value):
         if type(value) is bytes and len(value) >= BESIDE:
             raise _belongs_beside(value, where)
@@ -298,7 +298,7 @@ _MAKERS: Final[tuple[tuple[type, Callable[[Any], Positions]], ...]] = (
 
 
 def layout_of(cls: type) -> tuple[Packed | None, Positions]:
-    """How values of a class that can travel lie in a frame: packed where that is possible, else by position."""
+    """The layout of a class that can travel: packed where that is possible, and by position."""
     found = _layouts.get(cls)
     if found is None:
         found = _layouts[cls] = _plain_layout(cls) if cls in PLAIN_TYPES else _record_layout(describe(cls))

@@ -1,8 +1,8 @@
-"""Walk a msgpack frame without building anything: how many values it claims to have, and whether they can be there.
+"""Walk a msgpack frame without building anything: count the values that it claims, and check that they can be there.
 
-A header of three bytes may claim 65,535 items, and a parser that believes it allocates for them. So every claim is
-counted, and compared with the bytes that are left, before the parser sees the frame. No recursion: the walk needs the
-number of values still to come, and for each open container the number at which it ends.
+A header of three bytes may claim 65,535 items, and a parser that believes it allocates memory for them. So every claim
+is counted, and compared with the bytes that are left, before the parser sees the frame. The walk does not recurse: it
+keeps the number of values still to come, and for each open container the number at which it ends.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from aiorts.wire.limits import Limits
 
 
-# Records inside records go three or four deep; a frame that goes deeper than this is no record of anybody.
+# Records inside records go three or four deep; a frame that goes deeper than this is no real record.
 MAX_DEPTH = 64
 
-# First byte -> bytes of the whole value, for values whose size it tells; 0 for the others.
+# First byte -> bytes of the whole value, where the byte tells it, else 0.
 _FIXED = bytearray(256)
 _FIXED[0x00:0x80] = b"\x01" * 128
 _FIXED[0xE0:0x100] = b"\x01" * 32
@@ -33,7 +33,7 @@ _SIZES = bytes(_FIXED)
 
 _OF_ONE_BYTE = re.compile(b"[" + b"".join(rb"\x%02x" % byte for byte in range(256) if _SIZES[byte] == 1) + b"]*")
 
-# First byte -> values in a list or map so short that no length follows; they are most of all containers there are.
+# First byte -> values in a list or map so short that no length follows; most containers are so short.
 _SMALL = bytes(128) + bytes(range(0, 32, 2)) + bytes(range(16)) + bytes(96)
 
 # First byte -> bytes of the length that follows, values that each unit of the length stands for, whether it is text
@@ -47,7 +47,7 @@ _MEASURED = {
 def count_values(frame: bytes | bytearray | memoryview, limits: Limits) -> int:
     """The number of values in `frame`.
 
-    LimitError as soon as it claims more than `limits`; WireError if it is not whole.
+    LimitError as soon as the frame claims more than `limits`; WireError if it is not whole.
     """
     sizes, end, limit = _SIZES, len(frame), limits.values
     small = _SMALL if limits.length >= 15 else bytes(256)

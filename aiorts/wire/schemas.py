@@ -1,4 +1,4 @@
-"""Explains what records are as bytes, to readers that do not have the type: a JSON Schema of each type.
+"""Explains the bytes of records to readers that do not have the type: a JSON Schema of each type.
 
 A frame of the msgpack codec is explained with `x-array` for its arrays; in JSON a record is an object that Foxglove
 shows as it is.
@@ -24,7 +24,7 @@ _LAYOUT: Final = {
     "codes": dict(enumerate(ELEMENTS, start=1)),
 }
 _UNIT: Final = "x-unit"
-"""The unit of a field's values: no part of how they lie."""
+"""The key of the unit of a field's values: no part of their layout."""
 _DRAFT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -100,7 +100,7 @@ def units_in(schema: Any) -> dict[str, str]:
 
 
 def json_message(record: Any) -> Any:
-    """What a message in JSON holds of a record: an object, without the fields that are left out."""
+    """The message in JSON of a record: an object, without the fields that are left out."""
     cls, plain = type(record), to_plain(record)
     if not hasattr(cls, "__dataclass_fields__"):
         return {"value": plain}
@@ -115,7 +115,7 @@ _shortening: dict[type, dict[str, Any] | None] = {}
 
 
 def _may_leave_out(schema: Any) -> bool:
-    """Whether a field of it, or of what is in it, is left out where it is None."""
+    """Whether a field of a schema, or of one inside it, is left out where it is None."""
     if not isinstance(schema, dict):
         return False
     properties: dict[str, Any] = schema.get("properties", {})

@@ -1,7 +1,7 @@
-"""Frames of records whose class is not here, to plain values: what a tool needs that only knows the text of a layout.
+"""Frames of records whose class is not here, to plain values, for tools that only know the text of a layout.
 
-The text comes from another kernel and is data: it is walked, and what it does not describe as `layout_text` does is
-refused. Nothing is imported, compiled or made a class because of it.
+The text comes from another kernel and is data: it is walked, and refused where it is not as `layout_text` writes it.
+Nothing is imported, compiled or made a class because of it.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ _BY_POSITION: Final = "positions"
 
 
 def layout_text(cls: type) -> str:
-    """The text of how records of a class lie in head and parts: their schema, and whether they are packed."""
+    """The text of the layout of a class's records in head and parts: their schema, and whether they are packed."""
     document = without_units(json.loads(schema_text(cls)))
     packed, _ = layout_of(cls)
     return json.dumps({_LIES_AS: _BY_POSITION if packed is None else _PACKED, **document}, separators=(",", ":"))
 
 
 def untyped_decoder(layout: str, codec: MsgpackCodec | None = None) -> Callable[[Buffer, Sequence[Buffer]], Any]:
-    """What decodes heads and parts of the class that a layout describes, without the class.
+    """A decoder of heads and parts of the class that a layout describes, without the class.
 
     A record becomes a dict of its fields, in order, a sequence a list, an enumeration the name of its member, a stamp
     and a datetime nanoseconds; an array, and a sequence of records of one element type, is a read-only numpy array.
 
     Args:
-        layout: what `layout_text` gave where the class is.
-        codec: whose limits hold; those of `LINK` if none is given.
+        layout: the result of `layout_text` where the class is.
+        codec: the codec whose limits hold; by default those of `LINK`.
 
     Raises:
-        WireError: the layout is not one. What is returned raises it for a frame that does not fit the layout.
+        WireError: the layout is none. The decoder raises it for a frame that does not fit the layout.
     """
     try:
         document = json.loads(layout)
@@ -72,7 +72,7 @@ def _packed_decoder(schema: Any, name: str) -> Callable[[Buffer, Sequence[Buffer
 
 
 def _packed_builder(schema: Any, where: str, codes: list[str], levels: int) -> Callable[[Iterator[Any]], Any]:
-    """Makes the value from the numbers of a packed frame, in order; adds their codes to `codes`."""
+    """A function that makes the value of the numbers of a packed frame, in order; adds their codes to `codes`."""
     properties = _properties(schema, where, levels)
     if properties is not None:
         fields = [
@@ -91,7 +91,7 @@ _PACKED_TYPES: Final = {"boolean": "bool", "integer": "stamp"}
 
 
 def _take_of(schema: Any, where: str, levels: int) -> Take:
-    """How the value that a schema describes is taken out of a frame by position."""
+    """A function that takes the value that a schema describes out of a frame by position."""
     if type(schema) is not dict:
         raise _no_layout(schema, where)
     for word, make in _MAKERS.items():
@@ -121,7 +121,7 @@ _TYPES: Final[dict[str, tuple[type, ...]]] = {
 
 
 def _properties(schema: Any, where: str, levels: int) -> dict[str, Any] | None:
-    """The fields of a record; None for what is none. WireError: records in each other go too deep."""
+    """The fields of a record's schema; None: it is no record's. WireError: the nesting is too deep."""
     if not levels:
         raise WireError(f"{where}: expected at most {MAX_DEPTH} levels, got more")
     found = schema.get("properties") if type(schema) is dict else None
@@ -175,7 +175,7 @@ def _optional(schema: Any, where: str, levels: int) -> Take:
 
 
 def _members(schema: Any, where: str, _levels: int) -> Take:
-    """An enumeration or a choice: by its number where it has names for numbers, else as it stands."""
+    """A function that takes an enumeration or a choice: its name where numbers have names, else the value itself."""
     choices, names = schema["enum"], schema.get("x-names", schema["enum"])
     if type(choices) is not list or type(names) is not list or len(names) != len(choices):
         raise _no_layout(schema, where)
@@ -205,7 +205,7 @@ _MAKERS: Final[dict[str, Callable[[Any, str, int], Take]]] = {
     "items": _items,
     "additionalProperties": _map,
 }
-"""The first word of these that a schema has says what it is."""
+"""The makers, by the word that tells the kind of a schema: the first of these that it has."""
 
 
 def _no_layout(schema: Any, where: str) -> WireError:
