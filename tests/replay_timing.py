@@ -1,6 +1,6 @@
-"""Measures how exactly a recording is replayed: the error between one sample and the next, beside a bare timer loop.
+"""Measures how exactly a recording is replayed: errors of the times between samples, next to a bare timer loop.
 
-Both keep the same distances on the same loop, by turns, so that other load on the computer is in both.
+Replay and bare loop keep the same intervals in turn on one event loop, so that other load affects both.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _BEGIN: Final = 1_700_000_000_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Percentiles of the difference between the time from one sample to the next and that time as recorded, ms."""
+    """Percentiles, in ms, of the difference between an interval from sample to sample and that interval as recorded."""
 
     p50: float
     p99: float
@@ -39,7 +39,7 @@ class Errors:
 
 @dataclass(frozen=True, slots=True)
 class ReplayTiming:
-    """The errors of a replay, and of the bare loop beside it."""
+    """The errors of a replay, and of the bare loop of the same run."""
 
     replay: Errors
     bare: Errors

@@ -1,4 +1,4 @@
-"""`aiorts bench`: measures aiorts, always beside a bare baseline of the same run.
+"""`aiorts bench`: measures aiorts, always next to a bare baseline of the same run.
 
 `harness/` takes the rounds and writes the reports; `push/`, `punctuality/` and `cases/` hold the benches. A package
 offers its own as an entry point `aiorts.benches` that is a `Bench`. Benches read `time.perf_counter_ns`; the rest of

@@ -125,7 +125,7 @@ def _put(text: str, file: Path | None) -> None:
 
 
 def _command(found: Bench, values: dict[str, Any], own: dict[str, Any]) -> str:
-    """The command line that repeats the measurement, without the file it was written to."""
+    """The command line that repeats the measurement, without the file of the result."""
     words = ["aiorts", "bench", found.name, *(["--quick"] if values["quick"] else [])]
     defaults = found.defaults()
     for option in found.options:

@@ -32,7 +32,7 @@ OWN: Final = {
     "scale": ("aiorts_bench.cases.scale", "One to ten thousand components and connectors."),
     "startup": ("aiorts_bench.cases.startup", "Importing aiorts, starting its command, a first system."),
 }
-"""Name: module, which has a `BENCH`, and one line of help."""
+"""The module, which has a `BENCH`, and one line of help, by name."""
 
 
 def names() -> dict[str, str]:
@@ -47,7 +47,7 @@ def load(name: str) -> Bench:
     """Import the bench of that name; aiorts' own comes before a package's of the same name.
 
     Raises:
-        PluginError: there is none (the message has a near name), it cannot be imported, or it is no `Bench`.
+        PluginError: there is no such bench (the message has a near name), it cannot be imported, or it is no `Bench`.
     """
     if name in OWN:
         try:

@@ -70,7 +70,7 @@ PARTS: Final = (
 def measured(
     part: Part, *, quick: bool = False, aimed: bool = False, progress: Progress | None = None, **changed: Any
 ) -> Report:
-    """Run a part; of the options in `changed` those that are not None replace its defaults.
+    """Run a part; options in `changed` that are not None replace its defaults.
 
     Raises:
         PluginError: the bench cannot be loaded.
@@ -120,7 +120,7 @@ def compose(parts: Mapping[str, str]) -> str:
     )
     sections = [head, marked(names)]
     if beside:
-        # A part of its own: else `parts_of` would read this head as the end of the bench above it. Made anew each time.
+        # A part of its own: else `parts_of` would read this head as the end of the bench above it. Not read back.
         sections.append(f"<!-- part: {_BESIDE}head -->\n## Beside OpenRTM-aist-Python\n\n{openrtm.HEAD}\n\n{beside}")
     return "\n\n".join(sections) + "\n"
 
@@ -165,7 +165,7 @@ def main(
         beside = openrtm.sentences(part.name, report)
         parts[_BESIDE + part.name] = "\n".join(f"- {sentence}" for sentence in beside)
         if not check:
-            file.write_text(compose(parts), encoding="utf-8")  # at once: a part that fails takes nothing along
+            file.write_text(compose(parts), encoding="utf-8")  # after each part, so that one that fails loses no other
     for line in (*faults, *weak):
         click.echo(line)
     if not weak:

@@ -1,1 +1,1 @@
-"""The other benches: codecs, records, services, scale, start-up, recordings."""
+"""The benches of codecs, records, services, scale, start-up and recordings."""

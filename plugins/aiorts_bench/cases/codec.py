@@ -1,4 +1,4 @@
-"""`aiorts bench codec`: records to bytes and back, beside codecs that check nothing, on the same values."""
+"""`aiorts bench codec`: records to bytes and back, next to codecs that check nothing, on the same values."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Payload:
     """A record to encode, and the same values in the form that other codecs take.
 
     Attributes:
-        bare: a tuple for codecs with bytes; arrays are their bytes. text: for JSON; arrays are lists.
+        bare: a tuple for codecs that carry bytes; arrays are bytes. text: for JSON; arrays are lists.
     """
 
     name: str
@@ -88,7 +88,7 @@ def _codecs() -> dict[str, tuple[Pair, str]]:
     unpack = partial(msgpack.unpackb, raw=False, use_list=False, max_bin_len=2**24)
     found: dict[str, tuple[Pair, str]] = {
         "msgpack": ((pack, unpack), "bare"),
-        "pickle 5": ((partial(pickle.dumps, protocol=5), pickle.loads), "bare"),  # loads nothing but its own dumps
+        "pickle 5": ((partial(pickle.dumps, protocol=5), pickle.loads), "bare"),  # loads only dumps of this bench
         "json": ((lambda value: json.dumps(value).encode(), json.loads), "text"),
     }
     try:

@@ -1,8 +1,8 @@
 """`python -m aiorts_bench.cases.crowd N MESSAGES`: prints the cost of N components in a process as one JSON object.
 
 Each component has two ports, one connector to the next one round a ring, and an event context of its own. Memory is
-the growth of the resident set; with `--trace` that of tracemalloc, which slows everything else down. What exists once
-for all, such as the modules, is loaded before.
+the growth of the resident set; with `--trace` that of tracemalloc, which slows everything else down. Modules and
+other things that exist once are loaded before.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _FEW = 97
 
 
 async def measure(count: int, messages: int, *, trace: bool = False) -> dict[str, float | list[str]]:
-    """Create, connect, start, write through, and stop `count` components; seconds, bytes and nanoseconds."""
+    """Create, connect, start, write through, and stop `count` components; returns seconds, bytes and ns."""
     await _first_ones()
     gc.collect()
     gc.freeze()
@@ -67,7 +67,7 @@ async def measure(count: int, messages: int, *, trace: bool = False) -> dict[str
     started = perf_counter_ns()
     gc.collect()
     memory = _memory(trace) - before - bare_bytes
-    await _write(nodes, count)  # the first message of each component makes what it needs later, too
+    await _write(nodes, count)  # warm-up: the first message of a component allocates what later ones reuse
     few = await _write(nodes[:: max(1, count // _FEW)], messages)
     every = await _write(nodes, messages)
     faults = [f"{one.profile.name}: the ledger does not balance" for one in connectors if not one.statistics.balanced]
@@ -103,7 +103,7 @@ async def _write(nodes: list[Node], messages: int) -> float:
     """Nanoseconds of one write that wakes an idle event context, the run of its component included."""
     sample = TimedDouble(0, 1.0)
     size = len(nodes)
-    step = 103 if size % 103 else 101  # prime to the size: each is written once a round, not in the order of creation
+    step = 103 if size % 103 else 101  # coprime to the size: each is written to once a round, in another order
     number = 0
     began = perf_counter_ns()
     for _ in repeat(None, messages):

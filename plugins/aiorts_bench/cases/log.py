@@ -1,8 +1,8 @@
-"""`aiorts bench log`: samples into a file, checked when it is read again, beside bare writers of the same samples.
+"""`aiorts bench log`: samples into a file, which is then read and checked, next to bare writers of the same.
 
 All writers of MCAP have chunks of 64 KiB with checksums and without compression; records become bytes by the same
-codec. The recorder gives its samples to a thread: `loop` is what the loop pays for that, and the cost is until all is
-written. `log_live.py` measures what that thread costs others, and the opening of a large recording.
+codec. The recorder hands its samples to a thread: `loop` is the caller's time for the hand-over, the cost is the time
+until all are written. `log_live.py` measures how the thread delays a context, and the opening of a large recording.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LOOP: Final = Measure("loop", "ns")
 _VOLUME: Final = Measure("volume", "MB/s", "more")
 _COLUMNS: Final = (_LOOP, RATE, _VOLUME)
 _QUEUE: Final = {"queue": 10_000_000, "queue_bytes": 2**32}
-"""Long enough for all samples of a round: the bench measures how fast they are written, without losses."""
+"""A queue that holds all samples of a round: the bench measures how fast they are written, without losses."""
 PAYLOADS: Final[tuple[tuple[str, Any, int, int], ...]] = (
     ("float", TimedDouble(1, 1.5), 8, 20_000),
     ("6 doubles", TimedDoubleSeq(1, [0.5, 1.5, -2.5, 3.25, 4.0, 5.0]), 48, 15_000),
@@ -46,7 +46,7 @@ PAYLOADS: Final[tuple[tuple[str, Any, int, int], ...]] = (
 """Name, record, bytes of its data, and messages of one round."""
 
 Write = Callable[[Path, Any, int], int]
-"""Writes a record that many times into a file; nanoseconds until the last call returned."""
+"""Writes a record a number of times into a file; returns the nanoseconds until the last write returned."""
 
 
 def _aiorts(path: Path, record: Any, count: int) -> int:
@@ -106,7 +106,7 @@ def _foxglove(path: Path, record: Any, count: int) -> int:
 
 
 def _original(path: Path, record: Any, count: int) -> int:
-    """Write as OpenRTM-aist's FlexiLogger: one dump for each sample, without checksum, index or flush."""
+    """Write as FlexiLogger of OpenRTM-aist does: one dump for each sample, without checksum, index or flush."""
     fields = record.tm, record.data
     with path.open("wb") as file:
         began = perf_counter_ns()
@@ -161,7 +161,7 @@ def cases(folder: Path) -> tuple[Case, ...]:
 
 
 def report(options: Options) -> Report:
-    """Measure every writer, the recorder's neighbours and a large recording."""
+    """Measure every writer, a context next to a recorder, and a large recording."""
     with tempfile.TemporaryDirectory(prefix="aiorts-bench-") as folder:
         rows = options.rows((*cases(Path(folder)), *live_cases(Path(folder)), *large_cases(Path(folder))))
     missing = [

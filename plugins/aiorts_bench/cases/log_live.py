@@ -1,6 +1,6 @@
-"""Cases of `aiorts bench log`: what a recorder costs its neighbours, and the opening of a large recording.
+"""Cases of `aiorts bench log`: the lateness that a recorder adds to a context, and the opening of a large recording.
 
-A component in a periodic context of 100 Hz offers samples, with and without a recorder in the same kernel; its lateness
+A component in a periodic context of 100 Hz runs with and without a recorder that it gives samples to; its lateness
 should be the same. The large recording has a million samples; each round opens it in a new process, so that its memory
 can be measured.
 """
@@ -31,9 +31,9 @@ _LOADS: Final[tuple[tuple[str, Any, int], ...]] = (
     ("10,000 floats/s", TimedDouble(1, 1.5), 100),
     ("100 MB/s", TimedOctetSeq(1, np.arange(1_000_000, dtype=np.uint8).copy()), 1),
 )
-"""Name, record, and how many in each tick."""
+"""Name, record, and number of records in each tick."""
 _BEYOND: Final = 5.0
-"""Milliseconds at the 99th percentile that a recorder may add."""
+"""Milliseconds that a recorder may add to the 99th percentile."""
 _INFO: Final = Measure("info", "ms", digits=1)
 _SEEK: Final = Measure("seek", "ms", digits=1)
 _MEMORY: Final = Measure("memory", "MiB", digits=1)
@@ -123,7 +123,7 @@ def _live(folder: Path, record: Any, each: int, is_recorded: bool, count: int) -
             writer.close()
             path.unlink()
     period = 1_000_000_000 // _HZ
-    # A tick that is late by more than a period skips others: the time to the next one beyond the period counts.
+    # Lateness is the time from run to run beyond the period: a tick late by more than a period skips others.
     late = [max(0, after - before - period) for before, after in itertools.pairwise(ran)]
     faults: tuple[str, ...] = ()
     if writer is not None and (dropped := sum(writer.statistics.dropped.values())):
@@ -132,7 +132,7 @@ def _live(folder: Path, record: Any, each: int, is_recorded: bool, count: int) -
 
 
 def live_cases(folder: Path) -> tuple[Case, ...]:
-    """The cases of a context of 100 Hz with and without a recorder beside it."""
+    """The cases of a context of 100 Hz with and without a recorder in its process."""
     made = []
     for name, record, each in _LOADS:
         for is_recorded in (False, True):

@@ -1,4 +1,4 @@
-"""`aiorts bench record`: the cost of building a checked record, beside classes without checks."""
+"""`aiorts bench record`: the cost of building a checked record, next to classes without checks."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Slotted:
 
 @dataclass(frozen=True, slots=True)
 class Frozen:
-    """The same, frozen."""
+    """A frozen dataclass."""
 
     x: float
     y: float
@@ -35,7 +35,7 @@ class Frozen:
 
 
 class Named(NamedTuple):
-    """The same as a tuple."""
+    """A named tuple."""
 
     x: float
     y: float
@@ -44,7 +44,7 @@ class Named(NamedTuple):
 
 @record
 class Own:
-    """The same as a user's record."""
+    """A record that a user declares."""
 
     x: float = 0.0
     y: float = 0.0

@@ -21,7 +21,7 @@ TOTAL: Final = Measure("total", "ms", digits=1)
 TRACED: Final = Measure("traced each", "B")
 """Memory of one component beyond the user's object, as tracemalloc counts it."""
 RESIDENT: Final = Measure("resident each", "B")
-"""The same as growth of the resident set."""
+"""Memory of one component beyond the user's object, as growth of the resident set."""
 MESSAGE: Final = Measure("message", "ns")
 """A message to one of a hundred components, while all the others are idle."""
 EVERY: Final = Measure("message, all", "ns")

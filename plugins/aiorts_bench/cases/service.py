@@ -1,4 +1,4 @@
-"""`aiorts bench service`: the cost of a call through a service port, beside a bare coroutine and a pair of queues."""
+"""`aiorts bench service`: the cost of a call through a service port, next to a bare coroutine and a pair of queues."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Adder(Protocol):
 
 
 class Both(Protocol):
-    """The same interface with a plain method."""
+    """An interface as `Adder`, with a plain method."""
 
     def add(self, left: float, right: float) -> float: ...
 
@@ -56,13 +56,13 @@ class Waiting(Component):
 
 
 class WaitingConcurrent(Waiting):
-    """The same without the entry lock."""
+    """Answers in a coroutine, without the entry lock."""
 
     service = Provided[Adder](concurrent=True)
 
 
 class Caller(Component):
-    """Has the required ports that the bench calls."""
+    """A component with the required ports that the bench calls."""
 
     adder = Required[Adder]()
     both = Required[Both]()
@@ -138,7 +138,7 @@ def called(
 
 
 async def one_after_another(caller: Caller, count: int) -> int:
-    """Call again when the call before was answered."""
+    """Make each call when the call before was answered."""
     add = caller.adder.proxy.add
     began = perf_counter_ns()
     for _ in repeat(None, count):

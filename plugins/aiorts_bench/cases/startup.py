@@ -60,7 +60,7 @@ members = ["sink"]
 
 
 def _once(words: Sequence[str], wanted: str | None, folder: Path, count: int) -> Reading:
-    """Run `count` fresh interpreters one after the other; each prints `wanted`, or anything where that is None."""
+    """Run `count` fresh interpreters one after the other; each has to print `wanted`, unless that is None."""
     total, faults = 0, []
     for _ in range(count):
         try:

@@ -19,10 +19,10 @@ class Options:
     """The options of one run. Every bench has these; `extra` holds the values of its own options.
 
     Attributes:
-        rounds: medians are taken over them; `--quick` has fewer.
-        scale: times the messages of a case; 1 is what `--quick` takes.
+        rounds: their number; medians are taken over them, and `--quick` has fewer.
+        scale: a factor for the messages of a case; `--quick` takes 1.
         loop: "asyncio", "uvloop", "both" or "auto", or "none" for a bench whose cases are plain functions.
-        peers: whether other libraries that are installed are measured beside it.
+        peers: whether other libraries that are installed are measured, too.
         plot: whether figures are wanted.
         extra: the bench's own options by their names.
         progress: shows what is done and what is left, such as `aiorts.progress.progress`; None is quiet.
@@ -30,7 +30,7 @@ class Options:
         command: the command line that repeats the run.
         given: names of the options that were given, not taken from the defaults.
         aimed: measure only cases that have an aim, and the baselines of those.
-        machine: the machine, described before the run, when the bench is no load yet.
+        machine: the machine, described before the run, while the bench is no load yet.
     """
 
     quick: bool = False
@@ -89,9 +89,9 @@ class Bench:
         help: what it measures, in one line or more.
         report: runs it. May raise click.UsageError for options that make no sense together.
         options: click options of its own; their values come in `Options.extra`.
-        quick_rounds: of `--quick`; `rounds` without it.
+        quick_rounds: rounds with `--quick`; `rounds` without it.
         full_scale: the scale without `--quick`, which has 1.
-        loops: whether it runs on an event loop; without, `--loop` is refused and `Options.loop` is "none".
+        loops: whether it runs on an event loop; if not, `--loop` is refused and `Options.loop` is "none".
     """
 
     name: str
@@ -108,7 +108,7 @@ class Bench:
         return dict(click.Command(self.name, params=list(self.options)).make_context(self.name, []).params)
 
     def requested(self, *, quick: bool = False, command: str = "", **changed: Any) -> Options:
-        """The options of a run: this bench's defaults, replaced by what is not None in `changed`."""
+        """The options of a run: this bench's defaults, replaced by the values of `changed` that are not None."""
         options = Options(
             quick=quick,
             loop="both" if self.loops else "none",

@@ -44,7 +44,7 @@ class Measure:
 
 
 COST: Final = Measure("cost", "ns")
-"""Nanoseconds for one message, or for one of whatever the case counts."""
+"""Nanoseconds for one message, or for one unit of what the case counts."""
 RATE: Final = Measure("rate", "1/s", "more")
 """Messages in a second."""
 CPU: Final = Measure("cpu", "%", digits=0)
@@ -82,9 +82,9 @@ class Sense(StrEnum):
     """On which side of the aim a ratio should lie."""
 
     AT_MOST = "at most"
-    """How many times as bad: the case takes at most `factor` times what the baseline takes."""
+    """The ratio says how many times as bad the case is: it takes at most `factor` times what the baseline takes."""
     AT_LEAST = "at least"
-    """How many times as good: the case is at least `factor` times as fast as the baseline."""
+    """The ratio says how many times as good the case is: at least `factor` times as fast as the baseline."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +94,11 @@ class Aim:
     Attributes:
         baseline: name of the case compared with; "" when the figure itself is the aim (`factor` is then in its unit).
         factor: the aim. None only shows the ratio.
-        times: how many times the baseline the case is compared with.
-        extra: what is added to that, in the measure's unit, for example one period of a producer.
-        floor: what it is at least, in the measure's unit.
-        measure: what is compared; None takes the measure of the case.
-        base_measure: what is compared with; None takes the same as `measure`.
+        times: a factor for the baseline's figure.
+        extra: added to that product, in the measure's unit, for example one period of a producer.
+        floor: the least value of that sum, in the measure's unit.
+        measure: the measure compared; None takes the measure of the case.
+        base_measure: the measure of the baseline; None takes `measure`.
     """
 
     baseline: str
@@ -111,7 +111,7 @@ class Aim:
     base_measure: Measure | None = None
 
     def compared_with(self, unit: str) -> str:
-        """The denominator of the ratio, for a reader."""
+        """The denominator of the ratio, as text."""
         if not self.baseline:
             return "the figure itself"
         times = "" if self.times == 1.0 else f"{self.times:g} x "
@@ -120,7 +120,7 @@ class Aim:
         return f"max({self.floor:g} {unit}, {base})" if self.floor else base
 
     def ratio(self, own: float, base: float, better: str = "less") -> float:
-        """The ratio, oriented as this aim is; without a baseline `own` itself."""
+        """The ratio, oriented by the sense of this aim; without a baseline `own` itself."""
         if not self.baseline:
             return own
         base = max(self.floor, self.extra + self.times * base)
@@ -139,14 +139,14 @@ class Aim:
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """A connector's ledger at the end of a round, and what the reader itself counted."""
+    """A connector's ledger at the end of a round, and the reader's own count."""
 
     written: int = 0
     delivered: int = 0
     buffered: int = 0
     received: int = 0
     dropped: Mapping[str, int] = field(default_factory=dict)
-    """By reason."""
+    """Dropped samples, by reason."""
 
     @classmethod
     def of(cls, connector: Connector, received: int) -> Ledger:
@@ -179,10 +179,10 @@ class Ledger:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What one round of one case gave.
+    """The result of one round of one case.
 
     Attributes:
-        values: by the name of a measure, in its unit.
+        values: figures by the name of their measure, in its unit.
         messages: how many went through, or how often the case did what it counts.
         pools: single observations in nanoseconds by name ("latency", "age"); percentiles are taken of them.
         ledger: the connectors' ledger at the end; None where there is none, as for bare baselines.
@@ -203,7 +203,7 @@ class Reading:
 
 
 Workload: TypeAlias = Callable[[int], "Awaitable[Reading] | Reading"]
-"""Does what the case counts that many times and gives the reading; builds and tears down everything it needs. A plain
+"""Does the work of a case a number of times and gives the reading; builds and tears down everything it needs. A plain
 function may block and may start processes; a coroutine runs on the loop that is measured."""
 
 
@@ -212,16 +212,16 @@ class Case:
     """One row of a bench.
 
     Attributes:
-        name: unique in the bench; baselines are named by it.
+        name: unique in the bench; aims name their baseline by it.
         what: one line that explains it.
-        measure: what is compared with baselines, with other cases and with an older run.
+        measure: the figure that is compared with baselines, with other cases and with an older run.
         run: the workload.
-        messages: how many for one round at scale 1.
+        messages: their number in one round at scale 1.
         lossless: whether every message written must be delivered.
         columns: further measures to show; a table has the columns of all its rows.
-        drawn: those that a plot shows beside `measure`.
+        drawn: measures that a plot shows in addition to `measure`.
         warm: whether a small round is run before the first that counts.
-        axes: what distinguishes the cases of a grid, by the name of the axis; shown in the place of the name.
+        axes: the word on each axis of a grid, by the name of the axis; shown in the place of `name`.
         peer: whether it measures another library, so that `--compare` ignores its changes.
     """
 

@@ -22,7 +22,7 @@ COLOURS: Final = (
     ("#6b6b6b", "#b5b5b5"),
     ("#8f2d2d", "#e08080"),
 )
-"""Each on a light and on a dark ground; distinct for every colour vision, and the marks differ as well."""
+"""Each colour on a light and on a dark ground; distinct for every colour vision, and the marks differ as well."""
 STYLE: Final = "".join(
     f".s{number}{{--c:{light}}}@media(prefers-color-scheme:dark){{.s{number}{{--c:{dark}}}}}"
     for number, (light, dark) in enumerate(COLOURS)
@@ -35,7 +35,7 @@ _EM: Final = 70
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """From the least to the largest value, with round ticks at both ends."""
+    """An axis from the least to the largest value, with round ticks at both ends."""
 
     low: float
     high: float
@@ -44,7 +44,7 @@ class Axis:
 
     @classmethod
     def of(cls, values: Sequence[float], log: bool) -> Axis:
-        """An axis that holds all values; logarithmic ones are above 0."""
+        """An axis that holds all values; they are above 0 where it is logarithmic."""
         low, high = min(values), max(values)
         if not log:
             low = min(0.0, low)
@@ -60,7 +60,7 @@ class Axis:
         return cls(bottom, top, tuple(tick for tick in nice if bottom <= tick <= top), True)
 
     def place(self, value: float) -> float:
-        """Where a value lies: 0 at the low end, 1 at the high one; a value outside lies at the edge."""
+        """The place of a value: 0 at the low end, 1 at the high end; a value outside lies at the edge."""
         value = min(max(value, self.low), self.high)
         if self.log:
             return math.log(value / self.low) / math.log(self.high / self.low)
@@ -165,7 +165,7 @@ def marker(number: int, x: float, y: float) -> str:
 
 
 def groups(found: Sequence[Row]) -> dict[Measure, list[Row]]:
-    """The rows that share an axis, by what they compare and what is drawn beside it; only what can be drawn."""
+    """The rows by each measure that they compare or draw, without those that a logarithmic axis cannot show."""
     kinds: dict[Measure, list[Row]] = {}
     for row in found:
         for measure in (row.case.measure, *row.case.drawn):
@@ -175,7 +175,7 @@ def groups(found: Sequence[Row]) -> dict[Measure, list[Row]]:
 
 
 def rows(measure: Measure, found: Sequence[Row], loops: Sequence[str]) -> str:
-    """One chart of a measure of rows: the median, its middle half and its extremes; colours are the loops."""
+    """The chart of one measure of rows: median, middle half and extremes; each loop has a colour."""
     spreads = [row.figures[measure.name].spread for row in found]
     axis = Axis.of([value for spread in spreads for value in (spread.min, spread.max)], True)
     left, wide = 14, _WIDTH - 14 - 84

@@ -49,7 +49,7 @@ def timed(words: Sequence[str], *, timeout: float = 30.0, cwd: str | Path | None
 
 
 def environment() -> dict[str, str]:
-    """The user's environment, without what keeps a child from using compiled code, and with this aiorts first."""
+    """The user's environment without the variables of `_DROPPED`, and with this aiorts first on the path."""
     kept = {name: value for name, value in os.environ.items() if name not in _DROPPED}
     paths = [str(PARENT), *filter(None, [kept.get("PYTHONPATH")])]
     return {**kept, "PYTHONPATH": os.pathsep.join(paths)}

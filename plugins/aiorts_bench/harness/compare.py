@@ -1,13 +1,15 @@
-"""Finds what changed between two runs of a bench, beyond their spread: two documents in, lines out.
+"""Finds the rows that changed between two runs of a bench, beyond their spread: two documents in, lines out.
 
-Times of two runs differ with whatever else the machine did, so a row is judged beside the baseline of its own run; one
-without a baseline is divided by how the bare baselines of the run moved. What disturbs a machine only makes it slower,
-and for longer than a round: the rounds of one run are not independent, and their medians move by half between two equal
-runs where the best rounds move by a tenth. A row whose figure is a cost or a rate changed when its best round, beside
-the best round of its baseline, moved by `LEAST` or more, its second best and all rounds together (Hodges and Lehmann)
-by `SECOND`, and the best by more than the best three rounds of either run differ; where those differ beyond `CALM` the
-row is not judged. A percentile of latencies or ages has no such floor: it changed when the rank test of Mann and
-Whitney finds a difference at `ALPHA`, of at least `LEAST`, and of more than the middle half of either run is wide.
+Other load on the machine moves the times of a run, so a row is judged relative to the baseline of its own run. A row
+without a baseline is divided by the factor by which the bare baselines moved. A disturbance only makes a machine
+slower, and lasts longer than a round: the rounds of one run are not independent, and their medians move by half between
+two equal runs where the best rounds move by a tenth.
+
+A row whose figure is a cost or a rate changed when its best round, relative to the best round of its baseline, moved by
+`LEAST` or more and by more than the best three rounds of either run differ, and its second best round and all rounds
+together (Hodges and Lehmann) moved by `SECOND`. Where the best three differ beyond `CALM`, the row is not judged. A
+percentile of latencies or ages has no such floor: it changed when the rank test of Mann and Whitney finds a difference
+at `ALPHA`, of at least `LEAST`, and larger than the middle half of either run.
 """
 
 from __future__ import annotations
@@ -31,9 +33,9 @@ ALPHA: Final = 0.01
 LEAST: Final = 1.2
 """A smaller factor is no change."""
 SECOND: Final = 1.1
-"""The factor by which the second best round, and all rounds together, move at least."""
+"""The least factor by which the second best round, and all rounds together, move."""
 CALM: Final = 1.3
-"""How far the best three rounds may lie apart, as a factor; beyond, the computer was too busy to judge a row."""
+"""The factor by which the best three rounds may differ; beyond it the computer was too busy to judge a row."""
 FEWEST: Final = 4
 """Rounds of each run below which no row is judged."""
 _MACHINE: Final = ("commit", "aiorts", "python", "cpu", "cores", "system", "packages")
@@ -43,12 +45,12 @@ _EXACT: Final = 20
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """How much larger the later sample is.
+    """The shift from an earlier sample to a later one.
 
     Attributes:
-        factor: Hodges and Lehmann's estimate: the median of all quotients.
-        low, high: between which 95 % of such estimates lie.
-        p: of the rank test, two-sided.
+        factor: how many times as large the later one is, by Hodges and Lehmann: the median of all quotients.
+        low, high: the bounds between which 95 % of such estimates lie.
+        p: the probability of the rank test, two-sided.
         spread: the wider middle half of the two samples, as a factor.
     """
 
@@ -59,7 +61,7 @@ class Shift:
     spread: float
 
     def changed(self) -> bool:
-        """Whether the samples differ by more than they are wide."""
+        """Whether the samples differ significantly, by `LEAST` or more, and by more than their spread."""
         size = abs(math.log(self.factor))
         return self.p <= ALPHA and size >= math.log(LEAST) and size >= math.log(self.spread)
 
@@ -97,7 +99,7 @@ def read(file: Path) -> Document:
 
 
 def compare(old: Document, new: Document) -> Comparison:
-    """What changed from `old` to `new`."""
+    """Compare two documents: the changes from `old` to `new`."""
     if old["schema"] != SCHEMA or old["bench"] != new["bench"]:
         other, here = ("schema", SCHEMA) if old["schema"] != SCHEMA else ("bench", new["bench"])
         return Comparison((f"not compared: the old file has {other} {old[other]}, this run {here}",), ())
@@ -148,7 +150,7 @@ class _Best:
     """How many times as bad the best and the second best round became.
 
     Attributes:
-        calm: how far the third best round of any of the four samples lies from its best: near 1 on a quiet computer.
+        calm: the largest factor from the best to the third best round of a sample: near 1 on a quiet computer.
     """
 
     first: float
@@ -165,7 +167,7 @@ def _where(row: Mapping[str, Any]) -> str:
 
 
 def _circumstances(old: Document, new: Document) -> list[str]:
-    """What else differs between the two runs."""
+    """The lines on machine, rounds and scale where they differ between the two runs."""
     lines = []
     for key in _MACHINE:
         was, now = old["machine"].get(key), new["machine"].get(key)
@@ -177,7 +179,7 @@ def _circumstances(old: Document, new: Document) -> list[str]:
 
 
 def _drift(bare: Sequence[tuple[str, str]], before: Mapping[Any, Any], after: Mapping[Any, Any]) -> dict[str, float]:
-    """By loop: the median factor by which the bare baselines moved."""
+    """The median factor by which the bare baselines moved, by loop."""
     moved: dict[str, list[float]] = {}
     for key in bare:
         was, now = _compared(before[key]), _compared(after[key])
@@ -210,7 +212,7 @@ def _samples(old: Mapping[str, Any], new: Mapping[str, Any], drift: float) -> _P
 def _best(
     old: Mapping[str, Any], new: Mapping[str, Any], before: Mapping[Any, Any], after: Mapping[Any, Any], drift: float
 ) -> _Best | None:
-    """How the best rounds moved; None where the figure is neither a cost nor a rate."""
+    """The factors by which the best rounds moved; None where the figure is neither a cost nor a rate."""
     figures = [_compared(old), _compared(new)]
     wanted = next((ratio["baseline"] for ratio in new["ratios"] if ratio["baseline"]), None)
     bases = [rows.get((new["loop"], wanted)) for rows in (before, after)]
@@ -260,7 +262,7 @@ def _change(row: Mapping[str, Any], pair: _Pair, found: Shift, best: _Best | Non
 
 
 def shift(old: Sequence[float], new: Sequence[float]) -> Shift:
-    """How much larger `new` is than `old`, as a factor; all values are above 0."""
+    """The shift from `old` to `new`; all values are above 0."""
     before, after = [math.log(value) for value in old], [math.log(value) for value in new]
     differences = sorted(b - a for a in before for b in after)
     above = sum(1.0 if one > 0 else 0.5 if one == 0 else 0.0 for one in differences)
@@ -291,7 +293,7 @@ def _tail(first: int, second: int, statistic: float) -> float:
 
 @lru_cache(maxsize=64)
 def _orders(first: int, second: int) -> tuple[int, ...]:
-    """In how many orders of two samples each value of the statistic comes about."""
+    """The number of orders of two samples that give each value of the statistic."""
     if first == 0 or second == 0:
         return (1,)
     counts = [0] * (first * second + 1)

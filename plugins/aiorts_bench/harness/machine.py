@@ -1,4 +1,4 @@
-"""Describes what a table of figures was measured on: commit, Python, processor, load. None stands for unknown."""
+"""Describes the machine of a table of figures: commit, Python, processor, load. None stands for unknown."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def describe() -> dict[str, Any]:
 
 
 def line(machine: Mapping[str, Any]) -> str:
-    """What `describe` gave, in one line."""
+    """The description that `describe` gave, in one line."""
     load = machine["load"]
     packages = ", ".join(f"{name} {number}" for name, number in machine["packages"].items() if number)
     parts = (

@@ -1,4 +1,4 @@
-"""Holds figures of OpenRTM-aist-Python 2.1.0 and writes a sentence for each figure of aiorts beside one of them.
+"""Holds figures of OpenRTM-aist-Python 2.1.0 and writes a sentence that compares each with a figure of aiorts.
 
 They were measured once, in another run than any of aiorts: on 2026-11-21, Debian 12, Python 3.11.7, omniORBpy 4.2.5, a
 guest with 2 virtual processors that was shared with other work; two rounds or three, all given. No ratio has them as
@@ -25,15 +25,15 @@ HEAD: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """A figure of theirs and the row of ours that comes nearest.
+    """A figure of OpenRTM-aist-Python ("theirs"), and the row of aiorts ("ours") that comes nearest.
 
     Attributes:
         title: what was measured.
-        part: of RESULTS.md, in which the row of ours is.
-        case: name of that row.
-        measure: of that row; `figures` are in its unit.
-        theirs: which of their cases it is.
-        differs: what is not the same on both sides.
+        part: the part of RESULTS.md with our row.
+        case: the name of our row.
+        measure: the measure of our row; `figures` are in its unit.
+        theirs: the name of their case.
+        differs: the differences between the two sides.
     """
 
     title: str

@@ -41,7 +41,7 @@ def check(file: Path) -> None:
     """Refuse a file that cannot be drawn, before anything is measured.
 
     Raises:
-        click.BadParameter: its name ends neither in .html nor in .png, its folder is not there, or matplotlib is not.
+        click.BadParameter: its name ends neither in .html nor in .png, its folder is missing, or matplotlib is.
     """
     if file.suffix.lower() not in (".html", ".png"):
         raise click.BadParameter(f"{file}: expected FILE.html or FILE.png", param_hint="--plot")
@@ -100,7 +100,7 @@ def _section(title: str, note: str, svg: str, legend: list[str]) -> str:
 
 
 def _png(file: Path, report: Report) -> None:
-    """The same charts by matplotlib."""
+    """Draw the charts of `html` with matplotlib, into a PNG file."""
     from matplotlib.backends.backend_agg import (  # type: ignore[import-not-found, unused-ignore]
         FigureCanvasAgg,
     )

@@ -17,7 +17,7 @@ class _Layout:
     """The columns of a report.
 
     Attributes:
-        axes: replace the case's name when all rows have them.
+        axes: shown in the place of the case's name, where rows have axes.
         measures: the columns, by name.
     """
 

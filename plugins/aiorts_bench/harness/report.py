@@ -1,4 +1,4 @@
-"""Holds what a run of a bench gave: rows of spreads and ratios, and the same as plain data. Pure values."""
+"""Holds the results of a run of a bench: rows of spreads and ratios, also as plain data. Pure values."""
 
 from __future__ import annotations
 
@@ -90,9 +90,9 @@ class Row:
     """One case on one loop.
 
     Attributes:
-        messages: of all rounds together.
-        figures: of the measure that is compared and of all columns, by name; without those that no round gave.
-        ledger: of all rounds together; None where there is none.
+        messages: their number in all rounds together.
+        figures: by name, of the measure that is compared and of all columns; without those that no round gave.
+        ledger: the sum over all rounds; None where there is none.
         reported: faults in the readings of the rounds, each once.
     """
 
@@ -152,7 +152,7 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """What `--plot` draws: lines over an axis.
+    """A chart that `--plot` draws: lines over an axis.
 
     Attributes:
         log: names the logarithmic axes ("x", "y", "xy", "").
@@ -177,7 +177,7 @@ class Report:
 
     Attributes:
         bench: name of the bench.
-        command: what repeats it.
+        command: the command line that repeats it.
         how: how to read the figures; "" takes the sentence for interleaved rounds.
         notes: lines for the reader beneath the table, such as what was left out and why.
         figures: drawn by `--plot`; without any, the rows are drawn.
@@ -227,7 +227,7 @@ def row_of(loop: str, case: Case, readings: Mapping[str, Sequence[Reading]]) -> 
     """Make the row of a case from the readings of all cases, which are in the order of the rounds.
 
     Raises:
-        LookupError: a round gave no figure for what the case compares, or a baseline is not among the readings.
+        LookupError: a round gave no figure to compare, or a baseline is not among the readings.
     """
     own = readings[case.name]
     ledgers = [reading.ledger for reading in own if reading.ledger is not None]
@@ -253,7 +253,7 @@ def _figured(measure: Measure, own: Sequence[Reading]) -> Figured | None:
 
 
 def _ratio(case: Case, aim: Aim, own: Sequence[Reading], readings: Mapping[str, Sequence[Reading]]) -> Ratio:
-    """Take the ratio round by round: what disturbs the computer for a while disturbs case and baseline alike."""
+    """Take the ratio round by round: a disturbance of the computer slows case and baseline alike."""
     measure = aim.measure or case.measure
     base_measure = aim.base_measure or measure
     bases = readings[aim.baseline] if aim.baseline else own

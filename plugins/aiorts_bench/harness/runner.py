@@ -1,4 +1,4 @@
-"""Takes the rounds: every case once in each round, each round beginning with another case, the collector held."""
+"""Takes the rounds: each runs every case once and begins with another one; the garbage collector is off."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def measure(
         cases: in the order of the rows, the baselines of each among them.
         loop: "asyncio" or "uvloop", a loop of its own for all rounds; "none" for workloads that are plain functions.
         scale: times the messages of a case, at least one.
-        progress: makes what is told of each case that was run, of a label and of how many there will be.
+        progress: opens a display with a label and the number of runs; it advances with each run.
         beside: opened once on the loop, before the first round, and closed after the last.
     """
     if rounds < 1:
@@ -58,7 +58,7 @@ def measure(
                 if case.warm:
                     await _once(case, scale / 20)  # caches, specialised bytecode, lazy imports
             gc.collect()
-            gc.freeze()  # so that collecting before each case takes time for that case's garbage alone
+            gc.freeze()  # so that the collection before each case looks at that case's garbage alone
             try:
                 for number in range(rounds):
                     start = number % len(cases)

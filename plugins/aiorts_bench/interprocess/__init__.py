@@ -1,1 +1,1 @@
-"""`aiorts bench links` and `isolation`: other processes, beside a bare socket pair and bare Zenoh."""
+"""`aiorts bench links` and `isolation`: other processes, next to a bare socket pair and bare Zenoh."""

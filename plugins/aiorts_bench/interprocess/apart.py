@@ -1,6 +1,6 @@
 """Components that `aiorts bench isolation` runs in processes of their own, and the bare process of the same work.
 
-`python -m aiorts_bench.interprocess.apart` does for each line of its standard input so much work, and prints a line.
+`python -m aiorts_bench.interprocess.apart` reads lines with numbers: it does so much work, then prints the line.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def work(pieces: int) -> int:
 
 
 class Through(Component):
-    """Writes what it reads; counts arrays, and answers an empty one with their number and its processor time."""
+    """Writes what it reads; answers an empty array with the number of arrays before it and its processor time."""
 
     inp = InPort(TimedDouble)
     out = OutPort(TimedDouble)
@@ -50,7 +50,7 @@ class Through(Component):
 
 
 class Worker(Component):
-    """Does so much work for each sample, and says that it is done."""
+    """Does the work that a sample asks for, then sends the sample back."""
 
     inp = InPort(TimedLong)
     out = OutPort(TimedLong)

@@ -1,4 +1,4 @@
-"""Bare Zenoh with all that a link over Zenoh does besides: the same codec, hand-over, and settings of the engine."""
+"""Bare Zenoh with the codec, the hand-over and the engine's settings of a link over Zenoh."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from aiorts_bench.interprocess.zenoh import Peer
 from aiorts_zenoh.engine import Inbox
 
 BATCHED: Final = "batched"
-"""As MANY, each put when the engine likes."""
+"""The key of a stream as `MANY`, whose puts the engine may send together."""
 FLOOD: Final = "flood"
-"""Asks for so many messages, which are counted where they come."""
+"""The key that asks for a number of messages; they are counted in the engine's callback."""
 HANDED: Final = "handed"
-"""The same, and they are counted on the loop."""
+"""The key that asks for messages as `FLOOD` does; they are counted on the loop."""
 MESSAGE: Final = bytes(24)
 
 
 class Express(Peer):
-    """A session whose puts are sent at once, and whose callbacks hand over as those of a kernel.
+    """A session that sends each put at once, and hands samples over to the loop as a kernel does.
 
     Args:
-        settings: of the engine, by their keys.
+        settings: the engine's settings, by key.
     """
 
     def __init__(self, settings: Mapping[str, Any]) -> None:

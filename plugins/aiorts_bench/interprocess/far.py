@@ -1,7 +1,7 @@
-"""The other process of `aiorts bench links`: sends back what comes, until its standard input ends.
+"""The far process of `aiorts bench links`: sends messages back, until its standard input ends.
 
-`python -m aiorts_bench.interprocess.far LOOP KIND ...` prints "ready"; for each line that it is given, the seconds of
-processor time that it has used.
+`python -m aiorts_bench.interprocess.far LOOP KIND ...` prints "ready", then for each line of standard input the seconds
+of processor time that it has used.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ KERNEL: Final = "bench-far"
 PATIENCE: Final = 10.0
 """Seconds that one step may take."""
 END: Final = -1.0
-"""The value of the last sample of a stream, to which the other end answers how many there were."""
+"""The value of the last sample of a stream, which the other end answers with the number of samples."""
 
 WORKING: Final = b"\1" + bytes(23)
-"""A message before whose answer the other end of the socket pair works, as an end of a link does."""
+"""A message that the other end of the socket pair answers after some work, as an end of a link does."""
 _WORK_NS: Final = 40_000
 
 
@@ -61,12 +61,12 @@ class Echo(Component):
             self.large_out.write_nowait(await self.large_in.read())
 
     async def take(self) -> None:
-        """Read samples that nobody awaits an answer to."""
+        """Read samples that get no answer."""
         while True:
             await self.confirmed.read()
 
     async def count(self) -> None:
-        """Count a stream, and answer its last sample with their number."""
+        """Count the samples of a stream, and answer the last with their number."""
         seen = 0
         while True:
             for sample in (await self.many.read(), *self.many.drain()):
@@ -92,7 +92,7 @@ async def kernel(services: str = '{"links": {}}') -> AsyncIterator[None]:
 
 @asynccontextmanager
 async def socket_pair(descriptor: str) -> AsyncIterator[None]:
-    """Sends back each message of an inherited socket, as it comes."""
+    """Send back each message of an inherited socket, as it comes."""
     loop = asyncio.get_running_loop()
     with socket.socket(fileno=int(descriptor)) as sock:
         sock.setblocking(False)
@@ -127,7 +127,7 @@ async def socket_pair(descriptor: str) -> AsyncIterator[None]:
 
 @asynccontextmanager
 async def zenoh(endpoint: str) -> AsyncIterator[None]:
-    """A session that sends back what comes: decoded on the loop and encoded there, as a link's ends do."""
+    """A session that sends records back, decoded and encoded on the loop as by the ends of a link."""
     from aiorts_bench.interprocess.zenoh import ARRAYS, LARGE, MANY, SMALL, Peer, opened
 
     peer = Peer(opened("listen", endpoint), asyncio.get_running_loop().call_soon_threadsafe)
@@ -152,7 +152,7 @@ async def zenoh(endpoint: str) -> AsyncIterator[None]:
 
 @asynccontextmanager
 async def express(settings: str) -> AsyncIterator[None]:
-    """As `zenoh`, with what a link over Zenoh does: each put at once, and the same hand-over."""
+    """A session as of `zenoh`, but as a link over Zenoh has it: each put is sent at once, with the same hand-over."""
     from aiorts_bench.interprocess.express import BATCHED, FLOOD, HANDED, Express
     from aiorts_bench.interprocess.zenoh import LARGE, MANY, SMALL
 
@@ -170,7 +170,7 @@ async def express(settings: str) -> AsyncIterator[None]:
 
 
 class _Count:
-    """Counts samples, and says at the last of a stream how many there were."""
+    """Counts the samples of a stream, and reports their number at the last."""
 
     def __init__(self, say: Callable[[int], None]) -> None:
         self._say, self._seen = say, 0
@@ -184,7 +184,7 @@ class _Count:
 
 @asynccontextmanager
 async def zmq(endpoint: str) -> AsyncIterator[None]:
-    """A socket of ZeroMQ that sends back what comes; of a stream the last message alone."""
+    """A socket of ZeroMQ that sends each message back, but only the last of a stream."""
     from aiorts_bench.interprocess.zeromq import LAST, STREAM, opened
 
     with opened("listen", endpoint) as sock:
@@ -223,5 +223,5 @@ def _answer() -> None:
 
 if __name__ == "__main__":
     _, _loop, _kind, *_words = sys.argv
-    logging.getLogger("aiorts").setLevel(logging.ERROR)  # that the other end disconnects is no news here
+    logging.getLogger("aiorts").setLevel(logging.ERROR)  # no warning when the other end disconnects
     run(lambda: _main(_kind, _words), loop=_loop)

@@ -1,4 +1,4 @@
-"""This process of `aiorts bench isolation`: isolated components, and beside them what `bench links` measures with."""
+"""The measuring process of `aiorts bench isolation`: isolated components, and the baselines of `bench links`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from aiorts_bench.interprocess.zenoh import ARRAYS
 
 WORKERS: Final = 2
 _PERIOD: Final = 0.001
-"""Seconds from one array to the next, at the least."""
+"""Least seconds from one array to the next."""
 
 
 class Beside(Component):
@@ -34,14 +34,14 @@ class Beside(Component):
 
 
 class Asking(Component):
-    """Has work done, and is told that it is."""
+    """Asks for work, and receives the answer when it is done."""
 
     out = OutPort(TimedLong)
     inp = InPort(TimedLong)
 
 
 class IsolatedEnds(Ends):
-    """What is measured on one loop: as `Ends`, with isolated components in the place of another kernel."""
+    """The measurements on one loop: as `Ends`, with isolated components in the place of another kernel."""
 
     def __init__(self, loop: str, *, peers: bool) -> None:
         super().__init__(loop, peers=peers)
@@ -87,7 +87,7 @@ class IsolatedEnds(Ends):
     # -- work ------------------------------------------------------------------------------------------------------
 
     async def work(self, count: int) -> Reading:
-        """Have each component do so much work at the same time."""
+        """Give each component so much work at the same time."""
 
         async def one(asking: Asking) -> None:
             asking.out.write_nowait(TimedLong(0, count))
@@ -96,7 +96,7 @@ class IsolatedEnds(Ends):
         return await _together([one(asking) for asking in self._asking], count)
 
     async def bare_work(self, count: int) -> Reading:
-        """Have each bare process do so much work at the same time."""
+        """Give each bare process so much work at the same time."""
 
         async def one(process: Process) -> None:
             assert process.stdin is not None  # noqa: S101 - pipes
@@ -156,7 +156,7 @@ async def _together(works: Sequence[Awaitable[None]], count: int) -> Reading:
 async def _arrays(
     count: int, used: Callable[[], Awaitable[tuple[int, float]]], send: Callable[[], Awaitable[None]]
 ) -> tuple[int, Reading]:
-    """Send so many arrays. How many the other end has taken, and the processor time of both for each."""
+    """Send `count` arrays; returns how many the other end took, and both processes' processor time for each."""
     async with asyncio.timeout(PATIENCE + count / 10):
         _, there = await used()
         here, began = time.process_time(), time.monotonic()
@@ -170,14 +170,14 @@ async def _arrays(
 
 
 async def _bare(stack: AsyncExitStack) -> Process:
-    """A process that has none of aiorts running in it."""
+    """Start a process that does the work without a kernel or components."""
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "aiorts_bench.interprocess.apart"),
         stdin=PIPE,
         stdout=PIPE,
         stderr=DEVNULL,
         env=child.environment(),
-        start_new_session=True,  # as the processes of components: the system may share processors out by sessions
+        start_new_session=True,  # as for components: the system may share processors out by sessions
     )
 
     async def end() -> None:

@@ -11,7 +11,7 @@ from aiorts_bench.interprocess.isolated import IsolatedEnds
 from aiorts_bench.interprocess.links import ECHO, TAIL, ZENOH_LARGE, report_of
 
 TIME: Final = Measure("time", "ms", digits=1)
-"""From asking for the work until all of it is done."""
+"""Time from asking for the work until all of it is done."""
 CPU_EACH: Final = Measure("cpu each", "us", digits=0)
 """Processor time of both processes for each array."""
 _WORK: Final = "bare processes, work"

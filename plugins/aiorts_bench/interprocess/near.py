@@ -1,4 +1,4 @@
-"""This process of `aiorts bench links`: the ends that measure, and the processes they measure with."""
+"""The measuring process of `aiorts bench links`: its ends, and the other processes that it starts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from aiorts_bench.interprocess.zenoh import LARGE, MANY, SMALL, Peer, opened
 from aiorts_bench.push.peers import free_port
 
 FRAME: Final = bytes(24)
-"""What the socket pair carries: as long as a small sample with its head."""
+"""The message on the socket pair: as long as a small sample with its head."""
 BIG: Final = bytes(1 << 20)
 _POOL: Final = "latency"
 
@@ -55,7 +55,7 @@ class Far:
         )
 
     async def ready(self) -> None:
-        """Wait until it is there.
+        """Wait until the process is ready.
 
         Raises:
             OSError: it ended, or takes too long.
@@ -64,7 +64,7 @@ class Far:
             raise OSError("aiorts bench links: its other process ended before it was ready")
 
     async def cpu_seconds(self) -> float:
-        """Processor time that it has used."""
+        """Processor time that the process has used."""
         stdin = self._process.stdin
         assert stdin is not None  # noqa: S101 - a pipe
         stdin.write("\n")
@@ -78,7 +78,7 @@ class Far:
             return (await asyncio.to_thread(stdout.readline)).strip()
 
     def close(self) -> None:
-        """End it."""
+        """End the process."""
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 with suppress(OSError):
@@ -92,7 +92,7 @@ class Far:
 
 @contextmanager
 def own_folder() -> Iterator[None]:
-    """Kernels of this bench find each other alone: a run-time folder of its own."""
+    """Set a run-time folder of the bench's own, so that its kernels find only each other."""
     before = os.environ.get("XDG_RUNTIME_DIR")
     with tempfile.TemporaryDirectory(prefix="aiorts-") as folder:
         os.environ["XDG_RUNTIME_DIR"] = folder
@@ -106,7 +106,7 @@ def own_folder() -> Iterator[None]:
 
 
 class Ends:
-    """What is measured on one loop, each with a process at its other end.
+    """The measurements on one loop, each with a process at its other end.
 
     Args:
         peers: whether Zenoh is among them.
@@ -226,7 +226,7 @@ class Ends:
             while not self._answer.done():  # until the two have met
                 peer.put(SMALL, TimedDouble(0, 0.0))
                 await asyncio.sleep(0.05)
-        await asyncio.sleep(0.2)  # what was sent meanwhile comes back
+        await asyncio.sleep(0.2)  # samples that were sent meanwhile come back
 
     def _came(self, record: Any) -> None:
         if not self._answer.done():
@@ -324,8 +324,8 @@ class Ends:
         return Reading.timed(count, elapsed, ledger)
 
     async def idle(self, count: int) -> Reading:
-        """So many tenths of a second of the other process, with seven links over which nothing is written."""
-        await asyncio.sleep(0.1)  # what was sent before is acknowledged
+        """Measure the other process for `count` tenths of a second, with seven links over which nothing is written."""
+        await asyncio.sleep(0.1)  # samples that were sent before are acknowledged
         before, began = await self._far.cpu_seconds(), perf_counter_ns()
         await asyncio.sleep(count / 10)
         elapsed = (perf_counter_ns() - began) / 1e9
@@ -333,12 +333,12 @@ class Ends:
 
 
 def patience(count: int) -> asyncio.Timeout:
-    """So many messages take longer than that only where one is lost."""
+    """A time-out that so many messages exceed only where one is lost."""
     return asyncio.timeout(PATIENCE + count / 10)
 
 
 def since(connector: Connector, before: Any) -> Ledger:
-    """The ledger of what was written to a link since its statistics were these."""
+    """The ledger of the samples written to a link since its statistics were `before`."""
     now = connector.statistics
     acknowledged = now.acknowledged - before.acknowledged
     dropped = {reason: count - before.dropped.get(reason, 0) for reason, count in now.dropped.items()}

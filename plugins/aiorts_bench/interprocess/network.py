@@ -16,14 +16,14 @@ from aiorts_bench.harness.report import Report, Row
 from aiorts_bench.interprocess.networked import PLAIN, ROUTED, SECURED, BesideEnds, NetworkEnds
 
 WAYS: Final = (PLAIN, SECURED, ROUTED)
-"""The ways that are measured, each beside bare Zenoh over the same; with --quick the first alone."""
+"""The ways that are measured, each together with bare Zenoh over the same way; with --quick only the first."""
 _TAIL: Final = tails("latency", 99.0)
 _P99: Final = _TAIL[0]
 _FASTER: Final = Sense.AT_LEAST
 
 
 def beside(ends: BesideEnds) -> tuple[Case, ...]:
-    """What carries bytes and nothing else; without ZeroMQ where `ends` has none."""
+    """The cases that carry bytes and nothing else; without ZeroMQ where `ends` has none."""
     bare, echoed = "24 bytes there and back, nothing else", "there and back, nothing else"
     found = [
         Case("TCP, echo", bare, LATENCY, ends.bare, 300, columns=_TAIL),
@@ -56,7 +56,7 @@ def cases(ends: NetworkEnds) -> tuple[Case, ...]:
         Case(large, how, LATENCY, ends.zenoh_large, 10, columns=_TAIL, peer=True),
         Case(express, how, COST, ends.zenoh_many, 5_000, columns=(RATE,), peer=True),
         Case(batched, "puts that Zenoh sends together", COST, ends.zenoh_batched, 5_000, columns=(RATE,), peer=True),
-        *(floods if ends.way is PLAIN else ()),  # what is handed over has come, whatever the way
+        *(floods if ends.way is PLAIN else ()),  # the hand-over is the same on every way
         Case(f"{name}link, there and back", "two links", LATENCY, ends.link, 300, quick, columns=_TAIL),
         Case(f"{name}link, flush", "until it is acknowledged", LATENCY, ends.link_flush, 300, (), True, _TAIL),
         Case(f"{name}link, 1 MiB", "two links", LATENCY, ends.link_large, 10, (Aim(large, factor=1.0),), columns=_TAIL),

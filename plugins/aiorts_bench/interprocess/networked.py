@@ -1,4 +1,4 @@
-"""This process of `aiorts bench network`: the ends that measure, and the processes they measure with."""
+"""The measuring process of `aiorts bench network`: its ends, and the other processes that it starts."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _NEAR: Final = "bench-near"
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """How two kernels reach each other.
+    """A way on which two kernels reach each other.
 
     Attributes:
         name: stands before the names of its cases.
@@ -56,7 +56,7 @@ ROUTED: Final = Way("router: ", routed=True)
 
 
 class NetworkEnds(Ends):
-    """What is measured on one loop over one way: as `Ends`, each over the network."""
+    """The measurements on one loop over one way: as `Ends`, each over the network."""
 
     def __init__(self, loop: str, way: Way = PLAIN) -> None:
         super().__init__(loop, peers=True)
@@ -85,7 +85,7 @@ class NetworkEnds(Ends):
         return {far: endpoint, **self._security}, {"connect": endpoint, **self._security}
 
     def _engine(self, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
-        """The settings of a kernel's engine, but for who may send what: there is no kernel."""
+        """The settings of a kernel's engine, without access control since there is no kernel."""
         folder = table.get("certificates")
         secured = None if folder is None else secured_by(Path(folder), name, (COMPONENT,))
         settings = engine_settings(NetworkSettings(**table), secured)
@@ -104,7 +104,7 @@ class NetworkEnds(Ends):
         listens, connects = self._ends()
         stack.enter_context(own_folder())
         self._far = await self._start(stack, "kernel", json.dumps({"zenoh": {"host": "far", **listens}}))
-        stack.enter_context(own_folder())  # another one: what is on two hosts has no socket file in common
+        stack.enter_context(own_folder())  # another one: kernels on two hosts have no socket file in common
         kernel = await stack.enter_async_context(Kernel(_NEAR, services={"zenoh": {"host": "near", **connects}}))
         await kernel.service(Network).opened()
         await self._connect(kernel, f"{KERNEL}/echo")
@@ -118,7 +118,7 @@ class NetworkEnds(Ends):
         return await self._flooded(FLOOD, count)
 
     async def flood_handed(self, count: int) -> Reading:
-        """Take them on the loop."""
+        """Take messages on the loop, as fast as they come."""
         return await self._flooded(HANDED, count)
 
     async def _flooded(self, key: str, count: int) -> Reading:
@@ -143,10 +143,10 @@ def _certificates() -> Iterator[str]:
 
 @contextmanager
 def _router() -> Iterator[str]:
-    """Where a router of this bench listens.
+    """Run a router; yields the endpoint where it listens.
 
     Raises:
-        OSError: it ended before it did.
+        OSError: the router ended before it listened.
     """
     endpoint = f"127.0.0.1:{free_port()}"
     words = [sys.executable, "-m", "aiorts", "router", "--listen", endpoint, "--insecure-network"]
@@ -158,7 +158,7 @@ def _router() -> Iterator[str]:
                 raise OSError("aiorts bench network: the router ended before it was ready")
             yield endpoint
         finally:
-            process.kill()  # it keeps nothing
+            process.kill()  # it keeps no state
 
 
 class _Flood:
@@ -169,17 +169,17 @@ class _Flood:
         self._all: asyncio.Future[None]
 
     def expect(self, count: int) -> asyncio.Future[None]:
-        """Done when so many have come."""
+        """A future that is done when so many messages have come."""
         self._loop = asyncio.get_running_loop()
         self._all, self._left = self._loop.create_future(), count
         return self._all
 
     def came(self, sample: Any) -> None:
-        """One has come, in a thread of the engine."""
+        """Count a message; called in a thread of the engine."""
         self._count(sample.payload.to_bytes())
 
     def handed(self, put: Callable[..., None]) -> Callable[[Any], None]:
-        """The same, handed over to the loop."""
+        """A callback that hands each message over to the loop, to be counted there."""
 
         def came(sample: Any) -> None:
             data = sample.payload.to_bytes()
@@ -194,7 +194,7 @@ class _Flood:
 
 
 class BesideEnds(Ends):
-    """What is measured beside: a bare connection, and ZeroMQ where `zmq`."""
+    """The measurements of the baselines: a bare connection, and ZeroMQ where `zmq`."""
 
     def __init__(self, loop: str, *, zmq: bool) -> None:
         super().__init__(loop, peers=zmq)

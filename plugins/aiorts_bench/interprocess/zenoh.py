@@ -1,4 +1,4 @@
-"""Bare Zenoh with what a link's ends do besides: the same codec, and the hand-over to the event loop."""
+"""Bare Zenoh with the codec of a link, and its hand-over to the event loop."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _LENGTH: Final = struct.Struct("<I")
 
 
 class Peer:
-    """One session with publishers and subscribers of records; of the running loop.
+    """A session with publishers and subscribers of records, bound to the running loop.
 
     Args:
-        session: of Zenoh; see `opened`.
-        post: hands what has come over to the loop: is given a function and its argument, in a thread of Zenoh.
+        session: a session of Zenoh; see `opened`.
+        post: hands a call over to the loop: is given a function and its argument, in a thread of Zenoh.
     """
 
     def __init__(self, session: Any, post: Callable[..., object]) -> None:
@@ -46,7 +46,7 @@ class Peer:
         publisher.put(b"".join((_LENGTH.pack(len(head)), head, *parts)))
 
     def publisher(self, key: str, *, express: bool = False) -> Any:
-        """What puts bytes; `express`: each at once."""
+        """A publisher of bytes; with `express` it sends each put at once."""
         block = self._zenoh.CongestionControl.BLOCK
         return self._session.declare_publisher(f"aiorts/bench/{key}", congestion_control=block, express=express)
 
@@ -74,7 +74,7 @@ class Peer:
 
 
 def opened(role: str, endpoint: str) -> Any:
-    """A session that listens or connects (`role`) at an endpoint; nothing is looked for elsewhere."""
+    """A session that listens or connects (`role`) at an endpoint; scouting is off."""
     import zenoh
 
     return zenoh.open(zenoh_config(zenoh, role, endpoint))

@@ -110,7 +110,7 @@ class CLoop:
 
 
 def build(folder: str | Path) -> CLoop | str:
-    """Compile the loop into `folder`; a sentence with the reason where that fails."""
+    """Compile the loop into `folder`; returns a sentence with the reason where that fails."""
     if sys.platform != "linux":
         return f"the C loop is written for Linux, not for {sys.platform}"
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)

@@ -23,7 +23,7 @@ _CLOCK_MONOTONIC: Final = 1
 _TIMER_ABSTIME: Final = 1
 _PR_SET_TIMERSLACK: Final = 29
 _LEAD_NS: Final = 2_000_000
-"""How long before the first deadline a loop begins."""
+"""Nanoseconds from the beginning of a loop to its first deadline."""
 
 
 class Marks:
@@ -47,9 +47,9 @@ class Marks:
         self.due[self.number] = self.next_ns
         self.ran[self.number] = now
         self.number += 1
-        behind = max(0, now - self.next_ns) // self.period_ns  # a loop of coarse timers wakes early, too
+        behind = max(0, now - self.next_ns) // self.period_ns  # max: coarse timers may wake a loop early
         if behind and self.number < self.count:
-            # What is due already is left out, except the newest: as a context with overrun="skip" does.
+            # Ticks that are due already are left out, except the newest, as in a context with overrun="skip".
             self.overruns += 1
             self.skipped += behind - 1
             self.tick += behind - 1
@@ -72,7 +72,7 @@ async def asyncio_sleep(period_ns: int, count: int) -> Ticks:
 
 
 async def time_sleep(period_ns: int, count: int) -> Ticks:
-    """Wait for each deadline by `time.sleep`, in a thread beside an idle loop."""
+    """Wait for each deadline by `time.sleep`, in a thread, while the event loop is idle."""
 
     def loop(marks: Marks) -> None:
         sleep = time.sleep
@@ -124,9 +124,9 @@ def take_priority(priority: int) -> bool:
 
 
 async def _in_thread(loop: Callable[[Marks], None], period_ns: int, count: int, priority: int | None) -> Ticks:
-    """Run a loop in a thread of its own, not of a pool: its priority ends with it, and no queue delays its start."""
+    """Run a loop in its own thread, not of a pool: its priority ends with the thread, and no queue delays its start."""
     done: Future[Ticks] = Future()
-    done.set_running_or_notify_cancel()  # so that cancelling the task does not cancel it under the thread
+    done.set_running_or_notify_cancel()  # so that cancelling the task does not cancel the future that the thread sets
 
     def run() -> None:
         try:

@@ -1,4 +1,4 @@
-"""`aiorts bench context`: how punctual each kind of execution context is, beside bare loops of the same run."""
+"""`aiorts bench context`: how punctual each kind of execution context is, next to bare loops of the same run."""
 
 from __future__ import annotations
 
@@ -112,12 +112,12 @@ def loop_cases(*, long: bool = True) -> tuple[Case, ...]:
 
 
 def thread_cases(c_loop: CLoop | None, *, long: bool = True) -> tuple[Case, ...]:
-    """The cases that run in a thread or process of their own, beside an idle loop or a busy one."""
+    """The cases that run in a thread or process of their own, while the event loop is idle or busy."""
     rate = (_RATE_AIM,) if long else ()
     nanosleep = partial(bare, partial(bare_clock.clock_nanosleep, priority=PRIORITY))
     cases = [_case("time.sleep", "bare: time.sleep in a thread", partial(bare, bare_clock.time_sleep))]
     if bare_clock.has_clock_nanosleep():
-        # Not beside a busy loop, too: the interpreter's switch interval of 5 ms makes a few ticks take seconds.
+        # Not with a busy loop, too: the interpreter's switch interval of 5 ms makes a few ticks take seconds.
         what = "bare: the system call by ctypes in a thread, SCHED_FIFO if granted"
         cases.append(_case("clock_nanosleep", what, nanosleep))
     if c_loop is not None:

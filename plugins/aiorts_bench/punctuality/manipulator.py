@@ -54,7 +54,7 @@ class LowPass:
         self._second: Any = 0.0
 
     def __call__(self, value: Any) -> Any:
-        """Filter the next value; an array is a new one each time, which a record may take over."""
+        """Filter the next value; a result that is an array is new each time, so that a record may take it over."""
         self._first = self._first + self._share * (value - self._first)
         self._second = self._second + self._share * (self._first - self._second)
         return self._second

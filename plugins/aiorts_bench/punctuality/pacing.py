@@ -27,7 +27,7 @@ class Ticks:
     """One series of ticks.
 
     Attributes:
-        period_ns: nominal.
+        period_ns: the nominal period.
         due_ns, ran_ns: when each tick that ran was due, and when its code ran, by one clock.
         skipped: ticks left out, as the loop or the context counted them.
         overruns: cycles that were not done when the next was due.
@@ -50,7 +50,7 @@ class Ticks:
 
     @property
     def periods_ns(self) -> list[int]:
-        """From each tick to the next, where none was left out between them."""
+        """The times from each tick to the next, where none was left out between them."""
         return [
             later - earlier
             for (first, second, earlier, later) in zip(
@@ -61,7 +61,7 @@ class Ticks:
 
     @property
     def intervals_ns(self) -> list[int]:
-        """From each tick to the next that ran, with the ticks left out between them."""
+        """The times from each tick to the next that ran, with the ticks left out between them."""
         return [later - earlier for earlier, later in zip(self.ran_ns, self.ran_ns[1:], strict=False)]
 
     @property
@@ -77,7 +77,7 @@ class Ticks:
 
     @property
     def rate_error(self) -> float:
-        """(ticks run + skipped) / elapsed beside the rate: 1e-4 is 0.01 % too many. 0 for fewer than eight ticks.
+        """The error of (ticks run + skipped) / elapsed: 1e-4 is 0.01 % above the rate. 0 for fewer than eight ticks.
 
         The time elapsed is from the median of the first quarter of the ticks to that of the last: one late tick at an
         end would otherwise look like a drift.
@@ -100,9 +100,9 @@ class Timing:
     period_deviation: float
     """Standard deviation of all periods."""
     period_deviation_best: float
-    """The same of the `BEST` share that is nearest to the nominal period."""
+    """Standard deviation of the `BEST` share of the periods that is nearest to the nominal one."""
     rate_error: float
-    """As a share of the rate."""
+    """Error of the rate, as a share of it."""
     cpu_share: float
     """Processor time as a share of the time that passed."""
     executed: float

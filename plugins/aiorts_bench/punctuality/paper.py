@@ -1,4 +1,4 @@
-"""`aiorts bench context --paper`: table 1 of the RT-Middleware paper beside the same four components in aiorts.
+"""`aiorts bench context --paper`: table 1 of the RT-Middleware paper next to the same four components in aiorts.
 
 N. Ando, T. Suehiro, T. Kotoku: "A Software Platform for Component Based RT-System Development: OpenRTM-aist", 2008,
 section 4.2: a force sensor, a manipulator, a joystick and a damper controller in one synchronous composite at 2 ms.

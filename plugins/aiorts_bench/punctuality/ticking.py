@@ -26,14 +26,14 @@ COMPONENTS: Final = 1000
 _FIRST: Final = 5
 """Ticks that are not recorded: the first ones load code and fill caches."""
 _HOLD_NS: Final = 5_000_000
-"""How long each callback of a busy loop runs."""
+"""Nanoseconds that each callback of a busy loop runs."""
 _SETTLED_S: Final = 0.55
 """Seconds after which the arm rests at the wall."""
 _NEAR: Final = {"wall": 0.376}
-"""Metres: so near that the arm meets the wall in the shortest round."""
+"""The wall's place in metres: so near that the arm meets it in the shortest round."""
 LATENESS: Final = Measure("lateness p50", "us", digits=1, pool="lateness", percent=50)
 RATE_ERROR: Final = Measure("rate error", "ppm", digits=1)
-"""(ticks run + skipped) / elapsed beside the rate, as `pacing.py` defines it; 100 ppm are 0.01 %."""
+"""Error of (ticks run + skipped) / elapsed, as `pacing.py` defines it; 100 ppm are 0.01 %."""
 EXECUTED: Final = Measure("executed", "Hz", "more", digits=2)
 INTERVAL: Final = Measure("interval p99", "ms", digits=3, pool="interval", percent=99)
 
@@ -55,7 +55,7 @@ class Stamper:
         self._loop = asyncio.get_running_loop()
 
     def stamp(self, component: Component, due_ns: int | None = None) -> None:
-        """Record that the hook of `component` runs now, for the tick due at `due_ns`; None takes its context's."""
+        """Record that the hook of `component` runs now, for the tick due at `due_ns`; None: as its context says."""
         now = component.clock.monotonic_ns()
         number = self.number
         self.number = number + 1

@@ -15,7 +15,7 @@ from aiorts_bench.harness.case import Ledger, Measure, Reading
 from aiorts_bench.push.flow import Counting, joined
 
 PRODUCER_RATE: Final = 1000.0
-"""Hz."""
+"""Hz of the producer."""
 READER_RATE: Final = 100.0
 """Hz of a periodic reader, of a periodic connector, and messages a second that a slow event-driven reader takes."""
 GROWTH: Final = Measure("growth", "blocks")
@@ -71,7 +71,7 @@ def age(subscription: str, *, event: bool, busy: bool = False) -> Callable[[int]
             await kernel.start(PeriodicContext(rate=PRODUCER_RATE), ticker, activate=True)
             used, began = process_time_ns(), perf_counter_ns()
             await reader.quarter
-            first = sys.getallocatedblocks()  # cycles count: the runner holds the collector, and none are needed here
+            first = sys.getallocatedblocks()  # garbage in cycles counts, too: the runner turns the collector off
             await reader.complete
             cpu = 100 * (process_time_ns() - used) / (perf_counter_ns() - began)
             growth = sys.getallocatedblocks() - first

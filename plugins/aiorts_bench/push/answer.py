@@ -24,7 +24,7 @@ _EXPLAINED: Final = 0.35
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """What a row says of one way of pushing; ages in ms, rates in messages a second of one reader.
+    """The figures of a row for one way of pushing; ages in ms, rates in messages a second of one reader.
 
     Attributes:
         explained: length, rate and word of the buffer that makes the age; None where none does.
@@ -39,7 +39,7 @@ class _Found:
 
     @property
     def judged(self) -> float:
-        """The age that is compared: what the buffer makes of it where that is known, for a median has its luck."""
+        """The age to compare: computed from buffer or phases where they are known, for a median has its luck."""
         if self.explained is not None:
             return 1000 * self.explained[0] / self.explained[1]
         return max(self.age, self.bound) if self.load.subscription == "periodic" else self.age
@@ -102,7 +102,7 @@ def _buffered(load: Load, offered: float) -> tuple[int, float, str] | None:
 
 
 def _name(load: Load, beside: list[Load]) -> str:
-    """The way of pushing in a few words; those that are alike in all `beside` it are left out."""
+    """The way of pushing in a few words, without options that are alike in all loads of its group."""
     words = [load.subscription if load.subscription == "flush" else f"{load.subscription}/{load.push}"]
     if load.push_rate is not None:
         words.append(f"at {load.push_rate:g} Hz")
@@ -113,7 +113,7 @@ def _name(load: Load, beside: list[Load]) -> str:
 
 
 def _explanation(found: list[_Found]) -> list[str]:
-    """Where the ages come from: length / rate, with the ages that were measured."""
+    """A line that explains the ages: length / rate, with the ages that were measured."""
     causes: dict[tuple[int, float, str], list[_Found]] = {}
     for one in found:
         if one.explained is not None:
@@ -132,7 +132,7 @@ def _explanation(found: list[_Found]) -> list[str]:
 def _answer(found: list[_Found]) -> str:
     every, taken = _every(found), found[0].load.consumer_rate
     behind = taken is not None and every > taken * 1.02
-    # A writer that was held up lost nothing, and yet its reader does not have what it was to have.
+    # A writer that was held up loses nothing, but offers less: its reader does not get all samples.
     whole = [one for one in found if one.lost < 0.02 and one.offered > 0.95 * every]
     # When the reader waits for its next cycle, up to one period of an age is luck.
     luck = _ALIKE_MS if behind or taken is None else 1000 / taken
@@ -158,13 +158,13 @@ def _answer(found: list[_Found]) -> str:
 
 
 def _phase(one: _Found) -> str:
-    """That the age is one of many: the phase of writer and reader stays as it was at their start."""
+    """Words on how far the age depends on the phases of writer and reader, which stay as they were at the start."""
     single = one.explained is None or one.explained[0] == 1
     return f"; up to {_ms(one.bound)}, as their phases fall" if single and one.age <= one.bound + _ALIKE_MS else ""
 
 
 def _drained(found: list[_Found], taken: float) -> str:
-    """What a reader gets that takes all in each cycle, as `drain()` does; not measured."""
+    """Words on a reader that takes all samples in each cycle, as `drain()` does; computed, not measured."""
     rate = found[0].load.producer_rate
     if rate is None:
         return ""
@@ -175,7 +175,7 @@ def _drained(found: list[_Found], taken: float) -> str:
 
 
 def _alike(found: list[_Found], luck: float) -> list[_Found]:
-    """The freshest, and those that are as good, freshest first."""
+    """The way with the least age, and those with ages alike, least age first."""
     least = min(one.judged for one in found)
     return sorted((one for one in found if one.judged <= least * _LIKE + luck), key=lambda one: one.judged)
 
@@ -196,7 +196,7 @@ def _rates(one: _Found) -> str:
 
 
 def _options(load: Load) -> str:
-    """What is written at `connect`."""
+    """The options as they are written at `connect`."""
     options = load.options
     shown = ["subscription", *(["push"] if load.subscription != "flush" else [])]
     shown += [key for key, usual in (("full", "overwrite"), ("length", 8)) if options.get(key, usual) != usual]

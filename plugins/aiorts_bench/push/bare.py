@@ -1,4 +1,4 @@
-"""Bare baselines: what Python, asyncio and anyio alone need for what a connector does."""
+"""Bare baselines: the work of a connector, done with Python, asyncio and anyio alone."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ Payload: TypeAlias = float | int
 
 
 class Source(Component):
-    """Has the port that the workload writes to."""
+    """A component with the port that the workload writes to."""
 
     def __init__(self, name: str, type_: type = TimedDouble) -> None:
         super().__init__(name)
@@ -50,7 +50,7 @@ class Source(Component):
 
 
 class Sink(Component):
-    """Has the port that the workload, or a derived class, reads from."""
+    """A component with the port that the workload, or a derived class, reads from."""
 
     def __init__(self, name: str, type_: type = TimedDouble) -> None:
         super().__init__(name)
@@ -103,7 +103,7 @@ class Clocked(Counting):
 
 
 class Idle(Component):
-    """Has a port without a connector."""
+    """A component whose port has no connector."""
 
     inp = InPort(TimedDouble)
 

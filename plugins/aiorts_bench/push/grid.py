@@ -111,10 +111,10 @@ def chosen(options: Options) -> dict[str, str]:
 
 
 def parse(given: Mapping[str, str]) -> dict[str, list[tuple[str, Any]]]:
-    """For each axis the words and their values.
+    """The words of each axis and their values.
 
     Raises:
-        click.BadParameter: the message has the option, the word, and what is expected.
+        click.BadParameter: a word is wrong; the message has the option, the word, and what is expected.
     """
     found: dict[str, list[tuple[str, Any]]] = {}
     for axis in AXES:
@@ -130,11 +130,11 @@ def parse(given: Mapping[str, str]) -> dict[str, list[tuple[str, Any]]]:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is measured and what is left out.
+    """The combinations that are measured, and those that are left out.
 
     Attributes:
-        loads: with the words of the axes that vary.
-        fixed: the words of those that do not.
+        loads: each with its words of the axes that vary.
+        fixed: the words of the axes that do not vary.
         left_out: one line with the number of combinations left out and the reasons; empty when there are none.
     """
 
@@ -173,7 +173,7 @@ def plan(given: Mapping[str, str]) -> Plan:
 
 
 def _sensible(requested: Load) -> tuple[Load | None, dict[str, str], dict[str, str]]:
-    """The load without what has no effect, the words shown for that, and by axis why it has none."""
+    """The load without options that have no effect, the words shown for these, and the reasons by axis."""
     kept, words, why = requested, {}, {}
     if requested.subscription == "periodic" and requested.push_rate is None:
         return None, {}, {"push-rate": "periodic without a push-rate is no connector"}

@@ -93,7 +93,7 @@ class Taker(Sink):
 async def _produce(source: Source, load: Load, ends: int) -> None:
     """Write at the rate of the load until `ends`, catching up after a delay.
 
-    Above `BURSTS` a second all that has come due is written at once: a wake-up costs more than a write.
+    Above `BURSTS` a second all messages that are due are written at once: a wake-up costs more than a write.
     """
     template = record(load.payload)
     type_: Any = type(template)

@@ -18,7 +18,7 @@ from aiorts.errors import MissingExtra
 from aiorts_bench.harness.case import COST, RATE, Aim, Case, Reading
 
 PACKAGES: Final = {"reactivex": "reactivex", "zmq": "pyzmq", "zenoh": "eclipse-zenoh", "dora": "dora-rs"}
-"""Distribution by the name of its module."""
+"""The name of the distribution, by that of its module."""
 DORA: Final = "needs a coordinator, a daemon and a process for each node; it has no way of sending within one process"
 _FRAME: Final = struct.pack("<qd", 0, 1.0)
 """A time and a float: the message where objects cannot be passed."""

@@ -41,7 +41,7 @@ def _age(name: str, what: str, aim: Aim, subscription: str, *, event: bool, busy
 
 
 def _arrays(base: str, messages: int) -> tuple[Case, ...]:
-    """The cases of one policy with arrays of each size, beside its float and its smallest array."""
+    """The cases of one policy with arrays of each size, compared with its float and its smallest array."""
     make: Callable[[flow.Payload], Callable[[int], Any]] = {
         "flush": flow.pair,
         "new/all": flow.tasks,
