@@ -19,7 +19,7 @@ class DamagedError(RecordingError):
     """Bytes of a recording are not those that were written.
 
     Attributes:
-        offset: where in the file, in bytes.
+        offset: the place in the file, in bytes.
     """
 
     code = "E-DAMAGED"

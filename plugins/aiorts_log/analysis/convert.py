@@ -1,7 +1,7 @@
 """Converts recordings: into another format, a part of one, or several into one.
 
-A damaged recording is refused before the target exists, with the way to salvage it. One that was only not closed is
-converted to its last sample, and the report says so.
+A damaged recording is refused before the target exists, with the way to salvage it. A recording
+that was not closed, but is whole otherwise, is converted up to its last sample; the report says so.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ _STEP: Final = 2048
 
 @dataclass(frozen=True, slots=True)
 class Converted:
-    """What was written.
+    """The result of a conversion.
 
     Attributes:
-        samples: by port.
-        format: of the target.
-        left_out: what its format cannot hold, in words.
+        samples: their number, by port.
+        format: the target's format.
+        left_out: the content that its format cannot hold, in words.
         unused: columns of a table that no field was read from.
         bad: rows of a table that were left out, as line number and reason.
         not_closed: recordings that were not closed, with the number of unusable bytes at their end.
@@ -63,7 +63,7 @@ class Converted:
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """How to write a target."""
+    """The options for writing a target."""
 
     format: Format
     overwrite: bool
@@ -96,9 +96,9 @@ def convert(
     """Write a recording in another format.
 
     Args:
-        source_format: of the source; None takes .csv and .tsv for a table, and recognises the others.
-        target_format: of the target; None goes by its name.
-        ports: of a recording, those that are wanted; None is all. `table` has the ports of a table.
+        source_format: the source's format; None takes .csv and .tsv for a table, and recognises the others.
+        target_format: the target's format; None goes by its name.
+        ports: the wanted ports of a recording; None is all. `table` has the ports of a table.
         encoding: of the samples of an MCAP file; None keeps that of the source.
         split: write a folder with a table for each port.
 
@@ -134,7 +134,7 @@ def cut(
     overwrite: bool = False,
     limits: Limits | None = None,
 ) -> Converted:
-    """Write a part of a recording: from `start` up to `end`, without it (log times in ns), of these ports.
+    """Write a part of a recording: these ports, from `start` up to and without `end` (log times in ns).
 
     The format is that of the source unless the target's name has another ending. Raises as `convert`.
     """
@@ -155,7 +155,7 @@ def merge(
 
     Args:
         prefixes: texts in front of the names of ports, one for each source; "" is none.
-        join: make ports of the same name and type one.
+        join: merge ports of the same name and type.
 
     Raises:
         RecordingError: as `convert`; or two sources have a port of the same name.
@@ -221,12 +221,12 @@ def _copy(
 
 
 def filled(reader: Recording) -> dict[str, RecordedPort]:
-    """The ports with samples: of the others a table would have empty columns."""
+    """The ports that have samples: others would be empty columns of a table."""
     return {name: port for name, port in reader.ports.items() if port.count}
 
 
 def refuse_damaged(reader: Recording) -> None:
-    """DamagedError, with the way to salvage it, for a recording that is broken between its samples."""
+    """Raise DamagedError, with the way to salvage it, for a recording that is broken between its samples."""
     if reader.damage:
         text = f"{reader.path}: damaged: {reader.fault}; aiorts log salvage copies what is whole"
         raise DamagedError(text, reader.damage[0].offset)
@@ -257,7 +257,7 @@ def _write(
     attachments: Iterable[Attachment],
     samples: Iterable[tuple[str, RecordedSample]],
 ) -> Converted:
-    """Write everything into the target, which appears when that succeeds."""
+    """Write everything into the target, which appears when that has succeeded."""
     place = whole_folder(target, sources) if wanted.split else whole_file(target, sources, wanted.overwrite)
     counts = dict.fromkeys(
         (name if wanted.format == "csv" else name.removesuffix(f"#{port.id}") for name, port in ports.items()), 0

@@ -2,7 +2,7 @@
 
 Both are read once, side by side; the samples that wait for a partner are bounded. Samples are partners when their log
 times are within a tolerance ("time"), when their own stamps are ("tm"), or by their number within the port ("order").
-By their stamps, and where "log_time" is ignored, values alone are compared: two runs never have the same log times.
+With "tm", and where "log_time" is ignored, only values are compared: two runs never have the same log times.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording, coun
 
 By: TypeAlias = Literal["time", "tm", "order"]
 LOG_TIME: Final = "log_time"
-"""The name, among the ignored fields, of what is none of the record."""
+"""The name, among the ignored fields, of the log time, which is no field of the record."""
 _MOST_PLACES: Final = 10
 _WAITING: Final = 64 * 2**20
 _SMALL: Final = 256
@@ -34,11 +34,11 @@ _LATEST: Final = 2**64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiffOptions:
-    """What counts as equal.
+    """The rules by which samples count as equal.
 
     Attributes:
         by: what makes samples partners; None is "time", or "order" where log times are ignored.
-        time_tolerance: ns by which their times may differ; None is 0, and of partners by "tm" any log time.
+        time_tolerance: ns by which times of partners may differ; None is 0, and with "tm" allows any log time.
         absolute, relative: tolerances of numbers: |a - b| <= max(absolute, relative * max(|a|, |b|)).
         ignored: fields that are not compared, such as "tm"; "log_time" is the log time.
         from_start: take times from the first sample of each recording.
@@ -57,7 +57,7 @@ class DiffOptions:
 
     @property
     def partners_by(self) -> By:
-        """What makes samples partners."""
+        """The rule that makes samples partners."""
         return self.by or ("order" if LOG_TIME in self.ignored else "time")
 
     @property
@@ -67,7 +67,7 @@ class DiffOptions:
 
     @property
     def compares_log_times(self) -> bool:
-        """Whether partners at other log times are a difference."""
+        """Whether different log times of partners are a difference."""
         return LOG_TIME not in self.ignored and (self.by != "tm" or self.time_tolerance is not None)
 
 
@@ -77,7 +77,7 @@ class PortDifference:
 
     Attributes:
         left, right: number of samples in each.
-        missing, extra: only in the first, only in the second; changed: with other values.
+        missing, extra: samples only in the first, only in the second; changed: partners with other values.
         late: partners whose log times, where they are compared, differ by more than the tolerance.
         furthest, mean: difference of the log times of partners, in ns; 0 where they are ignored.
         types: both types when they differ; nothing is compared then.
@@ -118,7 +118,7 @@ class Difference:
     """The differences of two recordings.
 
     Attributes:
-        ports: those in both; only_left, only_right: number of samples, by name, of the other ports that have some.
+        ports: the ports in both; only_left, only_right: number of samples of the others that have some, by name.
         not_closed: the recordings that were not closed, with the number of unusable bytes at the end of each.
     """
 
@@ -151,7 +151,7 @@ def difference(
     """Compare two open recordings.
 
     Args:
-        ports: those that are compared; None is all of both.
+        ports: the ports to compare; None is all of both.
 
     Raises:
         RecordingError: partners are too far apart to be held, or a port is in neither.
@@ -272,7 +272,7 @@ class _Walk:
                 )
 
     def _resolve(self, pair: _Pair, now: int) -> None:
-        """Compare the partners that are there; a sample that can have none any more is missing or extra."""
+        """Compare the waiting partners; a sample that can get no partner any more is missing or extra."""
         left, right = pair.waiting
         by, tolerance = self._options.partners_by, self._options.tolerance
         while left and right:
@@ -307,7 +307,7 @@ def _key(head: tuple[int, RecordedSample], by: By) -> int:
 
 
 def first_change(left: Any, right: Any, options: DiffOptions, path: str = "") -> str | None:
-    """Where two pieces of plain data, or arrays in them, differ first, as "field: a -> b"; None when they do not."""
+    """The first difference of two pieces of plain data, or arrays in them, as "field: a -> b"; None for none."""
     if path in options.ignored:
         return None
     if hasattr(left, "dtype") and hasattr(right, "dtype"):
@@ -344,7 +344,7 @@ def _array_change(left: Any, right: Any, options: DiffOptions, path: str) -> str
         differs |= np.signbit(left) != np.signbit(right)
     differs &= (left == left) | (right == right)  # a NaN equals a NaN
     if (options.absolute or options.relative) and (kind == "f" or (kind in "iu" and left.dtype.itemsize < 8)):
-        a, b = left.astype("f8"), right.astype("f8")  # without loss: what `_same` does for most, for all at once
+        a, b = left.astype("f8"), right.astype("f8")  # without loss: `_same` for most items at once
         with np.errstate(all="ignore"):
             most = np.maximum(options.absolute, options.relative * np.maximum(np.abs(a), np.abs(b)))
             differs &= ~((a != b) & np.isfinite(a - b) & (np.abs(a - b) <= most))

@@ -23,7 +23,7 @@ class PortInfo:
     count: int
     rate: float | None
     unknown: str
-    """Why its samples cannot become records; "" when they can."""
+    """The reason why its samples cannot become records; "" when they can."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +34,10 @@ class RecordingInfo:
         size: bytes of the file.
         gaps: begin and end of each time of a second or more without samples.
         torn: the broken end of a recording that was not closed.
-        fault: what else is wrong; "" when nothing is known to be.
+        fault: other damage, in words; "" when none is known.
         dropped: samples lost for lack of room: by port those that the writer dropped, by connector and reason those
             dropped on the way to it.
-        refused: by port, samples that the encoding refused, by reason.
+        refused: samples that the encoding refused, by port and reason.
     """
 
     path: str
@@ -67,7 +67,7 @@ def info_of(reader: Recording) -> RecordingInfo:
     """The figures of an open recording. DamagedError when its metadata are damaged."""
     try:
         spans = reader.spans()
-    except DamagedError:  # its fault is told, and a rate would be a guess
+    except DamagedError:  # its fault is reported, and a rate would be a guess
         spans = {}
     ports = tuple(
         PortInfo(

@@ -25,11 +25,11 @@ _PIECES: Final = 1600
 """Number of pieces of the time axis: twice as many as a curve has pixels."""
 _CELLS: Final = 1200
 _ROW: Final = 0.2
-"""Inches of a row of a legend; of what stands beside a diagram; of a legend's line and the space beside it."""
+"""Inches of a row of a legend. Below: of the margin next to a diagram, and of a legend's line with its space."""
 _MARGIN: Final = 0.8
 _KEY: Final = 0.65
 _TALL: Final = 1.8
-"""Inches of a name beside a diagram; a longer one stands above it."""
+"""Inches of a name next to a diagram; a longer name stands above it."""
 _RC: Final = {
     "svg.hashsalt": "aiorts",
     "svg.fonttype": "none",
@@ -108,7 +108,7 @@ def draw_times(file: Path, file_type: str, groups: Sequence[Sequence[Series]], p
 
 
 def _marks(xs: Sequence[float], ys: Sequence[float]) -> dict[str, Any]:
-    """Marks the points that no line leads to: those between two gaps."""
+    """Options that mark the points which no line reaches: those between two gaps."""
     there = [False, *(math.isfinite(x) and math.isfinite(y) for x, y in zip(xs, ys, strict=True)), False]
     alone = [i - 1 for i in range(1, len(there) - 1) if there[i] and not there[i - 1] and not there[i + 1]]
     return {"marker": ".", "markevery": alone} if alone else {}
@@ -153,7 +153,7 @@ def draw_path(file: Path, file_type: str, x: Series, y: Series, picture: Picture
 
 
 def _paired(x: Series, y: Series) -> tuple[Sequence[float], Sequence[float]]:
-    """The values that belong together: of one sample, or y with the newest x at its time."""
+    """The pairs of values to draw: x and y of one sample, or y with the newest x at its time."""
     if x.times == y.times:
         return x.values, y.values
     xs, ys = array("d"), array("d")

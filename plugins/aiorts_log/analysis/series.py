@@ -20,7 +20,7 @@ from aiorts_log.errors import DamagedError, RecordingError
 from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording, counted
 
 _MOST: Final = 16
-"""Items of a sequence that are drawn, a curve for each."""
+"""The most items of a sequence that are drawn, a curve for each."""
 _STEP: Final = re.compile(r"\.?([^.\[\]]+)|\[(\d{1,9})\]")
 _ENDLESS: Final = 2**63
 _INDEX: Final = re.compile(r"\[(-?\d{1,9})\]")
@@ -33,7 +33,7 @@ _LOOKED: Final = 20
 class Series:
     """A curve: seconds since the first sample of the recording, and values; `unit` is "" when unknown.
 
-    `left_out` says, of the first item of a sequence, which items have no curve; "" when all have one.
+    `left_out`, on the first item of a sequence, says which items have no curve; "" when all have one.
     """
 
     label: str
@@ -57,7 +57,7 @@ class _Field:
         self._items = 0
         self._shape: tuple[int, ...] = ()
         self._lengths: dict[str, int] = {}
-        """By the item that a sample had not: the length of the longest sequence there."""
+        """The length of the longest sequence, by the path of the item that it lacked."""
         self.numbers: Callable[[RecordedSample], Sequence[float]] = self._of_plain if port.unknown else self._of_record
         if not port.unknown and hasattr(port.type, "__dataclass_fields__"):
             try:
@@ -77,7 +77,7 @@ class _Field:
 
     @property
     def why_empty(self) -> str:
-        """Why no sample has a number there; "" when one has, and where there was no sample."""
+        """The reason why no sample has a number there; "" when one has, and where there was no sample."""
         if any(value == value for one in self._series for value in one.values) or not self._series:
             return ""
         if not self._lengths:
@@ -114,7 +114,7 @@ class _Field:
         try:
             value = self._get(record)
         except (AttributeError, RecordError):
-            value = None  # the path is right, and leads through what is absent
+            value = None  # the path is right, and leads through an absent value
             for index in _INDEX.finditer(self._path):
                 self._too_short(self._path[: index.end()], _items(record, self._path[: index.start()]), int(index[1]))
         return self._checked(value)
@@ -141,7 +141,7 @@ class _Field:
         return re.split(r"[.\[]", self._path, maxsplit=1)[0] not in _STAMPS and _is_one(values_of(sample))
 
     def _too_short(self, item: str, length: int, index: int) -> bool:
-        """Whether a sequence of that length lacks the item, which is kept in mind."""
+        """Whether a sequence of that length lacks the item; notes the length for `why_empty`."""
         short = not -length <= index < length
         if short:
             self._lengths[item] = max(length, self._lengths.get(item, 0))
@@ -161,7 +161,7 @@ class _Field:
 
 
 def _is_one(value: Any) -> bool:
-    """Whether what a sample holds is one value, or one sequence, beside its stamp."""
+    """Whether a sample holds one value, or one sequence, in addition to its stamp."""
     if isinstance(value, list) and value:
         return _is_one(value[0])
     if not isinstance(value, dict):
@@ -183,7 +183,7 @@ def _length(value: Any) -> int:
 
 
 def _number(value: Any) -> Any:
-    """Not a number for what is absent, which leaves a gap in the curve; nanoseconds for a datetime."""
+    """The number to draw: NaN for an absent value, which leaves a gap in the curve; nanoseconds for a datetime."""
     if value is None:
         return math.nan
     if isinstance(value, Enum):
@@ -192,7 +192,7 @@ def _number(value: Any) -> Any:
 
 
 def _way(value: Any) -> str:
-    """What can be drawn in the place of a value that is no number."""
+    """Advice on what can be drawn in the place of a value that is no number."""
     fields = value if isinstance(value, dict) else getattr(value, "__dataclass_fields__", ())
     if fields:
         return f"name a field of it: {', '.join(list(fields)[:_MOST])}"
@@ -230,7 +230,7 @@ def read_series(
 def numeric_fields(
     reader: Recording, start: int | None, end: int | None, ports: Iterable[str] | None = None
 ) -> list[str]:
-    """PORT.FIELD of all that the first samples of each port have numbers in, but for stamps and long sequences."""
+    """The fields (PORT.FIELD) with numbers in the first samples of each port, except stamps and long sequences."""
     found: list[str] = []
     for name in reader.ports if ports is None else ports:
         few = islice(reader.samples(start=start, end=end, ports=[name]), _LOOKED)

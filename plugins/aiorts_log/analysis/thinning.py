@@ -1,7 +1,7 @@
 """Selects fewer points that draw the same picture: every peak and every gap stays.
 
-Of each piece of a curve over time it keeps the first and last point and the least and greatest value; of a path, points
-that are further apart than can be seen.
+For a curve over time it keeps the first and last point and the least and greatest value of each piece; for a path, the
+points that are visibly apart.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def _of_piece(values: Sequence[float], start: int, stop: int) -> list[int]:
 
 
 def thinned_path(xs: Sequence[float], ys: Sequence[float], cells: int) -> list[int]:
-    """The numbers of the points of a path that are further from the one before than its size divided by `cells`."""
+    """The numbers of the points of a path that are further from the last one kept than its size divided by `cells`."""
     pairs = [(x, y) for x, y in zip(xs, ys, strict=True) if math.isfinite(x) and math.isfinite(y)]
     if not pairs:
         return []
@@ -61,7 +61,7 @@ def thinned_path(xs: Sequence[float], ys: Sequence[float], cells: int) -> list[i
     for i, (x, y) in enumerate(zip(xs, ys, strict=True)):
         if not (math.isfinite(x) and math.isfinite(y)):
             if last is not None:
-                kept.append(i)  # a hole stays one
+                kept.append(i)  # keeps the hole
             last = None
         elif last is None or math.hypot(x - last[0], y - last[1]) > least:
             kept.append(i)

@@ -1,4 +1,4 @@
-"""What a sample holds, for a comparison: plain data whose arrays are numpy's, whether its type is known or not."""
+"""The values of a sample, for a comparison: plain data with numpy arrays, whether its type is known or not."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ARRAY: Final = {"dtype", "shape", "data"}
 
 
 def values_of(sample: RecordedSample) -> Any:
-    """The values of a sample. DamagedError for one that is none of its type."""
+    """The values of a sample. DamagedError when its bytes are no sample of its type."""
     port = sample.port
     if not port.unknown:
         try:
@@ -47,7 +47,7 @@ def _values(value: Any) -> Any:
 
 
 def _packed(data: bytes, about: Any) -> Any:
-    """An array of a frame; of records in rows, each as its fields."""
+    """The array in a frame; an array of records becomes a list of their fields."""
     element, shape, head = array_parts(data)
     array = _array(element, shape, data[head:])
     columns = about.get("columns") if isinstance(about, dict) else None
@@ -63,7 +63,7 @@ def _unwrapped(plain: Any) -> Any:
             try:
                 return _array(plain["dtype"], plain["shape"], base64.b64decode(plain["data"], validate=True))
             except (TypeError, ValueError):
-                return plain  # it only looks like one
+                return plain  # it only looks like an array
         return {name: _unwrapped(one) for name, one in plain.items()}
     return [_unwrapped(one) for one in plain] if isinstance(plain, list) else plain
 

@@ -112,7 +112,7 @@ def _lines(found: Difference, left: Path, right: Path) -> list[str]:
 
 
 def _hint(found: Difference, options: DiffOptions) -> list[str]:
-    """What makes partners of samples whose times are those of two runs."""
+    """Advice on the options that make partners of samples whose times are those of two runs."""
     if not found.apart or options.partners_by == "order":
         return []
     if options.partners_by == "tm":

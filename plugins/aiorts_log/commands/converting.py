@@ -189,7 +189,7 @@ def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, str]:
 
 
 def _report(target: Path, made: Converted) -> int:
-    """Print what was written, and on standard error what was not; 1 when samples were left out."""
+    """Print what was written, and on standard error what was not; returns 1 when samples were left out."""
     count = sum(made.samples.values())
     click.echo(f"{safe(target)}: {number(count, 'sample')} of {number(len(made.samples), 'port')}")
     for text in made.left_out:

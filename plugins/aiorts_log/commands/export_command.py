@@ -1,4 +1,4 @@
-"""`aiorts log export`: makes a recording of another system of a recording."""
+"""`aiorts log export`: writes a recording in the format of another system."""
 
 from __future__ import annotations
 

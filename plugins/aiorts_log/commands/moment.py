@@ -18,7 +18,7 @@ def moment_ns(what: str, text: str, start: int) -> int:
         start: the first log time of the recording.
 
     Raises:
-        ConfigurationError: it is no moment.
+        ConfigurationError: the text is no moment.
     """
     if not _SECONDS.fullmatch(text):
         raise ConfigurationError(f"{what}: expected +SECONDS or seconds since 1970, got {text[:40]!r}").at(text, 0)

@@ -17,7 +17,7 @@ from aiorts_log.mcap.survey import Gap
 
 FILE: Final = click.Path(path_type=Path)
 MOST_LINES: Final = 10
-"""Lines of a list that are printed; the rest is a number."""
+"""Lines of a list that are printed; of the others only their number is."""
 UNLIMITED: Final = click.option(
     "--unlimited",
     "limits",
@@ -48,7 +48,7 @@ def moment(option: str, text: str | None, start: int) -> int | None:
 
 
 def strict(plain: Any) -> Any:
-    """The same data with numbers that are not finite as texts, since JSON has none."""
+    """Plain data with numbers that are not finite as texts, since JSON has none."""
     if isinstance(plain, float) and not math.isfinite(plain):
         return str(plain)
     if isinstance(plain, dict):
@@ -78,7 +78,7 @@ def date(ns: int) -> str:
 
 
 def span(reader: Recording) -> str:
-    """From when to when a recording has samples, in words."""
+    """The period in which a recording has samples, in words."""
     if not reader.count:
         return "the recording has none"
     seconds = (reader.end - reader.start) / 1e9
@@ -89,7 +89,7 @@ def say_unclosed(unclosed: Iterable[tuple[str, int]]) -> bool:
     """Name on standard error the recordings that were not closed; returns whether bytes of one cannot be read.
 
     Args:
-        unclosed: path and unusable bytes of each of them.
+        unclosed: path and unusable bytes of each such recording.
     """
     torn = False
     for path, length in unclosed:

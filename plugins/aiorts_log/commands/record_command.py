@@ -126,7 +126,7 @@ def _recorded(
     count: int | None,
     ending: _Ending,
 ) -> tuple[RecordingStatistics, RecordingError | None]:
-    """Record until it is over; the counts, and why it failed."""
+    """Record until the end; returns the counts, and the failure if there was one."""
     from aiorts_log.commands.output import number
     from aiorts_log.live.frames import FrameWriter
     from aiorts_log.recorder.about import about_profile
@@ -174,11 +174,11 @@ def _say(text: str) -> None:
 
 
 class _Ending:
-    """Whether a signal has come.
+    """The signal that ends the recording, once it has come.
 
     Attributes:
-        number: of the signal; 0 while none has come.
-        wake: a descriptor that can be read once one has.
+        number: the signal's number; 0 while none has come.
+        wake: a descriptor that can be read once a signal has come.
     """
 
     def __init__(self) -> None:
@@ -187,7 +187,7 @@ class _Ending:
         os.set_blocking(self._ring, False)
 
     def come(self, number: int, frame: FrameType | None) -> None:
-        """The first one ends the recording in order; another one ends it at once."""
+        """Handle a signal: the first ends the recording in order, another one ends the process at once."""
         if self.number:
             signal.signal(number, signal.SIG_DFL)
             signal.raise_signal(number)
@@ -201,7 +201,7 @@ class _Ending:
 
 @contextlib.contextmanager
 def _ending() -> Iterator[_Ending]:
-    """Note signals in this block in place of being ended by them."""
+    """Note signals in this block, so that they do not end the process."""
     ending = _Ending()
     with contextlib.closing(ending), signals_to(ending.come):
         yield ending

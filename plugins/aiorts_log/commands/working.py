@@ -35,7 +35,7 @@ def signals_to(handler: Handler) -> Iterator[None]:
     """Let signals that end a process call `handler` in this block instead."""
     before = {}
     for number in (signal.Signals[name] for name in _SIGNALS if name in signal.Signals.__members__):
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as in the background of a shell script
+        if signal.getsignal(number) is not signal.SIG_IGN:  # ignored, as in the background of a shell script
             with contextlib.suppress(ValueError):  # not the main thread, which has the signals
                 before[number] = signal.signal(number, handler)
     try:

@@ -30,7 +30,7 @@ _PACKED_WHOLE: Final = (".db3.zstd", ".mcap.zstd")
 class Stream(NamedTuple):
     """The properties of a topic's messages.
 
-    `encoding` of the messages ("cdr", "json"); `schema_format` and `definition` explain them, "" when nothing does.
+    `encoding` is the messages' ("cdr", "json"); `schema_format` and `definition` explain them, "" when nothing does.
     """
 
     topic: str
@@ -75,7 +75,7 @@ def open_bag(path: str | os.PathLike[str], *, limits: Limits | None = None) -> B
     """Open a recording of another system: a file, or a folder of them.
 
     Raises:
-        RecordingError: it is none, or was made by aiorts.
+        RecordingError: it is no recording, or was made by aiorts.
     """
     path = Path(path)
     files = _files(path) if path.is_dir() else [path]
@@ -164,7 +164,7 @@ class _Database:
 
     def _opened(self) -> sqlite3.Connection:
         try:
-            # immutable: no lock file and no journal are made beside a file that is only read.
+            # immutable: no lock file and no journal are made next to a file that is only read.
             found = sqlite3.connect(f"{self._path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
         except sqlite3.Error as error:
             raise self._damaged(error) from None

@@ -30,7 +30,7 @@ class ExportReport:
     """The result of an export.
 
     Attributes:
-        messages: written, by topic.
+        messages: number written, by topic.
         topics: the port of each topic.
         left: ports that were left out, with the reason.
         not_closed: the recording, when it was not closed, with the number of unusable bytes at its end.
@@ -53,11 +53,11 @@ def export_ros2(
 ) -> ExportReport:
     """Write a recording as a bag of ROS 2: a new folder with a file of messages and `metadata.yaml`.
 
-    A port that was imported gets the topic that it came from, any other one of its name: `/pid0/command`. Messages have
+    A port that was imported gets the topic that it came from, others one of their name: `/pid0/command`. Messages have
     the log times of their samples.
 
     Args:
-        ports: those that are wanted; None is all.
+        ports: the ports to export; None is all.
         skip_others: leave out ports whose samples are no messages of ROS 2, and report them.
         storage: the kind of file in the bag.
 

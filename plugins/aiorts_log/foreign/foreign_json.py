@@ -28,7 +28,7 @@ from aiorts_log.foreign.ros import Unmapped
 Lose = Callable[[str, str], None]
 _DEEPEST: Final = 20
 _MOST: Final = 1_000
-"""Fields of the messages of a topic."""
+"""The most fields of the messages of a topic."""
 _STAMPS: Final = ("timestamp", "stamp")
 _NOT_FINITE: Final = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
@@ -40,7 +40,7 @@ class Documents:
         schema_format: "jsonschema", or ""; schema: its text.
 
     Attributes:
-        left: by field, why it became no record in the messages decoded so far, by its kind.
+        left: by field, the reason why its kind of value became no record in the messages decoded so far.
     """
 
     def __init__(self, schema_format: str, schema: str) -> None:
@@ -62,7 +62,7 @@ class Documents:
         return found if isinstance(found, dict) else {"value": found}
 
     def time(self, document: Mapping[str, Any]) -> int | None:
-        """Its time stamp in ns, as Foxglove ({"timestamp": {"sec", "nsec"}}) and ROS (header.stamp) write it."""
+        """The time stamp in ns, as Foxglove ({"timestamp": {"sec", "nsec"}}) and ROS (header.stamp) write it."""
         header = document.get("header")
         for place in (document, header if isinstance(header, dict) else {}):
             for name in _STAMPS:
@@ -75,7 +75,7 @@ class Documents:
         return None
 
     def parts(self, document: Mapping[str, Any], lose: Lose, topic: str) -> Iterator[tuple[str, type, Any]]:
-        """Path, record type and data of each field with a value; calls `lose` for those that become none."""
+        """Path, record type and data of each field with a value; calls `lose` for fields that become none."""
         for path, value in _flat("", document, 0):
             if value is None:
                 if len(self.left) < _MOST:

@@ -1,4 +1,4 @@
-"""Makes a recording from another system's: decides which message becomes which sample.
+"""Imports a recording of another system: decides which message becomes which sample.
 
 The report has every topic, field and message that does not become samples, with the reason.
 """
@@ -39,7 +39,7 @@ class MessageCounts:
 
     Attributes:
         read: messages in the source.
-        taken: at least one sample of it is in the new recording.
+        taken: messages of which at least one sample is in the new recording.
         left_out: messages of a kind that becomes no sample, or without fields.
         lost: messages of a kind that becomes samples, none of which is in the new recording.
     """
@@ -55,11 +55,11 @@ class ImportReport:
     """The result of an import.
 
     Attributes:
-        samples: written, by port.
+        samples: number written, by port.
         ports: for each port, its topic and field.
         messages: by topic, what became of its messages.
-        left: by topic, or topic and field: why it became no port, by its kind.
-        lost: by topic, messages or values that should have become samples, by reason.
+        left: by topic, or topic and field, the reason why its kind became no port.
+        lost: messages or values that should have become samples, by topic and reason.
         not_closed: the files that were not closed, with the number of unusable bytes at the end of each.
     """
 
@@ -92,7 +92,7 @@ def import_recording(
     """Import a recording of another system: an MCAP file, a ROS 2 bag (.db3), or a folder of them.
 
     Args:
-        whole: take messages of types that have a record in `aiorts.types.ros` as such; else in parts, as all others.
+        whole: take a message whose type has a record in `aiorts.types.ros` as that; else in parts, as all others.
         existing: what to do when the new file exists.
         limits: what a file may cost.
 
@@ -138,11 +138,11 @@ class _Message:
 
 
 class _Writer(RecordingWriter):
-    """A recording that knows of which message a sample is that its encoding refuses."""
+    """A recording that knows the message of each sample that its encoding refuses."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.of: dict[int, _Message] = {}
-        """By the id of a sample that waits: an id is used again only after the thread is done with its sample."""
+        """The message of each waiting sample, by its id, which is used again only after the thread is done with it."""
         self.refusals: list[tuple[_Message, str, str]] = []
         """Message, port and reason."""
         super().__init__(*args, **options)
@@ -159,7 +159,7 @@ class _Plan:
         self.stream = stream
         self.messages = messages
         self.numbers: dict[str, int] = {}
-        """Of the writer's ports, by path."""
+        """The numbers of the writer's ports, by path."""
         self.frame: str | None = None
 
 
@@ -203,7 +203,7 @@ class _Plans:
         return message.samples
 
     def _write(self, writer: _Writer, plan: _Plan, counted: _Message, time: int, data: bytes) -> bool:
-        """Write what a message has; returns whether something of it is lost."""
+        """Write the parts of a message; returns whether one of them is lost."""
         topic = plan.stream.topic
         try:
             message = plan.messages.decode(data)

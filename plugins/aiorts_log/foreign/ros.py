@@ -1,13 +1,13 @@
 """Messages of ROS 2 as parts that become records: definitions are read, checked, and only then used to decode.
 
-The decoding is done by `rosbags` (pip install "aiorts[ros]"), loaded when it is needed. Why that one: it tells the
-fields of a definition, which the records are chosen by, reads definitions in IDL as well as in .msg, and knows those of
-the distributions, which older .db3 files do not hold. Measured beside it, `mcap-ros2-support` 0.6.0 took 48 us for an
-Imu (rosbags 0.11.9: 17 us) and 481 us for a LaserScan of 1,000 ranges (10 us), reads a char above 127 as negative, and
-tells no types. Its readers of files are not used: `rosbags` checks no checksum and reads YAML.
+The decoding is done by `rosbags` (pip install "aiorts[ros]"), loaded when it is needed. It was chosen since it gives
+the fields of a definition, by which records are chosen, reads definitions in IDL as well as in .msg, and knows those of
+the distributions, which older .db3 files do not hold. Measured in comparison, `mcap-ros2-support` 0.6.0 took 48 us for
+an Imu (rosbags 0.11.9: 17 us) and 481 us for a LaserScan of 1,000 ranges (10 us), reads a char above 127 as negative,
+and gives no types. The file readers of `rosbags` are not used: they verify no checksum and read YAML.
 
-`rosbags` makes Python code of a definition and runs it. So nothing of a definition goes there but names of letters,
-digits and underscores, and lists of a bounded length; the values of constants do not.
+`rosbags` makes Python code of a definition and runs it. So only names of letters, digits and
+underscores, and lists of a bounded length, are passed to it; the values of constants are not.
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ class Messages:
     """Decodes the messages of one type.
 
     Args:
-        name: of the type ("sensor_msgs/msg/Imu").
+        name: the type's name ("sensor_msgs/msg/Imu").
         schema_format: of the definition: "ros2msg", "ros2idl", or "" for a type of the ROS 2 distributions.
         definition: its text, with all that it uses.
         whole: take a message of a type that has a record as that record.
 
     Attributes:
         columns: the parts that become a port each; a path of "" is the message itself.
-        left: by field, why it becomes none.
+        left: by field, the reason why it becomes no port.
 
     Raises:
         Unmapped: the definition cannot be used.
@@ -102,7 +102,7 @@ class Messages:
             self.columns = [self.columns[0]._replace(path="")]
 
     def decode(self, data: bytes) -> Any:
-        """Decode a message. Unmapped when the bytes are none."""
+        """Decode a message. Unmapped when the bytes are no message of the type."""
         if data[:4] == _PACKED:
             raise Unmapped("its messages are compressed one by one; ros2 bag convert unpacks them")
         try:
@@ -111,15 +111,15 @@ class Messages:
             raise Unmapped(f"no {self.name}: {type(error).__name__}: {str(error)[:80]}") from None
 
     def time(self, message: Any) -> int | None:
-        """Its time stamp in ns; None when it has none."""
+        """The message's time stamp in ns; None when it has none."""
         return nanoseconds(message.header.stamp) if self.stamped else None
 
     def frame(self, message: Any) -> str | None:
-        """The name of its frame; None when it has none."""
+        """The name of the message's frame; None when it has none."""
         return str(message.header.frame_id) if self.stamped else None
 
     def parts(self, message: Any, lose: Callable[[str, str], None], topic: str) -> Iterator[tuple[str, type, Any]]:
-        """Path, record type and data of each part that becomes a sample; calls `lose` for those that become none.
+        """Path, record type and data of each part that becomes a sample; calls `lose` for parts that become none.
 
         The data of a message that is taken whole are the record.
         """
@@ -130,7 +130,7 @@ class Messages:
                 lose(f"{topic} {column.path}".rstrip(), str(error)[:120])
 
     def _record(self) -> type | None:
-        """The record of the type, if the type and all within are what ROS 2 calls so: a file may call anything so."""
+        """The record of the type, if the type and all within it are ROS 2's own: a file may give any type its name."""
         cls = record_of(self.name)
         standard, own = standard_types().fielddefs, self._store.fielddefs
         names = () if cls is None else map(ros_name, with_nested(cls))

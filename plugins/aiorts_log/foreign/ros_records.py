@@ -47,7 +47,7 @@ def ros_name(cls: type) -> str:
 
 
 def with_nested(cls: type) -> Iterator[type]:
-    """A record type and all that its fields have."""
+    """A record type and the record types of its fields, at any depth."""
     yield cls
     for field in fields_of(cls):
         if field.record is not None:

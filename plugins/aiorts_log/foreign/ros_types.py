@@ -111,7 +111,7 @@ PARTS_OF_FIELDS: Final[dict[tuple[str, str], tuple[Column, ...]]] = {
     ("sensor_msgs/msg/Imu", "angular_velocity"): _TURN,
     ("sensor_msgs/msg/Imu", "linear_acceleration"): _PUSH,
 }
-"""By type and field: records that tell more than the field's own type."""
+"""The records that say more than a field's own type, by type and field."""
 FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "geometry_msgs/msg/Vector3": ("x", "y", "z"),
     "geometry_msgs/msg/Point": ("x", "y", "z"),
@@ -127,7 +127,7 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
 
 
 def scalar_of(kind: str) -> Get:
-    """The function that makes our number or text of a value of numpy or Python."""
+    """The function that makes a plain number or text of a value of numpy or Python."""
     if kind == "string":
         return str
     return bool if kind == "bool" else float if kind.startswith("float") else int

@@ -1,1 +1,1 @@
-"""Records what runs in another process."""
+"""Records samples of a kernel in another process."""

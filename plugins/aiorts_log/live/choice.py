@@ -1,4 +1,4 @@
-"""Which ports of a kernel are recorded: what words of the command line mean, now and when there are more ports."""
+"""The ports of a kernel to record: the meaning of words of the command line, now and when there are more ports."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Choice:
         """Find the kernel.
 
         Raises:
-            AbsentError: nothing has a name.
+            AbsentError: nothing has such a name.
             AmbiguousError: a name is that of several, or several kernels are meant.
             NoAnswerError: the kernel that may be meant does not answer.
         """
@@ -37,7 +37,7 @@ class Choice:
         self.exact: list[str] = []
         self._globs: list[str] = []
         self._words: dict[str, str] = {}
-        """By glob, the word that it came from; those of kernels, which may have no port yet, are not among them."""
+        """The word that each glob came from, except words of kernels, which may have no port yet."""
         for word, one in meant:
             component = word.rpartition("/")[2].partition(".")[0]
             glob = f"{component if is_glob(component) else one.component or '*'}.{one.port or '*'}"
@@ -62,7 +62,7 @@ class Choice:
         """Refuse a word that means no port.
 
         Raises:
-            AbsentError: says which there are.
+            AbsentError: the word means none; the message says which ports there are.
         """
         there = list(_out_ports(outlines))
         for path in self.exact:

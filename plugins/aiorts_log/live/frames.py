@@ -20,12 +20,12 @@ _HEAD: Final = 8_192
 
 
 class Frame:
-    """A sample as its frame. Those of each type are of a class of their own, made by `frame_kind`."""
+    """A sample as its frame. The frames of each type have a class of their own, made by `frame_kind`."""
 
     __slots__ = ("data", "tm")
     schema: ClassVar[Schema]
     begin: ClassVar[bytes]
-    """What frames of this type begin with."""
+    """The bytes with which frames of this type begin."""
 
     def __init__(self, tm: int, data: bytes) -> None:
         self.tm = tm
@@ -33,7 +33,7 @@ class Frame:
 
 
 def frame_kind(name: str, schema: str, base: type[Frame] = Frame) -> type[Frame]:
-    """The class of the frames of a type; of a type that derives from that of a port, with the port's as `base`."""
+    """Make the class of the frames of a type; for a type derived from a port's, `base` is the port's class."""
     made = Schema(0, name, SCHEMA_ENCODING, schema.encode())
     return type("Frame", (base,), {"__slots__": (), "schema": made, "begin": _begin(name)})
 
@@ -63,7 +63,7 @@ class FrameWriter(RecordingWriter):
 
     @staticmethod
     def encoder(encoding: Encoding, cls: type) -> Callable[[Any], bytes]:
-        """What a frame holds is what is recorded."""
+        """A function that gives the bytes of a frame, which are recorded as they are."""
         return _data
 
     @staticmethod

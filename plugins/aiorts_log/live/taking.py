@@ -1,7 +1,7 @@
-"""Takes samples out of a kernel in another process and records them, until it is over.
+"""Takes samples out of a kernel in another process and records them, until the recording ends.
 
-Each port has a tap: a connector of this session's own, which never makes a writer wait. What it loses is counted, so
-that of each port `written = recorded + dropped` from its tap to its last sample here.
+Each port has a tap: a connector of this session's own, which never makes a writer wait. Its losses are counted, so
+that for each port `written = recorded + dropped`, from its tap to its last sample here.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from aiorts_log.live.frames import Frame, FrameWriter, frame_kind, type_in
 
 T = TypeVar("T")
 Say: TypeAlias = Callable[[str, str], None]
-"""Called with a code and a text for people."""
+"""A function that reports: called with a code and a text."""
 _EVENTS: Final = ("ComponentAdded", "PortAdded", "ComponentReloaded")
-"""After which there may be more ports."""
+"""The events after which there may be more ports."""
 _TAPS: Final = 200
-"""Of one session: a kernel lets each have 256 calls at a time."""
+"""The most taps of one session: a kernel lets each session have 256 calls at a time."""
 _FULL: Final = 0.75
-"""How full the writer's queue may be before no more is read: what the kernel then has no room for, it counts."""
+"""The load of the writer's queue above which nothing is read: the kernel counts samples that it has no room for."""
 _PAUSE: Final = 0.005
 _LOOK: Final = 0.25
 """Seconds between two looks at the clock and the disk."""
 _LAST: Final = 1.0
-"""Seconds in which what is under way has to come at the end."""
+"""Seconds in which samples that are under way at the end have to arrive."""
 
 
 class Recorded:
@@ -51,27 +51,27 @@ class Recorded:
 
 
 class Taking:
-    """What is taken from a kernel.
+    """The recording of a kernel's samples.
 
     Args:
         choice: the ports.
-        say: reports what goes wrong with one of them.
+        say: reports a problem with one of them.
     """
 
     def __init__(self, choice: Choice, say: Say) -> None:
         self.ports: dict[str, Recorded] = {}
-        """By name in the recording."""
+        """The recorded ports, by name in the recording."""
         self.ended = ""
-        """Why the kernel's end ended it; "" while it goes on."""
+        """The reason, when the kernel ended it; "" while it goes on."""
         self.cut_off = False
-        """Whether the kernel goes on, and did not wait any longer for this end."""
+        """Whether the kernel runs on, and has given up waiting for this end."""
         self._choice = choice
         self._say = say
         self._clients: list[Client] = [choice.running.client]
         self._taps: dict[str, tuple[Stream, Recorded]] = {}
-        """By the path by which it was chosen."""
+        """The taps, by the path by which their port was chosen."""
         self._passed: set[str] = set()
-        """Paths that are not recorded: another name of a port that is, or refused."""
+        """Paths that are not recorded: refused, or another name of a port that is recorded."""
         self._opened = 0
         self._look_at = 0.0
         self._displaced = False
@@ -89,7 +89,7 @@ class Taking:
 
     @property
     def kernel(self) -> str:
-        """Its name."""
+        """The kernel's name."""
         return self._choice.running.name
 
     def profile(self) -> Any:
@@ -109,7 +109,7 @@ class Taking:
     # -- taps ------------------------------------------------------------------------------------------------------
 
     def _tap_all(self, paths: Iterable[str]) -> None:
-        """Record ports from now on; what cannot be is refused, or only reported where a pattern meant it."""
+        """Record ports from now on; a port that cannot be is refused, or only reported where a pattern meant it."""
         begun = [(path, self._guarded(path, partial(self._stream, path))) for path in paths]
         for path, stream in begun:
             if stream is not None:
@@ -171,7 +171,7 @@ class Taking:
         """Record for so many seconds, until `count` samples, `stopped()`, the kernel's end or the writer's failure.
 
         Args:
-            wake: a descriptor that can be read when it is to look at `stopped()`.
+            wake: a descriptor that can be read when `stopped()` is to be checked.
         """
         self._writer, self._left = writer, count
         until = None if seconds is None else time.monotonic() + seconds
@@ -192,7 +192,7 @@ class Taking:
             entry = self._client.entry
             self.ended = str(error).replace(entry.address, entry.name, 1)
             self.cut_off = ": runs on" in str(error)
-            self._take()  # what it said last
+            self._take()  # its last items
             if self._taps:
                 self.ended += " without an end of its ports; what they sent last may be missing, and is not counted"
 
@@ -216,7 +216,7 @@ class Taking:
                 client.read()
 
     def _last(self) -> None:
-        """Take what was under way when it was to end."""
+        """Take the samples that are under way at the end."""
         for client in self._clients:
             try:
                 client.call("outline", _LAST, components=[])
@@ -225,7 +225,7 @@ class Taking:
         self._take()
 
     def _take(self) -> bool:
-        """Record what has come; False when that is enough, or the kernel has ended."""
+        """Record the samples that have come; False when they are enough, or the kernel has ended."""
         happened = False
         for item in _items(self._events):
             if item is END:
@@ -289,7 +289,7 @@ class Taking:
         return made
 
     def _look(self) -> None:
-        """Tap the ports that have come since."""
+        """Tap the ports that were added since."""
         paths = self._choice.of(self._client.call("outline"))
         self._tap_all([path for path in paths if path not in self._taps and path not in self._passed])
 

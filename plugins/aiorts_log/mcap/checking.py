@@ -1,4 +1,4 @@
-"""Finds what is wrong with a recording although every chunk is whole: its indexes, and the checksum of all its data.
+"""Finds faults of a recording whose chunks are all whole: in its indexes, and in the checksum of all its data.
 
 Reading samples needs none of these; other programs use them.
 """
@@ -19,8 +19,8 @@ _BLOCK: Final = 2**20
 
 
 def faults(source: Source, found: Survey) -> Iterator[Gap]:
-    """What is wrong with a file in which no damage was found."""
-    last = found.pieces[-1] if found.pieces and not found.ended else None  # whose indexes may be torn
+    """The faults of a file in which no damage was found."""
+    last = found.pieces[-1] if found.pieces and not found.ended else None  # its indexes may be torn
     for piece in found.pieces:
         if piece.chunk:
             yield from _of_chunk(source, piece, piece is not last)

@@ -46,7 +46,7 @@ class Message(NamedTuple):
 
 
 class Messages:
-    """The messages of a large chunk: their places, each message made when it is used.
+    """The messages of a large chunk, kept as places: each message is made when it is used.
 
     As a list, the small messages of a chunk of 64 MiB would take ten times as much memory.
     """
@@ -100,12 +100,12 @@ class Messages:
 
     @property
     def weight(self) -> int:
-        """Bytes of memory that they take."""
+        """Bytes of memory that the messages take."""
         return len(self._data) + 8 * len(self._places)
 
 
 class Content(NamedTuple):
-    """What a chunk holds."""
+    """The content of a chunk."""
 
     messages: list[Message] | Messages
     schemas: list[Schema]
@@ -115,12 +115,12 @@ class Content(NamedTuple):
 
     @property
     def held(self) -> int:
-        """How much it holds, for a budget: messages and their definitions."""
+        """The number of messages, definitions and entries of metadata, for a budget."""
         return len(self.messages) + _weight(self.schemas, self.channels)
 
 
 class Tally(NamedTuple):
-    """Counts of what a chunk holds, without the messages.
+    """Counts of the content of a chunk, without the messages.
 
     Attributes:
         counts: by channel: messages, the sequence number of the first, and by how much later numbers jump ahead.
@@ -136,7 +136,7 @@ class Tally(NamedTuple):
 
     @property
     def held(self) -> int:
-        """How much it holds, for a budget: messages and their definitions."""
+        """The number of messages, definitions and entries of metadata, for a budget."""
         return sum(count for count, _, _ in self.counts.values()) + _weight(self.schemas, self.channels)
 
 
@@ -214,7 +214,7 @@ class ChunkBuilder:
 
 
 def _joined(parts: list[bytes]) -> list[bytes]:
-    """The same bytes in few parts, without copying the large ones."""
+    """Join parts into a few, without copying the large ones."""
     joined: list[bytes] = []
     small: list[bytes] = []
     for part in parts:
@@ -233,7 +233,7 @@ def unpack(head: ChunkHead, data: bytes, at: int) -> tuple[bytes, int]:
         data: the stored records are in it from `at` to the end.
 
     Raises:
-        BadBytes: they are not what the head promises.
+        BadBytes: the bytes are not what the head promises.
     """
     if len(data) - at != head.stored:
         raise BadBytes(f"a chunk should store {head.stored} bytes, got {len(data) - at}")
@@ -263,7 +263,7 @@ def contents(data: bytes, at: int = 0, start: int = 0, end: int = 2**64 - 1, def
         defined: the most definitions and entries of metadata: as objects they take much memory.
 
     Raises:
-        BadBytes: they are no records one after the other, or a time is outside.
+        BadBytes: the bytes are no sequence of records, or a time is outside.
     """
     messages: list[Message] = []
     many = Messages(data) if len(data) > _MANY else None
@@ -301,12 +301,12 @@ def tally(data: bytes, at: int = 0, start: int = 0, end: int = 2**64 - 1, define
     skipped, first, last = 0, 2**64, -1
     begun: dict[int, int] = {}
     follows: dict[int, int] = {}
-    """By channel: where the present run of numbers without a hole begins, and the next number of it."""
+    """By channel, of the present run of numbers without a hole: its first number (`begun`), its next (`follows`)."""
     follow = follows.get
     while at < stop:
         try:
             opcode, length, channel, sequence, log_time, _ = take(data, at)
-        except struct.error:  # what is there is shorter than any message
+        except struct.error:  # shorter than any message
             opcode = length = channel = sequence = log_time = 0
         if opcode == MESSAGE and length >= 22:
             at += size + length
@@ -342,7 +342,7 @@ def _weight(schemas: list[Schema], channels: list[Channel]) -> int:
 
 
 def _other(data: bytes, at: int, schemas: list[Schema], channels: list[Channel]) -> tuple[int, int]:
-    """Take a record that is no message; returns where the next begins, and its definitions: 0 for an unknown kind."""
+    """Take a record that is no message; returns where it ends, and its definitions with entries, 0 for another kind."""
     size = HEAD.size
     if len(data) - at < size:
         raise BadBytes(f"{len(data) - at} bytes are no record")

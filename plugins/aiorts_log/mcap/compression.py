@@ -16,7 +16,7 @@ def decompress(name: str, data: bytes | memoryview, size: int) -> bytes:
     """Unpack `data` into exactly `size` bytes.
 
     Raises:
-        BadBytes: there are more or less of them, they are not of this compression, or the compression is unknown.
+        BadBytes: there are more or fewer bytes, they are not of this compression, or the compression is unknown.
         MissingExtra: the library for it is not installed.
     """
     if name == "lz4":
@@ -46,7 +46,7 @@ def _lz4(data: bytes | memoryview, size: int) -> bytes:
 def _zstd(data: bytes | memoryview, size: int) -> bytes:
     library = _library("zstandard", "zstandard")
     try:
-        # A stream, not decompress(): that one allocates whatever the frame says before it looks.
+        # A stream, since decompress() allocates the size that the frame claims before it reads the data.
         with library.ZstdDecompressor(max_window_size=2**27).stream_reader(bytes(data)) as reader:
             parts, left = [], size + 1
             while left and (part := reader.read(min(left, 2**20))):

@@ -29,18 +29,18 @@ _CODES: Final = {"bool": "?", "i8": "b", "i16": "h", "i32": "i", "i64": "q", "u8
 _STRUCT: Final = {**_CODES, "u64": "Q", "f16": "e", "f32": "f", "f64": "d"}
 _PLAIN: Final[dict[str, type]] = {cls.__name__: cls for cls in (bool, int, float, str, bytes)}
 _OF_FILE: Final = "aiorts_system."
-"""Begins the module of a single file, which folder and name of the file follow."""
+"""The beginning of a single file's module name; folder and name of the file follow."""
 _LONGEST: Final = 4096
-"""Items of a list or map of a type that is not loaded: nested lists in a frame must not fill the memory."""
+"""The most items of a list or map of a type that is not loaded: nested lists in a frame must not fill the memory."""
 _SPLIT: Final = 2**25
-"""Bytes of an array that no limit of the codec can refuse."""
+"""Bytes up to which no limit of the codec can refuse an array."""
 _SPLIT_KINDS: Final = {f"seq[{element}]" for element in ELEMENTS}
 _LARGE_BINARY: Final = struct.Struct(">BI")
 _LENGTH: Final = struct.Struct("<Q")
 
 
 def named_type(name: str) -> tuple[type | None, str]:
-    """The type that a recording names, or None and why there is none; at most what a plugin declares is imported."""
+    """The type that a recording names, or None and the reason; only a class that a plugin declares is imported."""
     try:
         cls = wire_type(name)
     except UnknownTypeError as error:
@@ -79,7 +79,7 @@ def encoder(encoding: Encoding, cls: type) -> Callable[[Any], bytes]:
 
     def encode(record: Any) -> bytes:
         if check is not None:
-            check(record)  # a plain dataclass holds whatever it was given
+            check(record)  # a plain dataclass does not check its values
         try:
             return to_text(json_message(record)).encode()
         except ValueError as error:
@@ -89,7 +89,7 @@ def encoder(encoding: Encoding, cls: type) -> Callable[[Any], bytes]:
 
 
 def splitter(encoding: Encoding, cls: type) -> Callable[[Any], tuple[bytes, bytes]] | None:
-    """The same as `encoder`, in two parts, for records whose last field is a large array, which is then copied once.
+    """A function that encodes in two parts records whose last field is a large array, which is then copied once.
 
     A recorder that copies a megabyte three times holds the interpreter for as long. None for all other types; records
     below 65,536 bytes come in one part.
@@ -99,7 +99,7 @@ def splitter(encoding: Encoding, cls: type) -> Callable[[Any], tuple[bytes, byte
     structure = describe(cls)
     name, kind = structure.fields[-1].name, structure.fields[-1].kind
     if not structure.checked or kind.spelling not in _SPLIT_KINDS or hasattr(cls, "__post_init__"):
-        return None  # what looks at all fields together might refuse the record without its array
+        return None  # a check of all fields together might refuse the record without its array
     encode = MsgpackCodec().encoder(cls)
 
     def split(record: Any) -> tuple[bytes, bytes]:
@@ -139,7 +139,7 @@ def plain_of(
     """Decode a message of a type that is not loaded to plain data for JSON, as far as its schema explains it.
 
     Args:
-        array: makes a value of an array of a frame and what the schema says of it; None makes lists.
+        array: makes a value of the bytes of an array and its schema; None makes lists.
     """
     try:
         if encoding == "json":
@@ -177,7 +177,7 @@ def _plain(value: Any, schema: Any, array: Callable[[bytes, Any], Any]) -> Any:
     if isinstance(value, bytes):
         return array(value, schema["x-array"]) if "x-array" in schema else base64.b64encode(value).decode("ascii")
     if isinstance(value, dict):
-        # A map within a map holds what the outer one does.
+        # The schema of an array in a map is also that of the arrays in a map within it.
         inner, rest = schema.get("properties"), schema if "x-array" in schema else schema.get("additionalProperties")
         inner = inner if isinstance(inner, dict) else {}
         return {str(key): _plain(item, inner.get(key, rest), array) for key, item in value.items()}

@@ -11,7 +11,7 @@ def read_index(source: Source) -> tuple[Summary, int] | None:
     """The content of a file by its index, and where the data end; None when it was not closed, or has no index.
 
     Raises:
-        BadBytes: there is one, and it is damaged.
+        BadBytes: the index is damaged.
     """
     size = FOOTER_SIZE + len(MAGIC)
     end = source.size - size

@@ -24,7 +24,7 @@ Existing: TypeAlias = Literal["refuse", "append", "overwrite"]
 # Linux takes at most 1,024 buffers in one writev (IOV_MAX).
 _MOST_PARTS: Final = 512
 _PAUSES: Final = (0.001, 0.01, 0.05, 0.0)
-"""Seconds between tries to lock a file: `held_by` of another process has it for a moment."""
+"""Seconds between tries to lock a file: `held_by` in another process locks it for a moment."""
 GIB: Final = 2**30
 
 
@@ -148,7 +148,7 @@ class LockedFile:
 
     @property
     def displaced(self) -> str:
-        """What happened to its name: "deleted or renamed" or "replaced by another file"; "" while it is unchanged."""
+        """The fate of its name: "deleted or renamed" or "replaced by another file"; "" while it is unchanged."""
         try:
             ours = os.fstat(self._file)
             named = os.lstat(self.path)

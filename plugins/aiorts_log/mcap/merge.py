@@ -43,7 +43,7 @@ def merged(
         messages = load(piece)
         if not messages:
             continue
-        messages.sort(key=_TIME)  # in no time when they are in order, and stable
+        messages.sort(key=_TIME)  # stable, and fast when they are in order
         if not held and (number + 1 == len(waiting) or waiting[number + 1].start > messages[-1][2]):
             yield from messages
             continue

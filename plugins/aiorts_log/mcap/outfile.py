@@ -2,7 +2,7 @@
 
 Synchronous, for one thread. The file is whole at any moment: a chunk is appended in one piece, or not at all.
 
-Why no library writes the file. Measured with chunks of 64 KiB, with checksums, without compression (microseconds for a
+No library writes the file. Measured with chunks of 64 KiB, with checksums, without compression (microseconds for a
 message of 30, 100 bytes and 1 MiB): mcap 1.6.0 9.5, 8.1, 4606; foxglove-sdk 0.30.3 1.8, 1.4, 1075; this module with
 `struct` 0.6, 0.6, 1542. What they cannot do counts more than speed. `mcap` closes a chunk when it is full, never by its
 age: killed after 60 messages in 1.2 s, it had written nothing. foxglove-sdk writes the open chunk with the length
@@ -120,7 +120,7 @@ class OutFile:
 
     @property
     def displaced(self) -> str:
-        """What happened to its name, see `LockedFile`."""
+        """The fate of its name, see `LockedFile`."""
         return self._file.displaced
 
     def channel_of(self, port: str, schema: Schema, encoding: str, metadata: Mapping[str, str]) -> Channel:
@@ -162,7 +162,7 @@ class OutFile:
             self.define_all()
 
     def drop_chunk(self) -> None:
-        """Drop the samples collected, and let what follows, which is short, use the reserved space."""
+        """Drop the samples collected, and let the short records that follow use the reserved space."""
         self.builder = ChunkBuilder()
         self._file.use_reserve()
 

@@ -1,8 +1,8 @@
 """Reads a recording: its content is known at once, its samples come in the order of their log time.
 
-Every checksum is verified; the index at the end only tells where to look. Of what a file names, only a class that a
-plugin declares under that very name is imported: a sample of any other type that is not loaded is given as plain data,
-as far as the recording's own schema explains it.
+Every checksum is verified; the index at the end only tells where to look. A type that a file names is imported only if
+a plugin declares a class of that very name: a sample of any other type that is not loaded is given as plain data, as
+far as the recording's own schema explains it.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from aiorts_log.mcap.summary import Summary
 from aiorts_log.mcap.survey import Gap, Survey, survey
 
 METADATA_NAME: Final = "metadata.json"
-"""The attachment with what the writer knew of the system, one for each time the recording was begun or continued."""
+"""The attachment with the writer's description of the system, one for each begin or continuation."""
 END_NAME: Final = "end.json"
-"""The attachment with what the writer counted, and why it ended."""
+"""The attachment with the writer's counts, and the reason for its end."""
 _STEP: Final = 2048
 """Items between two steps of a bar."""
 T = TypeVar("T")
@@ -46,7 +46,7 @@ class RecordedPort:
 
     Attributes:
         name, type_name: as the recording has them.
-        encoding: of its messages; schema: what explains them (None in recordings of other programs).
+        encoding: of its messages; schema: explains them (None in recordings of other programs).
         metadata: further properties, such as the unit; count: its samples.
     """
 
@@ -69,7 +69,7 @@ class RecordedPort:
 
     @cached_property
     def unknown(self) -> str:
-        """Why its samples cannot become records; "" when they can."""
+        """The reason why its samples cannot become records; "" when they can."""
         if self.encoding not in ENCODINGS or self.schema is None:
             return f"its messages are {self.encoding or 'of no encoding'}, which are not read here"
         cls, why = named_type(self.type_name)
@@ -135,7 +135,7 @@ class RecordedSample(NamedTuple):
 
 
 def counted(items: Iterable[T], step: Step) -> Iterator[T]:
-    """The same items; `step` is told how many of them were taken."""
+    """Pass items on, and tell `step` how many of them were taken."""
     number = 0
     for number, one in enumerate(items, 1):
         yield one
@@ -152,7 +152,7 @@ def not_closed(readers: Iterable[Recording]) -> Iterator[tuple[str, int]]:
 
 
 def unclosed_text(torn_bytes: int) -> str:
-    """In words, what a recording lacks that was not closed."""
+    """The words for what a recording lacks that was not closed."""
     torn = f"; {torn_bytes} bytes at its end are unusable" if torn_bytes else ""
     return f"was not closed: what was not yet written when it ended is missing{torn}"
 
@@ -163,11 +163,11 @@ class Recording(ABC):
     Attributes:
         path, size: the file, and its bytes.
         header: which program wrote it.
-        pieces: its chunks in the order of the file: first and last log time, and where each lies.
+        pieces: its chunks in the order of the file: first and last log time, and the place of each.
         clean: whether the writer closed it.
-        fault: what is wrong with it, in words; "" when nothing is known to be.
-        damage: what is broken between its samples.
-        torn: what is broken at the end of one that was not closed; all samples before it are there.
+        fault: its damage in words; "" when none is known.
+        damage: the broken ranges between its samples.
+        torn: the broken range at the end, when it was not closed; all samples before it are there.
         skipped: records of kinds that this version does not know.
     """
 
@@ -186,7 +186,7 @@ class Recording(ABC):
 
     @property
     def unclosed(self) -> str:
-        """The part that a recording lacks that was not closed, in words; "" for one that was closed."""
+        """The part that is missing since the recording was not closed, in words; "" for a closed one."""
         return "" if self.clean else unclosed_text(self.torn_bytes)
 
     @property
@@ -210,14 +210,14 @@ class Recording(ABC):
 
     @abstractmethod
     def check(self) -> tuple[Gap, ...]:
-        """Read everything; what is damaged, the torn end of a file that was not closed included."""
+        """Read everything; returns the damage, the torn end of a file that was not closed included."""
 
     @abstractmethod
     def _loader(self) -> Callable[[Piece], Any]:
         """A function that loads the messages of a piece, for one pass over the samples."""
 
     def _channels(self, piece: Piece) -> Collection[int] | None:
-        """The channels that have messages in a piece, by an index; None when nothing says it."""
+        """The channels that have messages in a piece, by an index; None when no index says it."""
         return None
 
     @abstractmethod
@@ -228,7 +228,7 @@ class Recording(ABC):
 
     @cached_property
     def ports(self) -> dict[str, RecordedPort]:
-        """What was recorded, by name; the second channel of a name is NAME#NUMBER."""
+        """The recorded ports, by name; the second channel of a name is NAME#NUMBER."""
         found: dict[str, RecordedPort] = {}
         for port in self._ports.values():
             found[port.name if port.name not in found else f"{port.name}#{port.id}"] = port
@@ -251,12 +251,12 @@ class Recording(ABC):
 
     @property
     def metadata(self) -> tuple[Any, ...]:
-        """What the writer knew of the system, each time that the recording was begun or continued."""
+        """The writer's descriptions of the system, one for each time that the recording was begun or continued."""
         return self._documents(METADATA_NAME)
 
     @property
     def endings(self) -> tuple[Any, ...]:
-        """What the writer counted (stored, dropped by port, ...) and why it ended, each time that it did."""
+        """The writer's end reports: counts (stored, dropped by port, ...) and the reason, one for each end."""
         return self._documents(END_NAME)
 
     def _documents(self, name: str) -> tuple[Any, ...]:
@@ -444,7 +444,7 @@ class RecordingReader(Recording):
             nonlocal held
             content = self._load(piece)
             held += content.held
-            self._source.allow(messages=held)  # counted anew: the index may give a smaller number
+            self._source.allow(messages=held)  # counted here: the index may give a smaller number
             return content.messages
 
         return load
@@ -461,7 +461,7 @@ class RecordingReader(Recording):
         return found, self._stop
 
     def check(self) -> tuple[Gap, ...]:
-        """Read everything; what is damaged, the torn end of a file that was not closed included.
+        """Read everything; returns the damage, the torn end of a file that was not closed included.
 
         Indexes are verified as well, although this reader does not use them all.
         """

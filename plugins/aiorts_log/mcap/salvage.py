@@ -19,10 +19,10 @@ from aiorts_log.whole import whole_file
 
 @dataclass(frozen=True, slots=True)
 class SalvageReport:
-    """What was copied from a damaged recording, and what was not.
+    """The result of a salvage: the content that was copied, and the losses.
 
     Attributes:
-        samples: copied, by port.
+        samples: number copied, by port.
         lost: ranges of the old file from which nothing could be read.
         missing: samples known to be lost, by port.
         closed: whether the old file was closed by its writer; when not, samples may be missing at its end, too.
@@ -44,7 +44,7 @@ def salvage(
     limits: Limits | None = None,
     step: Step | None = None,
 ) -> SalvageReport:
-    """Copy what is whole of a recording into a new one, which appears when it is complete; report what is lost.
+    """Copy the whole chunks of a recording into a new one, which appears when it is complete; report the losses.
 
     Args:
         existing: what to do when the new file exists.
@@ -126,7 +126,7 @@ class _Salvage:
             if channel not in summary.channels:
                 unknown += 1
                 continue
-            if numbered:  # numbered from 0: what is missing is in the report, and the new file has no gap
+            if numbered:  # renumbered without gaps: missing samples are in the report
                 self._skipped[channel] = self._skipped.get(channel, 0) + max(0, sequence - self._next.get(channel, 0))
                 self._next[channel] = sequence + 1
                 sequence = self._number[channel] = self._number.get(channel, -1) + 1

@@ -1,7 +1,7 @@
 """Reads a file as a recording: opened without waiting, read by position, within limits.
 
 Lengths in a file are not trusted: each is compared with the file's size and a limit before anything is read. Any number
-of readers can share one.
+of readers can share a source.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MINOR: Final = 0
 
 
 _FOR_EACH_BYTE: Final = {"messages": 1.0, "unpacked": 100.0, "chunks": 1 / 64}
-"""What a file may hold more for each of its bytes, see `Limits`. Recorded numbers, well compressed, take at least 4
+"""The amounts that a file may hold more for each of its bytes, see `Limits`. Numbers, well compressed, take at least 4
 bytes for a message; a chunk takes more than 64."""
 
 
@@ -177,7 +177,7 @@ class Source:
         return found
 
     def allow(self, **held: int) -> None:
-        """Compare what the whole recording holds with the budgets of `Limits`. RecordingError when it is too much."""
+        """Compare amounts of the whole recording with the budgets of `Limits`. RecordingError when one is too much."""
         for name, count in held.items():
             budget = getattr(self.limits, name)
             if budget is not None and count > (most := budget + int(self.size * _FOR_EACH_BYTE[name])):
@@ -188,17 +188,17 @@ class Source:
                 )
 
     def head(self, offset: int) -> tuple[int, int]:
-        """The kind of the record at `offset` and all its bytes. BadBytes for one that is impossible."""
+        """The kind of the record at `offset` and its size in bytes. BadBytes for one that is impossible."""
         opcode, length = HEAD.unpack(self.read(offset, HEAD.size))
         if opcode == 0 or length > self.size - offset - HEAD.size:
             raise BadBytes(f"a record {opcode} should have {length} bytes, got {self.size - offset - HEAD.size}")
         return opcode, HEAD.size + length
 
     def chunk_head(self, offset: int) -> tuple[ChunkHead, int]:
-        """The head of the chunk at `offset`, and all bytes of the chunk.
+        """The head of the chunk at `offset`, and the chunk's size in bytes.
 
         Raises:
-            BadBytes: there is none, or its head is impossible.
+            BadBytes: there is no chunk, or its head is impossible.
         """
         opcode, length = self.head(offset)
         if opcode != CHUNK:

@@ -34,7 +34,7 @@ _KNOWN = {SCHEMA, CHANNEL, CHUNK_INDEX, ATTACHMENT_INDEX, STATISTICS, METADATA_I
 
 @dataclass(slots=True)
 class Summary:
-    """What a file holds, and where.
+    """The content of a file, and its places.
 
     Attributes:
         attachments: offset and length of each, and the attachment itself where the index needs it.

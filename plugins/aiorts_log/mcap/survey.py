@@ -1,6 +1,6 @@
 """Reads a recording from its beginning without trusting its index: finds what is whole, damaged, and torn off.
 
-A file that was not closed is opened by it, and `salvage` goes by it. Every chunk is verified; none is kept.
+Files that were not closed are opened by a survey, and `salvage` goes by it. Every chunk is verified; none is kept.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ _CANDIDATE: Final = re.compile(rb"\x06[\x00-\xff]{4}\x00{4}", re.DOTALL)
 _WINDOW: Final = 2**20
 _RUN: Final = 2**18
 _PATIENCE: Final = 16
-"""How many times its size is read while whole chunks are searched for in damaged parts: a file made to look like many
-chunks within each other must not take hours."""
+"""The multiple of a file's size that is read while whole chunks are searched for in damaged parts: a file made to look
+like many chunks within each other must not take hours."""
 _LOOKED: Final = 64
-"""Bytes that a place which is no chunk costs."""
+"""Bytes of that budget that a place costs which is no chunk."""
 _IN_DATA: Final = (CHUNK, MESSAGE, SCHEMA, CHANNEL, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
 """Kinds of records before the summary. Another kind is of a newer version, or damaged."""
 _IN_OURS: Final = (CHUNK, MESSAGE_INDEX, ATTACHMENT, DATA_END)
@@ -58,12 +58,12 @@ class Gap(NamedTuple):
 
 @dataclass(slots=True)
 class Survey:
-    """What a file really holds.
+    """The content that was found in a file.
 
     Attributes:
         pieces: every whole chunk, in the order of the file.
-        damage: what is broken between them.
-        torn: what is broken behind the last of them; None when the data end properly.
+        damage: the broken ranges between them.
+        torn: the broken range behind the last of them; None when the data end properly.
         ended: whether the writer marked the data as complete.
         stop: where the data end.
         missing: by channel, how far the numbers of the samples are ahead of their count.
@@ -113,7 +113,7 @@ class _Walk:
         self._source = source
         self._found = Survey()
         self._suspect: tuple[int, str] | None = None
-        """A chunk whose checksum is wrong, and why: its length, and so its end, may be wrong as well."""
+        """A chunk whose checksum is wrong, and the reason: its length, and so its end, may be wrong as well."""
         self._run: tuple[int, int] | None = None
         self._is_own = source.header.profile == "aiorts"
         self._may_stand = _IN_OURS if self._is_own else _IN_DATA
@@ -200,7 +200,7 @@ class _Walk:
             self._suspect = None
 
     def _note_missing(self, at: int, missing: int) -> None:
-        """Report samples that are missing by their numbers: a chunk whose kind was damaged looks like one to skip."""
+        """Report samples that are missing by their numbers: a chunk of a damaged kind looks like a record to skip."""
         last = self._found.pieces[-2] if len(self._found.pieces) > 1 else None
         begin = last.offset + last.length if last is not None else self._source.begin
         is_reported = self._found.damage and self._found.damage[-1].offset >= begin
@@ -220,7 +220,7 @@ class _Walk:
         self._found.damage.append(Gap(begin, min(after, self._source.size) - begin, why))
 
     def _next_chunk(self, at: int) -> int:
-        """Where the next whole chunk is, or the end of the file."""
+        """The place of the next whole chunk, or the end of the file."""
         source = self._source
         while at < source.size and self._patience > 0:
             window = source.read(at, min(_WINDOW, source.size - at))
@@ -265,7 +265,7 @@ class _Walk:
         self._found.take(piece._replace(start=content.start, end=content.end), content)
 
     def _split_tail(self) -> None:
-        """Make damage behind the last whole piece of a file that was not ended its torn end."""
+        """Turn damage behind the last whole piece into the torn end, where the data were not ended."""
         found = self._found
         last = found.pieces[-1].offset if found.pieces else self._source.begin - 1
         tail = [gap for gap in found.damage if gap.offset > last]

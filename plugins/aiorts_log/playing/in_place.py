@@ -1,9 +1,9 @@
 """`aiorts run SYSTEM --replay FILE`: recorded samples in the place of the components that sent them.
 
-A component whose out-ports were all recorded is not started: in its place, in its contexts, stands one with the same
-ports and parameters and without its hooks, and the samples are sent from its out-ports when they are due. What others
-send to it goes nowhere, and calls of its services are refused. It finishes at the end of the recording, as a source
-does; for readers that have not read everything then, the run goes on for a while.
+A component whose out-ports were all recorded is not started. A replacement with its ports and parameters, but without
+its hooks, takes its place in its contexts, and the samples are sent from the out-ports when they are due. Samples that
+others send to it go nowhere, and calls of its services are refused. It finishes at the end of the recording, as a
+source does; for readers that have not read everything then, the run goes on for a while.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class InPlace(KernelService):
     _player: Player | None = None
     _task: asyncio.Task[None] | None = None
     _began = 0.0
-    """When the replay began, of `time.monotonic()`."""
+    """The time at which the replay began, by `time.monotonic()`."""
 
     # -- what is replayed --------------------------------------------------------------------------------------------
 
@@ -102,7 +102,7 @@ class InPlace(KernelService):
             return
         self._settings, self._path = settings, settings.file
         self._recorded: dict[str, dict[str, RecordedPort]] = {}
-        """By the path of an out-port: the recorded ports of that path by their keys in the recording."""
+        """The recorded ports of each path of an out-port, by their keys in the recording."""
         self._in_place: dict[str, frozenset[str]] = {}
         """The components in whose place others stand, each with the paths of its ports that are replayed."""
         try:
@@ -217,7 +217,7 @@ class InPlace(KernelService):
         self._task = asyncio.get_running_loop().create_task(self._play(self._player), name="replay")
 
     async def _play(self, player: Player) -> None:
-        """Play to the end; whatever ends it, the components have finished then, and the run goes on to its own end."""
+        """Play to the end; however it ends, the components are finished then, and the run goes on to its own end."""
         lost = True
         try:
             await player.play()
@@ -253,8 +253,8 @@ class InPlace(KernelService):
 
 
 def _without_hooks(cls: type[Component]) -> type[Component]:
-    """The class with its ports and parameters, none of whose hooks does anything, and which answers no call."""
-    # By the original's name it is listed, and saved.
+    """A class with the ports and parameters of `cls`, whose hooks do nothing and which answers no call."""
+    # It is listed, and saved, by the original's name.
     names: dict[str, Any] = {"__module__": cls.__module__, "__qualname__": cls.__qualname__}
     for attribute in dir(cls):
         if isinstance(end := inspect.getattr_static(cls, attribute), Provided):

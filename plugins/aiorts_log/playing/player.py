@@ -37,7 +37,7 @@ async def to_port(port: OutPort[Any], sample: Any) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Playing:
-    """How a recording is played.
+    """The options for playing a recording.
 
     Attributes:
         pace: how fast.
@@ -206,7 +206,7 @@ class Player:
             if self._target is not None:
                 return
             if target is not before and fresh and (target in fresh or log_time != moment):
-                # A turn for the loop: who reads both ports in one cycle must not get the later sample first.
+                # A turn for the loop: a reader of both ports in one cycle must not get the later sample first.
                 await asyncio.sleep(0)
                 fresh.clear()
                 if self._target is not None:
@@ -259,7 +259,7 @@ class Player:
             self._sleeping = self._nudged = False
 
     def _wake(self) -> None:
-        """Interrupt the wait: what is due has changed."""
+        """Interrupt the wait: the next due time has changed."""
         self._changed.set()
         if self._sleeping and not self._nudged and self._task is not None:
             self._nudged = True
@@ -304,7 +304,7 @@ class Player:
 
     @property
     def fault(self) -> str:
-        """What is wrong with the recording, as far as known; "" is nothing."""
+        """The fault of the recording, as far as known; "" is none."""
         return self._ahead.fault
 
     @property

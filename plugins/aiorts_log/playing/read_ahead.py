@@ -27,7 +27,7 @@ _BYTES: Final = 2**20
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Which samples of which recording are read.
+    """The recording to read, and the samples wanted of it.
 
     Attributes:
         open: opens it; raises RecordingError.
@@ -44,7 +44,7 @@ class Reading:
 
 @dataclass(slots=True)
 class Unreadable:
-    """Samples that are none of their type; of the first, the error."""
+    """The number of samples that are none of their type, and the error of the first."""
 
     count: int = 0
     first: str = ""
@@ -53,7 +53,7 @@ class Unreadable:
 class Block(NamedTuple):
     """Samples in order (target, log time, record, whether it has a time stamp), and the error that ended reading.
 
-    Without samples and error it is the end.
+    A block without samples and error is the end.
     """
 
     samples: list[tuple[Any, int, Any, bool]]
@@ -81,7 +81,7 @@ class ReadAhead:
 
     @property
     def fault(self) -> str:
-        """What was wrong with the recording when it was opened, as far as known; "" is nothing."""
+        """The fault of the recording when it was opened, as far as known; "" is none."""
         reader = self._reader
         if reader is None:
             return ""

@@ -12,12 +12,12 @@ from fractions import Fraction
 from typing import Final
 
 _LONE_NS: Final = 1_000_000_000
-"""From one pass to the next where all samples of a recording have one log time."""
+"""The time from one pass to the next where all samples of a recording have one log time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How fast a recording is played.
+    """The pace at which a recording is played.
 
     Attributes:
         speed: recorded seconds in a second; inf is as fast as the readers take them.
@@ -94,9 +94,9 @@ class Schedule:
         self._number = 0
         """Samples since the anchor, this one among them; for a rate."""
         self._spacing = 0
-        """From the last log time to the one before, where they differ."""
+        """The difference of the last log time from the one before, where they differ."""
         self._stopped: int | None = None
-        """Since when it is paused."""
+        """The moment since which it is paused."""
         self._allowed = 0
         self.shift = 0
 
@@ -166,7 +166,7 @@ class Schedule:
         return self._anchor + -(-(self._next - self._log) * mul // div)
 
     def step(self, now: int) -> None:
-        """Send the sample taken while it is paused: `shift` makes its stamp one of this moment."""
+        """Let the sample taken go while it is paused; `shift` makes its stamp one of this moment."""
         if self._stopped is not None and self._next is not None:
             self._step_to(self._next, now)
             self._number = 0
@@ -197,7 +197,7 @@ class Schedule:
         self._number = 1
 
     def _hold(self, now: int) -> None:
-        """Count the pause so far as time that went by."""
+        """Count the pause up to now as time that went by."""
         if self._stopped is not None:
             self._anchor += now - self._stopped
             self._due_last += now - self._stopped
@@ -205,7 +205,7 @@ class Schedule:
             self._stopped = now
 
     def _forgive(self, now: int) -> None:
-        """Make what is late due now, so that a call causes no burst of samples that were held up."""
+        """Make a late sample due now, so that a call causes no burst of samples that were held up."""
         if self._stopped is None and self._next is not None:
             late = max(0, now - self._due_at())
             self._anchor += late

@@ -28,7 +28,7 @@ def about_system(kernel: Microkernel, recorder: str, segment: int) -> dict[str, 
 
 
 def about_profile(profile: Mapping[str, Any], recorder: str) -> dict[str, Any]:
-    """The same of a kernel in another process, from its profile as JSON has it."""
+    """The data of `about_system` for a kernel in another process, from its profile as JSON has it."""
     versions, wires = profile["versions"], list(profile["connectors"].values())
     return {
         "kernel": profile["name"],
@@ -56,7 +56,7 @@ def _reported(component: Mapping[str, Any]) -> dict[str, Any]:
 
 def _components(kernel: Microkernel) -> dict[str, Any]:
     found: dict[str, Any] = {}
-    for number, component in enumerate(list(kernel.components.values())):  # in one go: this may be another thread
+    for number, component in enumerate(list(kernel.components.values())):  # a copy: this may be another thread
         found[component.name] = {"type": type(component).__name__}
         if number < _MOST:
             found[component.name]["params"] = dict(component.configuration.values)

@@ -1,7 +1,7 @@
-"""`aiorts run --record FILE`: a service that records what the out-ports of a whole system send, beside it.
+"""`aiorts run --record FILE`: a service that records the samples of a whole system's out-ports.
 
 It takes each sample in the write itself, or soon on the loop where a thread writes, and hands it to a background
-recording. The system does not know it: components, connections and the end of the run are what they are without.
+recording. The system does not know the service: components, connections and the end of the run are as without it.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ __all__ = ("Beside", "RecordSettings")
 
 _LOG = logging.getLogger(__name__)
 _TIME: Final = "%Y%m%dT%H%M%SZ"
-"""What `{time}` becomes, in UTC of the machine, whatever clock the system has: 20261122T181500Z."""
+"""The format of `{time}`, in UTC of the machine, whatever clock the system has: 20261122T181500Z."""
 _FULL: Final = 0.75
-"""How full the queue may be before writers have to wait."""
+"""The load of the queue from which writers have to wait."""
 _LENGTHS: Final = 8, 100_000
 """Samples that a port may have unread while the disk is behind, or until the loop has a turn: at least, at most."""
 _BYTES: Final = 2**26
-"""What they may hold."""
+"""Bytes that these samples may hold."""
 _AT_ONCE: Final = 100
-"""Small samples that are recorded before it is asked again whether there is room; of others one."""
+"""Small samples that are recorded between two checks for room; of others one."""
 _MOST: Final = 1_000
-"""Samples that are taken of a port in one step of the loop."""
+"""The most samples that are taken of a port in one step of the loop."""
 _LOOK_AGAIN: Final = 0.005
 _OPEN_WITHIN: Final = 2.0
 """Seconds that a start waits for the file, which is normally open at once."""
@@ -53,7 +53,7 @@ _LAST: Final = 0.2
 """Seconds for the file to be closed when the kernel's time is over."""
 _MB: Final = 1_000_000
 _OLDEST: Final = 3600.0
-"""Seconds until a chunk is written in virtual time: by its size alone, which is the same in each run."""
+"""Seconds until a chunk is written in virtual time: so many that only its size, the same in each run, decides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +104,14 @@ class _Tapped:
     """The approximate bytes of a sample; None where all are small."""
     number: int = -1
     room: int = 0
-    """Samples that may be recorded before it is asked whether there is room."""
+    """Samples that may be recorded before the next check for room."""
     busy: bool = False
-    """Whether it is being read: what a read lets in from a writer that waits is told then, and read after it."""
+    """Whether it is being read: a read may let a waiting writer in, whose sample is notified then and read after it."""
     connector: Connector = None  # type: ignore[assignment] # it needs this to be made
 
     @property
     def at_once(self) -> int:
-        """Samples that are read at once at the most."""
+        """The most samples that are read at once."""
         return _AT_ONCE if self.weigh is None else 1
 
     def read(self, port: InPort[Any], unread: int) -> list[Any]:
@@ -121,7 +121,7 @@ class _Tapped:
         return [port.read_nowait() for _ in range(self.room)]
 
     def length_for(self, sample: Any) -> int:
-        """Samples like this one that may be unread; 0 where that is about what it is."""
+        """The buffer's length for samples like this one; 0 where it has about that length."""
         least, most = _LENGTHS
         length = most if self.weigh is None else min(most, max(least, _BYTES // self.weigh(sample)))
         now = self.connector.profile.length
@@ -166,7 +166,7 @@ class Beside(KernelService):
             self._begin()
 
     def _target(self, name: str) -> Path:
-        """The file, which can be written as far as that can be known before it is."""
+        """The file to write, checked as far as that is possible before it is opened."""
         from aiorts_log.recorder.target import check_target
 
         path = Path(name.replace("{time}", datetime.now(UTC).strftime(_TIME)))
@@ -212,7 +212,7 @@ class Beside(KernelService):
 
     def component_removed(self, component: Component) -> None:
         gone = {id(port) for _, port in _out_ports(component)}
-        if component.name not in self.kernel.components:  # of a composite the ports are still there
+        if component.name not in self.kernel.components:  # the ports of a composite stay with its members
             self._let_go(f"{component.name}.", gone)
 
     def components_replaced(self, pairs: Mapping[Component, Component]) -> None:
@@ -220,7 +220,7 @@ class Beside(KernelService):
             self._look_at(component.name)
 
     def _look_at(self, name: str) -> None:
-        """The ports of a component may be others."""
+        """Follow a change of a component's ports."""
         component = self.kernel.components.get(name)
         if component is not None:
             there = {id(port) for _, port in _out_ports(component)}
@@ -253,7 +253,7 @@ class Beside(KernelService):
                 self._end_tap(one)
 
     def _end_tap(self, one: _Tapped) -> None:
-        """Record what is left as far as there is room, and take no more."""
+        """Record the samples left as far as there is room, and close the tap."""
         one.busy = True
         samples = one.connector.in_.drain()
         session = self._session
@@ -271,7 +271,7 @@ class Beside(KernelService):
         return isinstance(self.kernel.clock, SimulatedClock)
 
     def _begin(self) -> BackgroundRecording:
-        """Have the file opened, and record what was sent before."""
+        """Open the file in the background, and record the samples sent before."""
         from aiorts_log.recorder.about import about_system
         from aiorts_log.recorder.control import BackgroundRecording
         from aiorts_log.recorder.options import RecordingOptions
@@ -303,7 +303,7 @@ class Beside(KernelService):
         return session
 
     def _take(self, one: _Tapped, port: InPort[Any]) -> None:
-        """Record what a port has to read, as far as there is room: its writers wait while the disk is behind."""
+        """Record the unread samples of a port, as far as there is room: its writers wait while the disk is behind."""
         # Short: it runs in each write of the system.
         session = self._session
         if session is None or one.busy:
@@ -325,9 +325,9 @@ class Beside(KernelService):
             one.busy = False
 
     def _has_room(self, session: BackgroundRecording, one: _Tapped, port: InPort[Any]) -> bool:
-        """Whether the recording takes samples of this port now; what nobody takes any more is counted as lost."""
+        """Whether the recording takes samples of this port now; after its failure they are counted as lost."""
         while self._is_simulated and session.load >= _FULL and session.failure is None:
-            sleep(_PAUSE)  # which virtual time would run away from
+            sleep(_PAUSE)  # virtual time would run ahead of the disk
         if session.failure is not None:
             self._lost += len(port.drain())
             return False
@@ -342,7 +342,7 @@ class Beside(KernelService):
             self.kernel.loop.call_later(_LOOK_AGAIN, self._look)
 
     def _look(self) -> None:
-        """Go on with what ports still have."""
+        """Go on with the samples that ports still have."""
         self._looking = False
         for one in tuple(self._taps.values()):
             self._take(one, one.connector.in_)
@@ -379,7 +379,7 @@ class Beside(KernelService):
             self.kernel.exit_status = self.kernel.exit_status or 1
 
     def _finish(self, session: BackgroundRecording) -> None:
-        """Take no more, and have the file closed."""
+        """Close all taps, and request that the file is closed."""
         for one in self._taps.values():
             self._end_tap(one)
         self._taps.clear()
@@ -390,8 +390,8 @@ class Beside(KernelService):
         self.kernel.exit_status = self.kernel.exit_status or 1
 
     def _notify(self, notice: Notice) -> None:
-        """Called in the recording's thread."""
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody is left to be told
+        """Pass a notice on to the loop; called in the recording's thread."""
+        with contextlib.suppress(RuntimeError):  # the loop is closed: the notice has no receiver
             self.kernel.loop.call_soon_threadsafe(self._noticed, notice)
 
     def _noticed(self, notice: Notice) -> None:
@@ -399,13 +399,13 @@ class Beside(KernelService):
             _LOG.warning("%s", notice.text)
         elif notice.kind == "failed" and not self._refused:
             self._failed(notice.text)
-            self._look()  # whoever waits for room goes on
+            self._look()  # writers that wait for room go on
         elif notice.kind == "closed":
             self._closed.set()
 
 
 def _out_ports(component: Component) -> Iterator[tuple[str, OutPort[Any]]]:
-    """What a component sends from, by path; of a composite what it shows of its members."""
+    """The out-ports of a component, by path; a composite has those of its members that it shows."""
     for name, port in component.ports.items():
         if isinstance(port, OutPort):
             yield f"{component.name}.{name}", port

@@ -32,7 +32,7 @@ _TURN: Final = 100
 """Samples after which the thread lets others have the interpreter; the loop would wait 5 ms for it otherwise."""
 _YIELD: Final = 1e-5
 _AHEAD: Final = 0.1
-"""How full the writer's queue is made: the garbage collector stops every thread for the time of all live objects."""
+"""The load up to which the writer's queue is filled: the garbage collector's pauses grow with the live objects."""
 _MOST_NAMED: Final = 8
 _PAUSE: Final = 0.001
 _WEIGHED: Final = 8
@@ -106,11 +106,11 @@ class BackgroundRecording:
         """Samples and bytes in the batches."""
         self._lost_before = 0
         self._dropped: Counter[int] = Counter()
-        """By port, what found no room among the batches and was not yet counted by the writer."""
+        """By port, the samples that found no room among the batches and are not yet counted by the writer."""
         self._lock = threading.Lock()
         self._writer: RecordingWriter | None = None
         self._direct: RecordingWriter | None = None
-        """The writer, while there is no batch that it has to have before."""
+        """The writer, while no batch waits that it has to get first."""
         self.failure: RecordingError | None = None
         self._remarks: Mapping[str, Any] = {}
         self._wake, self._ordered = threading.Event(), False
@@ -184,7 +184,7 @@ class BackgroundRecording:
 
     @property
     def load(self) -> float:
-        """How full the queue is, from 0 to 1."""
+        """The load of the queue, from 0 to 1 when it is full."""
         own = max(self._waiting / self.options.queue, self._waiting_bytes / self.options.queue_bytes)
         return own + (0.0 if self._writer is None else self._writer.load)
 
@@ -349,7 +349,7 @@ class BackgroundRecording:
 
     def _report_drops(self, writer: RecordingWriter, found: RecordingStatistics) -> None:
         if writer.failure is not None or self._reported_drops:
-            return  # what is dropped from its end on, that end explains
+            return  # the failure explains the drops after it
         if found.dropped:
             self._reported_drops = True
             ports = ", ".join(f"{count} of {name}" for name, count in list(found.dropped.items())[:_MOST_NAMED])

@@ -15,7 +15,7 @@ _MIB: Final = 2**20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingOptions:
-    """How a recording is written.
+    """The options for writing a recording.
 
     Attributes:
         encoding: of the samples: "msgpack", or "json", which Foxglove shows as it is.
@@ -24,8 +24,8 @@ class RecordingOptions:
         age: seconds after which it is written in any case.
         sync: when to wait for the disk: "never" (a crash of the process loses nothing more), after each "chunk", or
             after each "record", which is then on the disk before the next is taken.
-        queue: samples that may wait for the thread; queue_bytes: what they may hold.
-        part: number of the first file, of a recording in several.
+        queue: samples that may wait for the thread; queue_bytes: bytes that they may hold.
+        part: number of the first file, for a recording in several.
         max_bytes: size after which the next file begins; max_seconds: log time after which it does.
         min_free: bytes of the disk to leave free; None is 1 GiB, or 5 % of a small disk.
 
@@ -73,13 +73,13 @@ class RecordingStatistics:
     """The counts of samples, at every moment: offered = stored + dropped + refused + waiting.
 
     Attributes:
-        offered: given to `write`.
-        stored: given to the system in whole chunks.
-        durable: of these, known to be on the disk; 0 with `sync="never"`.
+        offered: samples given to `write`.
+        stored: samples given to the system in whole chunks.
+        durable: stored samples known to be on the disk; 0 with `sync="never"`.
         dropped: by port: no room in the queue, or the recording had ended.
         refused: by port: could not be encoded.
-        reasons: by port, the refused ones by the reason that the encoding gives.
-        clamped: samples whose log time was before that of the sample before, which they got.
+        reasons: by port, the refused samples by the reason that the encoding gives.
+        clamped: samples whose log time went back, and was replaced by that of the sample before.
         size: bytes of all files.
         files: the number of files.
     """

@@ -28,9 +28,9 @@ class PortState:
     """Whether a sample can still change: it is of a dataclass that is no record, frozen or not."""
     kind: type | None = None
     encode: Callable[[Any], bytes] = bytes
-    """Makes bytes of the records of that class."""
+    """A function that encodes records of the class `kind`."""
     split: Callable[[Any], tuple[bytes, bytes]] | None = None
-    """The same in two parts, for large ones; None when that is no gain."""
+    """A function that encodes large records in two parts; None when that is no gain."""
     seen: type | None = None
     """The class of the sample before; channel and sequence are those of its samples."""
     channel: int = 0
@@ -40,9 +40,9 @@ class PortState:
     offered: int = 0
     dropped: int = 0
     refused: dict[str, int] = field(default_factory=dict)
-    """By reason, samples that the encoding refused."""
+    """Samples that the encoding refused, by reason."""
     unfit: dict[str, int] = field(default_factory=dict)
-    """By reason, samples refused at once, by the thread that offered them."""
+    """Samples refused at once, in the thread that offered them, by reason."""
     stored: int = 0
 
     @classmethod

@@ -17,7 +17,7 @@ _TEXT: Final = (".csv", ".tsv", ".txt", ".log", ".json", ".jsonl", ".ndjson")
 
 
 def unfit_name(path: Path) -> str:
-    """Why a recording cannot have the name, whose ending is of a text; "" where it can."""
+    """The reason why a recording cannot have a name with the ending of a text; "" where it can."""
     how = f"record run.mcap, and `aiorts log convert run.mcap {path}` after it"
     return f"{path}: a recording is MCAP; {how}" if path.suffix.lower() in _TEXT else ""
 
@@ -54,7 +54,7 @@ def check_target(path: str | os.PathLike[str], existing: Existing) -> None:
 
 
 def check_parts(path: str | os.PathLike[str], options: RecordingOptions) -> None:
-    """Raise RecordingError when a recording in several files would mix with those of another one."""
+    """Raise RecordingError when files of a recording in several would mix with those of another one."""
     rotates = options.max_bytes is not None or options.max_seconds is not None
     if rotates and options.existing == "refuse" and os.path.lexists(other := part_path(Path(path), 1)):
         raise RecordingError(
@@ -71,7 +71,7 @@ def _check_folder(where: Path) -> None:
 
 
 def continuing(options: RecordingOptions, path: Path) -> RecordingOptions:
-    """The same options, to continue in the last file of an existing recording."""
+    """The options with which an existing recording is continued in its last file, if they append."""
     part = options.part
     while options.existing == "append" and part < _MOST_PARTS and part_path(path, part + 1).exists():
         part += 1

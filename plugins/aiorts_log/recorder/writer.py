@@ -38,7 +38,7 @@ _LARGE: Final = 65_536
 _LOOK: Final = 8_192
 _HELD: Final = 0.001
 """Seconds of work after which the thread releases the interpreter, checked every `_LOOK` bytes: other threads would
-wait 5 ms for it. Beside 150,000 samples a second, the p99 lateness of a loop at 100 Hz was 8.5 ms without it."""
+wait 5 ms for it. With 150,000 samples a second, the p99 lateness of a loop at 100 Hz was 8.5 ms without it."""
 _YIELD: Final = 1e-5
 """Seconds of that release; with 0 the thread mostly has the interpreter again before another one wakes up."""
 
@@ -149,7 +149,7 @@ class RecordingWriter:
             False when it was dropped (no room in the queue, or the recording has ended) or refused.
 
         Raises:
-            ValueError: the time is none.
+            ValueError: `log_time` is no valid time.
         """
         if log_time.__class__ is not int or not 0 <= log_time < _LATEST:
             raise ValueError(f"log_time: expected nanoseconds, 0 <= log_time < 2**63, got {log_time!r}")
@@ -206,13 +206,13 @@ class RecordingWriter:
 
     @property
     def load(self) -> float:
-        """How full the queue is, from 0 to 1."""
+        """The load of the queue, from 0 to 1 when it is full."""
         waiting = self._put_bytes - self._taken_bytes
         return max(len(self._queue) / self.options.queue, waiting / self.options.queue_bytes)
 
     @property
     def displaced(self) -> tuple[Path, str]:
-        """The file that is written now, and what happened to its name ("deleted or renamed"); "" when nothing did."""
+        """The file that is written now, and the fate of its name ("deleted or renamed"); "" while it is unchanged."""
         return self._file.path, self._file.displaced
 
     @property
@@ -245,14 +245,14 @@ class RecordingWriter:
             self._end()
 
     def _begin(self) -> None:
-        """Write what is known of the system, into each file of the recording."""
+        """Write the description of the system and the attachments, which each file of the recording has."""
         now = max(self._last, 0)
         self._file.attach_json(METADATA_NAME, {**self._metadata, "part": self.part}, now)
         for name, data in self._attachments.items():
             self._file.attach(Attachment(now, now, name, "application/octet-stream", data))
         if self.options.sync != "never":
             self._file.sync()
-            sync(self._file.path.absolute().parent)  # for the entry of the file
+            sync(self._file.path.absolute().parent)  # the folder, for the entry of the file
 
     def _drain(self) -> None:
         """Encode the waiting samples, and write each chunk when it is full."""
@@ -335,7 +335,7 @@ class RecordingWriter:
             self._owners[channel].stored += count
 
     def _end_chunk(self) -> None:
-        """Give the open chunk to the system, and to the disk if `sync` demands it; begin the next file in time."""
+        """Give the open chunk to the system, and to the disk if `sync` demands it; begin the next file if it is due."""
         self._store()
         if self.options.sync != "never":
             self._file.sync()
@@ -371,14 +371,14 @@ class RecordingWriter:
             self._asleep = False
             if self.options.sync == "never" and not self._flushes and not self._closing:
                 self._wake.clear()
-                self._wake.wait(self._tick)  # whatever comes next is likely to come at once
+                self._wake.wait(self._tick)  # more samples are likely to follow: they are taken together
         self._wake.clear()
 
     def _finish(self, why: str) -> None:
         if not self._ended:
             for port in self._ports:
                 if port.seen is None:
-                    self._choose(port, port.cls)  # one without samples is named all the same
+                    self._choose(port, port.cls)  # a port without samples is named, too
         self._store()
         found = self.statistics
         self._file.attach_json(END_NAME, {**self.remarks, "why": why, **end_report(found)}, max(self._last, 0))

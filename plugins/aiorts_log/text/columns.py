@@ -1,8 +1,8 @@
 """Turns a record into the cells of a table and back: a column for each number, text and truth value, JSON for the rest.
 
 Numbers come back to the bit (a NaN as a NaN, -0.0 with its sign) and texts unchanged; a text that a spreadsheet would
-run as a formula has an apostrophe in front. Sequences, maps and arrays are one cell of JSON. What is absent is an empty
-cell; an empty text that may be absent is "", in its quotes. Cells of tables made elsewhere are parsed strictly: the
+run as a formula has an apostrophe in front. Sequences, maps and arrays are one cell of JSON. An absent value is an
+empty cell; an empty text that may be absent is "", in its quotes. Cells of tables made elsewhere are parsed strictly: the
 whole cell has to be a number, and fit its field.
 """
 
@@ -32,7 +32,7 @@ _LONGEST: Final = 40
 
 
 class Column(NamedTuple):
-    """A column: field path, content of its cells (float, int, bool, text or json; with ? maybe none), kind's name."""
+    """A column: field path, content of its cells (float, int, bool, text or json; with ? maybe absent), kind's name."""
 
     path: str
     content: str
@@ -82,7 +82,7 @@ def cells_of(cls: type) -> Callable[[Any], list[str]]:
     if not hasattr(cls, "__dataclass_fields__"):
         return lambda value: [puts[0](to_plain(value))]
     if is_numbers(columns):
-        get = attrgetter(*(column.path for column in columns))  # these are in a record what they are as plain data
+        get = attrgetter(*(column.path for column in columns))  # numbers are the same in a record as in plain data
         return lambda record: [put(value) for put, value in zip(puts, get(record), strict=True)]
     paths = [column.path.split(".") for column in columns]
 
@@ -100,7 +100,7 @@ def cells_of(cls: type) -> Callable[[Any], list[str]]:
 
 
 def is_numbers(columns: Sequence[Column]) -> bool:
-    """Whether they are at least two, and each a number that is in a record what it is in plain data."""
+    """Whether there are at least two, and each is a number that is the same in a record as in plain data."""
     return len(columns) > 1 and all(one.content in ("float", "int") and one.spelling != "datetime" for one in columns)
 
 
@@ -112,7 +112,7 @@ def _putter(content: str) -> Callable[[Any], str]:
 
 
 def _put_text(text: str) -> str:
-    """A text that may be absent: JSON where it is empty or looks like that."""
+    """The cell of a text that may be absent: JSON where the text is empty or looks like JSON."""
     return json_text(text) if not text or text.startswith('"') else defused(text)
 
 
@@ -141,7 +141,7 @@ def taker_of(cls: type, fields: Mapping[str, int], empty_is_nan: bool = False) -
         empty_is_nan: take an empty cell as a NaN where a float stands.
 
     Returns:
-        A function of the row and the `tm` of a type that has one, where no cell gives it; RecordError from it.
+        A function of the row and of the `tm` of a type that has one, where no cell gives it. It raises RecordError.
 
     Raises:
         ConfigurationError: a field is not there, or has no cell.
@@ -188,7 +188,7 @@ def taker_of(cls: type, fields: Mapping[str, int], empty_is_nan: bool = False) -
 
 
 _Leaf: TypeAlias = Callable[[Sequence[Any]], Any]
-"""Makes one value of the cells of a row, which its time follows."""
+"""A function that makes one value of the cells of a row, followed by its time."""
 _TM: Final[dict[str, _Leaf]] = {"tm": lambda cells: cells[-1]}
 _TM_NESTED: Final[dict[str, _Leaf]] = {
     "tm.sec": lambda cells: cells[-1] // 10**9,
@@ -220,7 +220,7 @@ def _is_checked(cls: type) -> bool:
 
 
 def _builder(cls: type, leaves: Mapping[str, _Leaf], front: str) -> _Leaf:
-    """The same as `from_plain`, faster, for records of numbers alone."""
+    """A faster `from_plain`, for records of numbers alone."""
     parts: list[_Leaf] = []
     for field in describe(cls).fields:
         kind: Any = field.kind
@@ -236,7 +236,7 @@ def _put_item(places: int | list[int], index: int, number: int, path: str) -> No
 
 
 def _content_of(column: Column, place: int | list[int]) -> str:
-    """What the cells of a field hold: the whole field, or an item each."""
+    """The content of the cells of a field: the whole field, or an item each."""
     if isinstance(place, int):
         return column.content
     element = column.spelling[4:-1]

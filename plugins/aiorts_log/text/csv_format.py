@@ -1,4 +1,4 @@
-"""How tables are read and written: their options, quoting, and times as exact decimal numbers."""
+"""The options of tables that are read and written, their quoting, and times as exact decimal numbers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _EXACT: Final = Context(prec=100)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableOptions:
-    """How a table is read or written.
+    """The options for reading or writing a table.
 
     Attributes:
         time: the column with the log time; unit: of its numbers.

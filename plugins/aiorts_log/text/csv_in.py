@@ -1,4 +1,4 @@
-"""Reads a table (CSV) as samples: each row has one of each port, or one of the port it names.
+"""Reads a table (CSV) as samples: each row has a sample of each port, or one of the port that it names.
 
 Log times must not go back from row to row: a table is read once, from its beginning, in constant memory. An error names
 the line.
@@ -53,12 +53,12 @@ class TableReader:
 
     Attributes:
         ports: the ports of its samples, by name.
-        columns: the names of its columns; unused: those that no field is read from.
+        columns: the names of its columns; unused: columns that no field is read from.
         bad: the rows left out with `skip_bad`, as line number and reason.
 
     Args:
         target: what it is converted into, for the command that an error shows.
-        ports: those that were named without a type.
+        ports: names that were given without a type.
 
     Raises:
         RecordingError: it cannot be read.
@@ -124,7 +124,7 @@ class TableReader:
             self.columns = tuple(map(str, range(len(first))))
         self._width = len(self.columns)
         if not options.ports and (self.columns != (LOG_TIME,) or next(self._rows, None) is not None):
-            # But for the table of an empty recording.
+            # The table of an empty recording needs no types.
             raise ConfigurationError(
                 f"a table does not have the types of its columns; give --port NAME --type TYPE once for each port: "
                 f"aiorts log convert {self._command(target, ports or self._named())}"
@@ -140,7 +140,7 @@ class TableReader:
         self.unused = tuple(name for number, name in enumerate(self.columns) if number not in used)
 
     def _command(self, target: Path | None, ports: Sequence[str]) -> str:
-        """The arguments of a command that says the types, which are still to be filled in."""
+        """The arguments of a command with types, which the user has to fill in."""
         named = [word for name in ports or ("NAME",) for word in ("--port", name, "--type", "TYPE")]
         more = "" if self.options == TableOptions() else ", and your other options"
         return shlex.join([str(self.path), str(target or "TARGET"), *named]) + more

@@ -33,7 +33,7 @@ _MOST_GAPS: Final = 10_000
 
 
 class Head(NamedTuple):
-    """What a line has: its port (a key of the format's own), its log time in ns, and the bytes of its sample."""
+    """The content of a line: its port (a key of the format's own), its log time in ns, and the bytes of its sample."""
 
     key: Any
     log_time: int
@@ -45,7 +45,7 @@ class FlatPort(RecordedPort):
 
     @cached_property
     def unknown(self) -> str:
-        """Why its samples cannot become records; "" when they can."""
+        """The reason why its samples cannot become records; "" when they can."""
         return named_type(self.type_name)[1]
 
 
@@ -100,7 +100,7 @@ class FlatReader(Recording):
     """An open recording in lines; attributes and errors as those of `RecordingReader`."""
 
     encoding: ClassVar[str] = "json"
-    """Of the bytes of its samples."""
+    """The encoding of its samples' bytes."""
     port_kind: ClassVar[type[FlatPort]] = FlatPort
     made_by: ClassVar[str] = ""
 
@@ -231,7 +231,7 @@ class FlatReader(Recording):
         self._end_scan()
 
     def _end_scan(self) -> None:
-        """Separate the torn end from damage: it is the last line of a file that has no line end there."""
+        """Separate the torn end from damage: the torn end is the last line, if it has no line end."""
         if self.complete or not self.size:
             if self.damage and not self.fault:
                 self.fault = self.damage[0].why

@@ -1,4 +1,4 @@
-"""Writes recordings as JSON lines or tables; `left_out` has what these formats cannot hold of what the user put in."""
+"""Writes recordings as JSON lines or tables; `left_out` names the user's content that they cannot hold."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from aiorts_log.text.sinks import known, record_of
 
 _BLOCK: Final = 512
 _OWN_FILES: Final = (METADATA_NAME, END_NAME, "system.toml")
-"""Files that aiorts puts into each recording: nobody misses them in a table."""
+"""Files that aiorts puts into each recording: a table without them lacks nothing of the user's."""
 _OWN_METADATA: Final = {"unit"}
 
 
@@ -37,7 +37,7 @@ class _TextSink:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """What the format cannot hold, in words."""
+        """The content that the format cannot hold, in words."""
         units = (f"metadata of {name}" for name in sorted(self._metadata))
         files = f"{self._files} file{'' if self._files == 1 else 's'} within the recording"
         return (*([files] if self._files else ()), *units)
@@ -102,7 +102,7 @@ class TableSink(_TextSink):
     With `by_time` there is no `port`, and samples of different ports with equal time are in one row.
 
     Args:
-        ports: those that get columns; RecordingError for a type that is not loaded.
+        ports: the ports that get columns; RecordingError for a type that is not loaded.
     """
 
     def __init__(self, path: Path, ports: Mapping[str, RecordedPort], options: TableOptions) -> None:
@@ -176,7 +176,7 @@ class FolderSink:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """What tables cannot hold, in words."""
+        """The content that tables cannot hold, in words."""
         found = [text for sink in self._sinks.values() for text in sink.left_out]
         files = f"{self._files} file{'' if self._files == 1 else 's'} within the recording"
         return (*([files] if self._files else ()), *found)

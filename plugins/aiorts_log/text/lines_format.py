@@ -20,7 +20,7 @@ from aiorts_log.text.flat import FlatPort, FlatReader, Head
 
 _LATEST: Final = 2**63
 _BEGIN: Final = re.compile(rb'\{"port": "((?:[^"\\]|\\.)*)", "type": "([^"\\]*)", ')
-"""How a line written by aiorts begins, and how it ends; a line of JSON that begins and ends so has that meaning."""
+"""The beginning of a line written by aiorts; below, its end. A line of JSON that has both has that meaning."""
 _END: Final = re.compile(rb', "log_time": (\d{1,19})\}\s*$')
 _TM: Final = re.compile(rb'"tm": (\d{1,19}), "data": ')
 _KEYS: Final = {"port", "type", "tm", "data", "log_time"}
@@ -115,7 +115,7 @@ def _nanoseconds(time: Any) -> int | None:
     """A time of a line in ns, from a number or from seconds and nanoseconds; None for anything else."""
     if isinstance(time, dict) and set(time) == {"sec", "nsec"}:
         seconds, nanoseconds = time["sec"], time["nsec"]
-        if type(seconds) is not int or type(nanoseconds) is not int:  # a text of that many times itself fills memory
+        if type(seconds) is not int or type(nanoseconds) is not int:  # a text times 10**9 would fill the memory
             return None
         return seconds * 10**9 + nanoseconds
     return time if type(time) is int else None

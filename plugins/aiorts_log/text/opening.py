@@ -18,7 +18,7 @@ from aiorts_log.text.text_format import TextReader, looks_like_text
 
 _LOOKED_AT: Final = 65_536
 LINES_ENDINGS: Final = (".jsonl", ".ndjson")
-"""How files of JSON lines are called; an empty one is an empty recording."""
+"""The endings of files of JSON lines; an empty file with one is an empty recording."""
 
 
 def format_of(path: str | os.PathLike[str]) -> Literal["mcap", "text", "jsonl"]:

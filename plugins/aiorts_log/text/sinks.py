@@ -1,6 +1,7 @@
 """The targets of a conversion: MCAP and text. Synchronous, one call for each sample.
 
-Samples come in the order of their log time. What a format cannot hold is an error with its name, or is in `left_out`.
+Samples come in the order of their log time. Content that a format cannot hold is an error that names it, or is in
+`left_out`.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class Sink(Protocol):
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """What the format cannot hold, in words."""
+        """The content that the format cannot hold, in words."""
         ...
 
     def put(self, name: str, sample: RecordedSample) -> None:
@@ -84,7 +85,7 @@ class _FileSink:
         put = self._puts.get(key)
         if put is None:
             put = self._puts[key] = self._new(name, port)
-            self._kept.append(port)  # so that its id is its own
+            self._kept.append(port)  # so that its id is not used again
         channel, bytes_of = put
         data = bytes_of(sample)
         number = self._numbers[channel] = self._numbers.get(channel, -1) + 1

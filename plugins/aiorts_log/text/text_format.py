@@ -6,9 +6,9 @@
     # {"end": {"why": "closed", "stored": 1}, "samples": 1}
 
 Port, type, log time in seconds with nine digits, and the record as the JSON of `aiorts.types.to_plain` (a bare value is
-`{"value": 5}`, and a field that is None, as it is by default, is left out). Whatever does not print is escaped as JSON
-does it, in names, too; a name cannot begin a comment. Without the first line, as after `grep`, it is read as well. Text
-has no checksums; a NaN is any NaN.
+`{"value": 5}`, and a field that is None, as it is by default, is left out). Characters that do not print are escaped
+as in JSON, in names, too; a name cannot begin a comment. A file without the first line, as after `grep`, is read as
+well. Text has no checksums; a NaN is any NaN.
 """
 
 from __future__ import annotations
@@ -200,7 +200,7 @@ class _Builder:
         self.begin()
 
     def begin(self) -> None:
-        """Empty it."""
+        """Empty the builder."""
         self.parts = []
         self._counts: dict[int, int] = {}
         self.count = self.size = self.start = 0
@@ -281,7 +281,7 @@ class TextFile(OutFile):
         self._file.append([b"".join(parts)])
 
     def drop_chunk(self) -> None:
-        """Drop the samples collected, and let what follows, which is short, use the reserved space."""
+        """Drop the samples collected, and let the short lines that follow use the reserved space."""
         self.builder.begin()
         self._file.use_reserve()
 
