@@ -2,8 +2,8 @@
 
 Numbers come back to the bit (a NaN as a NaN, -0.0 with its sign) and texts unchanged; a text that a spreadsheet would
 run as a formula has an apostrophe in front. Sequences, maps and arrays are one cell of JSON. An absent value is an
-empty cell; an empty text that may be absent is "", in its quotes. Cells of tables made elsewhere are parsed strictly: the
-whole cell has to be a number, and fit its field.
+empty cell; an empty text that may be absent is "", in its quotes. Cells of tables made elsewhere are parsed strictly:
+the whole cell has to be a number, and fit its field.
 """
 
 from __future__ import annotations
