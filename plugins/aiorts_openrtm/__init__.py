@@ -1,7 +1,7 @@
 """Files of OpenRTM: profiles of systems (RtsProfile, XML and YAML), `rtc.conf`, `.conf` of components, `RTC.xml`.
 
-`markup/` reads and writes XML and YAML as a tree, `profiles/` and `conf/` say what stands in them, `mapping/` makes
-systems of them and back, `commands/` is `aiorts import` and `aiorts export`.
+`markup/` reads and writes XML and YAML as a tree, `profiles/` and `conf/` hold their content as values, `mapping/`
+makes systems of them and back, `commands/` is `aiorts import` and `aiorts export`.
 """
 
 from __future__ import annotations

@@ -6,6 +6,6 @@ from aiorts.errors import ConfigurationError
 
 
 class OpenRTMError(ConfigurationError):
-    """A file of OpenRTM cannot be read, or not be made: names file and line, what is wrong and what to do."""
+    """A file of OpenRTM cannot be read or made. The message names file and line, the fault and what to do."""
 
     code = "E-OPENRTM"

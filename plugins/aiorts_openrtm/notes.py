@@ -1,4 +1,4 @@
-"""What could not be carried over from one form to another, each with its place."""
+"""Notes on content that could not be carried over from one form to another, each with its place."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Something that stands in one form and is not, or not so, in the other."""
+    """A note on content of one form that the other lacks, or has differently."""
 
     where: str
     """FILE:LINE, or the name of a component."""

@@ -1,4 +1,4 @@
-"""`[openrtm]`: the table of a system file that says which file of OpenRTM it was made of."""
+"""`[openrtm]`: the table of a system file that names the file of OpenRTM that it was made of."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from aiorts import KernelService, setting
 
 @dataclass(frozen=True, slots=True)
 class OpenRTMSettings:
-    """Where the system came from, and goes back to."""
+    """The origin of a system that was made of a file of OpenRTM."""
 
     profile: Path | None = setting(  # noqa: RUF009 - it makes a field
         None, "The file of OpenRTM it was made of: aiorts export takes from it what a system file has no words for."

@@ -113,7 +113,7 @@ def _element(file: Path, choices: Choices, notes: list[Note]) -> Element:
 
 
 def _origin(system: SystemFile, notes: list[Note]) -> Path | None:
-    """The file that a system file was made of; None where it names none, or it is gone."""
+    """The file that a system file was made of; None where the system file names none, or the file is gone."""
     table = system.services.get("openrtm", {})
     stated = table.get("profile") if isinstance(table, Mapping) else None
     if stated is None:
@@ -133,7 +133,7 @@ def _now() -> str:
 
 
 def _dated(root: Element, kind: str) -> Element:
-    """A profile made of a file that has no dates: of now."""
+    """Set the dates of a profile made of a file without dates to now."""
     if kind == "yaml":
         return root
     root = root.with_attribute("rts:creationDate", root.space, _now())

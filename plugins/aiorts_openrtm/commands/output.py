@@ -1,4 +1,4 @@
-"""Shared by the commands: writing a file, and saying what could not be carried over."""
+"""The output that the commands share: files, and notes on what could not be carried over."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def write(text: str, output: str, *, force: bool) -> None:
     """Write a file whole or not at all; "-" is standard output.
 
     Raises:
-        OpenRTMError: it is there already, or cannot be written.
+        OpenRTMError: the file is there already, or cannot be written.
     """
     if output == "-":
         standard_output().write(text)
@@ -46,13 +46,13 @@ def write(text: str, output: str, *, force: bool) -> None:
 
 
 def check_free(output: str, *, force: bool) -> None:
-    """OpenRTMError where a file is there already, unless it may be overwritten."""
+    """Raise OpenRTMError where a file is there already, unless it may be overwritten."""
     if output != "-" and not force and os.path.lexists(output):
         raise OpenRTMError(f"{output}: is there already; --force overwrites it")
 
 
 def tell(text: str, notes: Iterable[Note], output: str, *, as_json: bool) -> int:
-    """Say what was made, and print it where it is in no file; returns the exit status."""
+    """Print the notes, and the text where it is in no file; returns the exit status."""
     if as_json:
         _say_json(text, notes)
     else:
@@ -63,7 +63,7 @@ def tell(text: str, notes: Iterable[Note], output: str, *, as_json: bool) -> int
 
 
 def _say(notes: Iterable[Note]) -> None:
-    """The notes on standard error, one a line."""
+    """Print the notes on standard error, one a line."""
     listed = sorted(notes, key=_place)
     for note in listed[:_MOST_LINES]:
         click.echo(f"note: {safe(note)}", err=True)
@@ -72,7 +72,7 @@ def _say(notes: Iterable[Note]) -> None:
 
 
 def _say_json(text: str, notes: Iterable[Note]) -> None:
-    """The text and the notes as one JSON document."""
+    """Print the text and the notes as one JSON document."""
     listed = [{"where": note.where, "text": note.text} for note in notes]
     standard_output().write(json.dumps({"text": text, "notes": listed}, ensure_ascii=False, indent=1) + "\n")
 
@@ -83,7 +83,7 @@ def safe(text: object) -> str:
 
 
 def _place(note: Note) -> tuple[str, int]:
-    """By file and line; what has no line comes first."""
+    """The key that sorts notes by file and line; notes without a line come first."""
     file, _, line = note.where.rpartition(":")
     return (file, int(line)) if file and line.isdigit() and len(line) < 12 else (note.where, 0)
 

@@ -15,13 +15,13 @@ from aiorts_openrtm.markup.source import read_bytes
 _SEPARATOR: Final = re.compile(r"(?<!\\)(?:\\\\)*[:=]")
 _BLANK: Final = re.compile(r"(?<!\\)(?:\\\\)*[ \t]")
 _ABOUT: Final = re.compile(r"(conf\.__\w+__\.[^\s:=,]+)\s*,\s+(.*)", re.DOTALL)
-"""conf.__widget__.NAME, WIDGET: how the files that RTCBuilder writes have it."""
+"""The form conf.__widget__.NAME, WIDGET of the files that RTCBuilder writes."""
 _CONTINUED: Final = re.compile(r"(?<!\\)(?:\\\\)*\\\s*$")
 _ESCAPED: Final = re.compile(r"\\(.)", re.DOTALL)
 _ESCAPES: Final = {"t": "\t", "n": "\n", "f": "\f", "r": "\r"}
 _ENCODINGS: Final = ("utf-8-sig", "cp932", "euc_jp")
 ENVIRONMENT: Final = re.compile(r"\$[({]\w*[)}]")
-"""What OpenRTM replaces by a variable of the environment."""
+"""The places that OpenRTM replaces by a variable of the environment."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Conf:
 
     @cached_property
     def last(self) -> dict[str, Entry]:
-        """The entry that counts, of each key."""
+        """The entry that counts for each key, by key."""
         return {one.key: one for one in self.entries}
 
     def value(self, key: str, default: str = "") -> str:
@@ -58,7 +58,7 @@ class Conf:
         return default if found is None or not found.value else found.value
 
     def below(self, prefix: str) -> Iterator[tuple[str, Entry]]:
-        """What follows the prefix in each key that begins with it, and the entry."""
+        """The keys that begin with the prefix, without it, each with its entry."""
         for key, one in self.last.items():
             if key.startswith(prefix):
                 yield key[len(prefix) :], one
@@ -68,7 +68,7 @@ class Conf:
         """Read a file.
 
         Raises:
-            OpenRTMError: it cannot be read, or a line of it is no text.
+            OpenRTMError: the file cannot be read, or a line of it is no text.
         """
         return cls.parse(_text(read_bytes(path), path), path)
 
@@ -110,7 +110,7 @@ def _unescaped(text: str) -> str:
 
 
 def _text(data: bytes, path: Path) -> str:
-    """The text: UTF-8, or as Japanese editors save it."""
+    """The text of the bytes: UTF-8, or an encoding of Japanese editors."""
     start = 0
     for encoding in _ENCODINGS:
         try:

@@ -1,1 +1,1 @@
-"""Between a profile of OpenRTM and `Wanted`, the description of a system that a system file is; both ways."""
+"""Maps profiles of OpenRTM to `Wanted`, the description of a system that a system file is, and back."""

@@ -1,4 +1,4 @@
-"""Components of a system as elements of a profile: new ones, and old ones with what differs changed in them."""
+"""Components of a system as elements of a profile: new ones, and old ones in which only differences are changed."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ def new_component(entry: Entry, data: Mapping[str, str], services: Sequence[str]
 
 
 def change_component(element: Element, old: Entry, new: Entry) -> Element:
-    """A component with all changed that differs between the two; rules of starting are not its affair."""
+    """A component in which all that differs between the two is changed, except rules of starting."""
     if isinstance(new, CompositeEntry):
         return _composite(element, new)
-    assert isinstance(old, ComponentEntry)  # noqa: S101 - who calls has compared them
+    assert isinstance(old, ComponentEntry)  # noqa: S101 - callers have compared the kinds
     if new.type != old.type:
         parts = element.get(element.space, "id").removeprefix("RTC:").split(":")
         if len(parts) >= 4:
@@ -66,9 +66,9 @@ def change_component(element: Element, old: Entry, new: Entry) -> Element:
 
 
 def _with_types(element: Element, sets: Mapping[str, Mapping[str, Any]], *, is_new: bool = False) -> Element:
-    """A component with what makes values of texts again: their types; of values that have none there, an extra.
+    """A component with the types by which texts become values again, and an extra for values without such a type.
 
-    An old one that says no types is left so: a text stands for the value that it means.
+    An old component without types is left so: its texts stand for the values that they mean.
     """
     there = next((one for one in _sets(element) if one.get(one.space, "id") == _TYPES), None)
     old = {} if there is None else {one.get(one.space, "name"): one.get(one.space, "data") for one in there.elements()}
@@ -132,7 +132,7 @@ def _composite(element: Element, new: CompositeEntry) -> Element:
 
 
 def change_contexts(element: Element, contexts: Sequence[ContextEntry]) -> Element:
-    """A component with these contexts in the place of those it had; its own name is how the profile calls it."""
+    """A component with these contexts in the place of those it had; members are named as in the profile."""
     own = element.get(element.space, "instanceName")
     old = [one for one in element.elements() if one.local == "ExecutionContexts"]
     element = element.edited(lambda child: None if child in old else child)
@@ -162,7 +162,7 @@ def change_contexts(element: Element, contexts: Sequence[ContextEntry]) -> Eleme
 
 
 def with_property(element: Element, name: str, value: Any) -> Element:
-    """An element with an extra of another value; None takes it away."""
+    """An element with another value of an extra; None takes the extra away."""
     there = [one for one in element.elements() if one.local == "Properties" and one.get(one.space, "name") == name]
     if value is None:
         return element.edited(lambda child: None if child in there else child) if there else element
@@ -174,7 +174,7 @@ def with_property(element: Element, name: str, value: Any) -> Element:
 
 
 def _chosen(policy: Supervision) -> dict[str, Any]:
-    """The fields of a policy that are not as they are by default."""
+    """The fields of a policy that differ from their default."""
     usual = Supervision()
     names = [one.name for one in fields(policy)]
     return {name: getattr(policy, name) for name in names if getattr(policy, name) != getattr(usual, name)}

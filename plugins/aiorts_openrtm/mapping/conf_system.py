@@ -1,6 +1,6 @@
 """`rtc.conf`, or the `.conf` of one component, as the profile of the system that a manager would make of it.
 
-Keys that act: modules, precreate, preconnect, preactivation, naming formats, execution contexts, and what is said of
+Keys that act: modules, precreate, preconnect, preactivation, naming formats, execution contexts, and keys of
 components. All others are noted with their line. No variable of the environment is looked up, and no module loaded.
 """
 
@@ -32,7 +32,7 @@ _OF_MANAGERS: Final = frozenset(
         *("openrtm", "os", "port", "sdo", "timer", "rtc"),
     }
 )
-"""What a key of a manager begins with; others are of components."""
+"""The first words of a manager's keys; other keys are of components."""
 _ACTS: Final = frozenset(
     {
         *("manager.components.precreate", "manager.components.preconnect", "manager.components.preactivation"),
@@ -42,7 +42,7 @@ _ACTS: Final = frozenset(
 _TAKEN: Final = frozenset(
     {*_BASICS, "configuration.active_config", "execution_contexts", "naming.formats", "config_file"}
 )
-"""Keys of a component that act here, or say what is in its profile."""
+"""Keys of a component that act here, or that its profile states."""
 _OF_COMPONENTS: Final = ("conf.", "configuration.", "exec_cxt.", "execution_contexts", "ec.", "port.")
 _EC: Final = re.compile(r"\s*([\w.]+)\s*(?:\(\s*([\w.-]*)\s*\))?\s*")
 _COMMA: Final = re.compile(r",(?![^()]*\))")
@@ -54,7 +54,7 @@ _USUAL_FORMAT: Final = "%h.host_cxt/%n.rtc"
 
 @dataclass
 class _Component:
-    """A component that is to be made, and the keys that say something of it."""
+    """A component that is to be made, and the keys about it."""
 
     name: str
     type: str
@@ -74,15 +74,15 @@ class ConfSystem:
     element: Element
     """The profile."""
     files: Mapping[str, list[Path]]
-    """Where the class of a type may stand, by the type's name."""
+    """The files in which the class of a type may stand, by the type's name."""
     notes: list[Note]
 
 
 def system_of_conf(conf: Conf, types: Types) -> ConfSystem:
-    """The system that a manager, or one component, is configured as.
+    """The system that a file of a manager, or of one component, configures.
 
     Raises:
-        OpenRTMError: something in it cannot be; says on which line.
+        OpenRTMError: a value is impossible; the message has the line.
     """
     return _Reader(conf, types).whole()
 
@@ -91,7 +91,7 @@ def is_of_manager(conf: Conf) -> bool:
     """Whether a file configures a manager, and not one component.
 
     Raises:
-        OpenRTMError: it is neither.
+        OpenRTMError: it configures neither.
     """
     if any(key.startswith("manager.") or key.endswith(".config_file") for key in conf.last):
         return True
@@ -135,7 +135,7 @@ class _Reader:
     # -- which components ------------------------------------------------------------------------------------------
 
     def _single(self) -> Iterator[_Component]:
-        """The component that a .conf of its own is about."""
+        """The component that its own .conf describes."""
         conf = self._conf
         stem = conf.path.stem
         kind = conf.value("type_name") or conf.value("implementation_id") or stem.rstrip("0123456789") or stem
@@ -170,7 +170,7 @@ class _Reader:
             yield _Component(name, kind, where, keys, basics)
 
     def _configure(self, one: _Component) -> None:
-        """Gather what is said of a component: its own file last, and what stands here of it after that file."""
+        """Gather a component's keys: of its type, then of the instance; keys here override those of its own file."""
         if self._is_manager:
             for who in (one.type, one.name):
                 one.keys.update(self._keys_of(one, who))
@@ -183,7 +183,7 @@ class _Reader:
                 self._notes.append(Note(entry.where, f"{key} = {entry.value!r:.60}: nothing here acts on it"))
 
     def _keys_of(self, one: _Component, who: str) -> dict[str, Entry]:
-        """What stands of a type or instance: in its file, then here."""
+        """The keys of a type or instance: those of its file, replaced by those here."""
         mark = f".{who}."
         own: dict[str, Entry] = {}
         for key, entry in self._conf.last.items():
@@ -239,7 +239,7 @@ class _Reader:
         )
 
     def _path_of(self, one: _Component) -> str:
-        """The name that name servers have of it: the first of its naming formats."""
+        """The component's name in name servers: the first of its naming formats."""
         self._used.update(("naming.formats", "manager.name"))
         text = one.value("naming.formats") or self._conf.value("naming.formats", _USUAL_FORMAT)
         text = text.split(",")[0].strip()
@@ -261,7 +261,7 @@ class _Reader:
         return re.sub(r"%(.)", lambda found: words.get(found[1], found[1]), text)
 
     def _files(self, components: list[_Component]) -> dict[str, list[Path]]:
-        """Where the classes of types may stand: preloaded modules, then files of the type's name."""
+        """The files in which classes of types may stand: preloaded modules, then files of the type's name."""
         paths = self._entry("manager.modules.load_path")
         folders = [self._folder]
         for text in paths.items:
@@ -334,7 +334,7 @@ class _Reader:
         return match[1], match[2] or ""
 
     def _rate(self, one: _Component, kind: str, name: str) -> str:
-        """What is said most precisely: of the context, of its kind, of the component, of all."""
+        """The most specific rate: of the context, else of its kind, else of the component or of all."""
         for key in (f"ec.{name}.rate", f"ec.{kind}.rate", "exec_cxt.periodic.rate"):
             entry = one.keys.get(key) or self._conf.last.get(key)
             if entry is not None and entry.value and key != "ec..rate":

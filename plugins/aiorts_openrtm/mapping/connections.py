@@ -1,4 +1,4 @@
-"""Options of a connector: OpenRTM's properties, and what `connect` and a system file call them."""
+"""Options of a connector: OpenRTM's properties, and their names in `connect` and a system file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _DATAPORT: Final = "dataport."
 
 
 class _Row(NamedTuple):
-    """One option: its name here, the property that is written for it, and others that say the same."""
+    """One option: its name here, the property that is written for it, and other properties with the same meaning."""
 
     ours: str
     theirs: str
@@ -89,13 +89,13 @@ _ROWS: Final = (
 )
 _OUT_WORDS: Final = {"full": {"reject": "do_nothing"}, "stamp": {"send": "on_send", "received": "on_received"}}
 _ATTRIBUTES: Final = {"dataflow": "dataflowType", "subscription": "subscriptionType", "push_rate": "pushInterval"}
-"""Options that the basic profile has, too."""
+"""Options that are attributes of the basic profile, too."""
 _SAME: Final = frozenset({"data_type", "interface_type", "outport.data_type", "inport.data_type"})
-"""What the connector's attributes or the ports say, too."""
+"""Properties that the connector's attributes or the ports state, too."""
 
 
 def options_of(one: RtsConnector, notes: list[Note]) -> dict[str, Any]:
-    """The options of a connection in a system file, without those that are so by default."""
+    """The options of a connection in a system file, without those that have their default."""
     given = {key.removeprefix(_DATAPORT): value for key, value in one.properties.items()}
     kept = set(given) - _SAME - {key for key in given if key.startswith(MARK)}
     found: dict[str, Any] = {}
@@ -128,7 +128,7 @@ def options_of(one: RtsConnector, notes: list[Note]) -> dict[str, Any]:
 
 
 def _without_effect(found: dict[str, Any]) -> None:
-    """Take away what is so by default, and what chooses nothing beside the others."""
+    """Take away options that have their default, and those without effect given the others."""
     subscription = found.get("subscription", "flush")
     if subscription == "flush":
         for key in ("push", "push_rate", "skip", "out_length"):
@@ -148,13 +148,13 @@ def _without_effect(found: dict[str, Any]) -> None:
 
 
 def properties_of(options: Mapping[str, Any]) -> dict[str, str]:
-    """The properties that say these options, by OpenRTM's names, or as extras."""
+    """The properties that state these options, by OpenRTM's names, or as extras."""
     rows = {row.ours: row for row in _ROWS}
     found = {}
     for key, value in options.items():
         if key == "name":
             continue
-        if value is None:  # the only option that may be: a timeout that never ends
+        if value is None:  # only a timeout may be None: it never ends
             value = math.inf
         if key == "length" and value == 0:
             found[f"{_DATAPORT}sync_readwrite"] = "YES"
@@ -169,7 +169,7 @@ def properties_of(options: Mapping[str, Any]) -> dict[str, str]:
 
 
 def attributes_of(options: Mapping[str, Any]) -> dict[str, str | None]:
-    """The attributes of a connector of data ports that say these options."""
+    """The attributes of a connector of data ports that state these options."""
     rate = options.get("push_rate")
     return {
         "dataflowType": str(options.get("dataflow", "push")),
@@ -179,7 +179,7 @@ def attributes_of(options: Mapping[str, Any]) -> dict[str, str | None]:
 
 
 def spellings(ours: str) -> tuple[str, ...]:
-    """All properties that say one option."""
+    """All properties that state one option."""
     row = next((row for row in _ROWS if row.ours == ours), None)
     if row is None:
         return (f"{MARK}{ours}", ours)

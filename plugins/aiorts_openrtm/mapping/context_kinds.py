@@ -1,4 +1,4 @@
-"""Kinds of execution contexts: what OpenRTM calls them, and which of ours each is."""
+"""Kinds of execution contexts: OpenRTM's names, and the kind of aiorts for each."""
 
 from __future__ import annotations
 
@@ -20,5 +20,5 @@ _KINDS: Final = {
 
 
 def kind_of(word: str) -> str:
-    """Our kind of context for one of OpenRTM's, or for the kind that a profile states; "" for one not known."""
+    """The kind of aiorts for one of OpenRTM's, or for the kind that a profile states; "" for an unknown one."""
     return _KINDS.get(word.strip().lower(), "")

@@ -1,4 +1,4 @@
-"""What `aiorts new --from RTC.xml` makes a component of."""
+"""Reads the description that `aiorts new --from RTC.xml` makes a component of."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def description(path: Path) -> ComponentDescription:
     """The component type that an `RTC.xml` describes.
 
     Raises:
-        OpenRTMError: it cannot be read, or describes what no component can have; says on which line.
-        MissingExtra: what reads XML is not installed.
+        OpenRTMError: it cannot be read, or describes what no component can have; the message has the line.
+        MissingExtra: the reader of XML is not installed.
     """
     profile = RtcProfile.read(path)
     notes: list[str] = []
@@ -44,7 +44,7 @@ def description(path: Path) -> ComponentDescription:
 
 
 def _check_distinct(found: ComponentDescription) -> None:
-    """OpenRTMError for two parameters, two ports of one direction, or two services of one name: says on which lines."""
+    """Raise OpenRTMError, with both lines, for two parameters, ports of one direction, or services of one name."""
     lines: dict[tuple[str, str], str] = {}
     for sort, name, where in (
         *((one.direction, one.name, one.where) for one in found.ports),
@@ -64,7 +64,7 @@ def _parameter(one: RtcParameter, notes: list[str]) -> ParameterDescription:
 
 
 def _value(one: RtcParameter, notes: list[str]) -> Any:
-    """The default, of the parameter's type; a text for a type that is not known, as all is in OpenRTM."""
+    """The default as a value of the parameter's type; for an unknown type its text, as OpenRTM has it."""
     if (vector := _VECTOR.fullmatch(one.type.strip())) and one.default.strip():
         return tuple(_plain(one, vector[1], part, notes) for part in one.default.split(","))
     return _plain(one, one.type, one.default, notes)

@@ -1,4 +1,4 @@
-"""`Wanted` as a profile: an old one with what differs changed in it, or a new one."""
+"""`Wanted` as a profile: an old one in which only differences are changed, or a new one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from aiorts_openrtm.notes import Note
 from aiorts_openrtm.profiles.rts_profile import RtsProfile
 
 _SPACE: Final = uuid.UUID("6f1d5a2e-4b0c-5a53-9b0e-0d1f5c1b7a11")
-"""Ids of connectors are made of their ports in it: the same system has the same ids."""
+"""The name space in which ids of connectors are made of their ports: the same system has the same ids."""
 _CONNECTORS: Final = ("DataPortConnectors", "ServicePortConnectors")
 
 
@@ -32,9 +32,9 @@ class Ports:
     """The ports of components, as far as they are known."""
 
     data: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    """By component: each data port with the name of its record type."""
+    """The data ports of each component, with the names of their record types."""
     services: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """By component: its service ports."""
+    """The service ports of each component."""
 
     def is_service(self, path: str) -> bool:
         """Whether a path names a service port."""
@@ -53,9 +53,9 @@ def exported(
     """The profile of a wanted system.
 
     Args:
-        profile: an old one, of which all stays that does not differ; or one with nothing in it.
-        ports: called when ports have to be known: something is new.
-        notes: gets what a profile cannot say.
+        profile: an old profile, of which all stays that does not differ; or an empty one.
+        ports: called when ports have to be known, since something is new.
+        notes: gets a note on each thing that a profile cannot state.
     """
     return _Exporter(profile, wanted, types, ports, notes).whole()
 
@@ -74,9 +74,9 @@ class _Exporter:
         self._find_ports = ports
         self._notes = notes
         self._theirs = {ours: theirs for theirs, ours in self._old.names.items()}
-        """Of each component, its name in the profile."""
+        """The name of each component in the profile, by its name here."""
         self._ids: dict[str, str] = {}
-        """Of each component of the changed profile, by its name there."""
+        """The id of each component of the changed profile, by its name there."""
         self._removed: Set[str] = set()
         self._unknown: list[str] = []
         """New connections of ports that are not known."""
@@ -162,7 +162,7 @@ class _Exporter:
         return found
 
     def _with_names(self, contexts: Sequence[ContextEntry]) -> list[ContextEntry]:
-        """The same with members as the profile calls them."""
+        """The contexts with the names of members in the profile."""
         return [
             replace(one, members=tuple(self._theirs.get(member, member) for member in one.members)) for one in contexts
         ]
@@ -269,7 +269,7 @@ def _entry(wanted: Wanted, name: str) -> ComponentEntry | CompositeEntry | None:
 
 
 def _changed(child: Element, old: Any, entry: ComponentEntry | CompositeEntry) -> Element:
-    """A component with all changed that differs; types by the name of their class, and no rules of starting."""
+    """A component with all differences changed, except rules of starting; types are compared by their class name."""
     if isinstance(entry, ComponentEntry) and isinstance(old, ComponentEntry):
         same_type = word_of(old.type) == word_of(entry.type)
         old = replace(old, start=None, type=entry.type if same_type else old.type)
@@ -278,7 +278,7 @@ def _changed(child: Element, old: Any, entry: ComponentEntry | CompositeEntry) -
 
 
 def _with_options(element: Element, old: Mapping[str, Any], new: Mapping[str, Any], *, is_new: bool = False) -> Element:
-    """A connector with other options; properties that say nothing of what differs stay."""
+    """A connector with other options; properties of options that do not differ stay."""
     differ = [key for key in {**old, **new} if old.get(key) != new.get(key) or is_new]
     gone = {word for key in differ for word in spellings(key)}
     places = [one for one in element.elements() if one.local == "Properties"]
@@ -318,7 +318,7 @@ def _said(rule: StartRule) -> dict[str, Any]:
 
 
 def _in_order(rules: Mapping[str, StartRule]) -> list[StartRule]:
-    """The rules, each after those of components that it waits for."""
+    """The rules, each after the rules of components that it waits for."""
     left = dict(rules)
     found: list[StartRule] = []
     while left:

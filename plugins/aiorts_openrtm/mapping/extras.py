@@ -15,7 +15,7 @@ _LONGEST: Final = 100_000
 
 
 def extra(properties: Mapping[str, str], key: str, kind: type, where: str, notes: list[Note]) -> Any:
-    """The value of one, of this type; None where there is none, or none that can be read."""
+    """The value of an extra, of type `kind`; None where there is none, or none that can be read."""
     text = properties.get(MARK + key)
     if text is None:
         return None
@@ -43,7 +43,7 @@ def _is_plain(value: Any, depth: int = 8) -> bool:
 
 
 def frozen(value: Any) -> Any:
-    """Lists as tuples, as the entries of a system have them."""
+    """A value with tuples in the place of lists, as the entries of a system have them."""
     if isinstance(value, list | tuple):
         return tuple(frozen(one) for one in value)
     if isinstance(value, Mapping):

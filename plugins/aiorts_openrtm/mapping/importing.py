@@ -1,4 +1,4 @@
-"""A profile as `Wanted`. What a system file has no words for stays in the profile, and is noted."""
+"""Makes `Wanted` of a profile. Content that a system file has no words for stays in the profile, and is noted."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from aiorts_openrtm.profiles.rts_profile import COMPOSITES, ConfigurationSet, Rt
 
 DEFAULT: Final = "default"
 _USUAL_RATE: Final = 1000.0
-"""Hz, of OpenRTM, where nothing is said."""
+"""OpenRTM's rate in Hz where none is stated."""
 _FASTEST: Final = 10_000.0
 _ABOUT: Final = ("__widget__", "__constraints__", "__type__")
 _OF_COMPOSITES: Final = ("members", "exported_ports")
@@ -32,13 +32,13 @@ _OF_COMPOSITES: Final = ("members", "exported_ports")
 
 @dataclass(frozen=True)
 class Imported:
-    """A profile as a system, and what is where."""
+    """A profile as a system, and the place in the profile of each thing."""
 
     wanted: Wanted
     names: Mapping[str, str]
-    """Of each component and composite, its name here, by that in the profile."""
+    """The name here of each component and composite, by its name in the profile."""
     contexts: Mapping[str, tuple[str, int]]
-    """Of each context, the component in the profile that owns it, and its number there."""
+    """The component in the profile that owns each context, and the context's number there, by the context's name."""
     connections: tuple[tuple[int, ConnectionEntry], ...]
     """Each connection with the number of its connector in the profile."""
     notes: list[Note] = field(default_factory=list)
@@ -48,7 +48,7 @@ def imported(profile: RtsProfile, types: Types, files: Mapping[str, list[Path]] 
     """The system that a profile describes.
 
     Args:
-        files: where the class of a type may stand, by the type's name.
+        files: the files in which the class of a type may stand, by the type's name.
     """
     return _Importer(profile, types, files).whole()
 
@@ -63,7 +63,7 @@ class _Importer:
         self._notes: list[Note] = []
         self._names: dict[str, str] = {}
         self._said: set[str] = set()
-        """Of types: said at the first component of each."""
+        """The notes on types that were made; each is made once, at the first component."""
         taken: set[str] = set()
         for one in profile.components:
             name = self._names[one.name] = named(one.name, taken)
@@ -185,7 +185,7 @@ class _Importer:
             raise OpenRTMError(
                 f"{one.where}: compositeType = {one.composite!r:.60}: expected None, {', '.join(COMPOSITES)}"
             )
-        # Old tools write it at the members, too; those have none of their own.
+        # Old tools write compositeType at the members, too, which have no members of their own.
         return bool(self._members_of(one))
 
     def _members_of(self, one: RtsComponent) -> tuple[str, ...]:
@@ -297,7 +297,7 @@ class _Importer:
         return tuple(found)
 
     def _end(self, component: str, port: str) -> str:
-        """The path of a port; of one that a composite exports, that of its member. "" where there is none."""
+        """The path of a port; for a port that a composite exports, the member's. "" where there is none."""
         owner, dot, word = port.rpartition(".")
         if component in self._composites and dot and owner in self._names:
             return f"{self._names[owner]}.{word}"

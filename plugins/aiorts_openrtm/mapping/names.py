@@ -1,4 +1,4 @@
-"""Names of OpenRTM as names that aiorts allows; each stays the only one of its kind."""
+"""Turns names of OpenRTM into names that aiorts allows; different names stay different."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def is_name(text: str) -> bool:
 
 
 def named(text: str, taken: Container[str] = ()) -> str:
-    """The text, or the name nearest to it that none of the others has."""
+    """The text, or the nearest allowed name that is not taken."""
     name = text if is_name(text) else _REFUSED.sub("_", text).lstrip("-")[:90] or "unnamed"
     if name not in taken:
         return name

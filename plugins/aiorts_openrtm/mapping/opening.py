@@ -1,4 +1,4 @@
-"""Reads whatever file of OpenRTM it is given, and says what it is."""
+"""Reads a file of OpenRTM of any kind, and says which kind it is."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Opened:
     kind: Kind
     profile: RtsProfile
     files: Mapping[str, list[Path]]
-    """Where the class of a type may stand, by the type's name."""
+    """The files in which the class of a type may stand, by the type's name."""
     notes: list[Note]
 
 
@@ -40,8 +40,8 @@ def opened(path: Path, types: Types) -> Opened:
     """Read a file: a profile of a system in XML or YAML, `rtc.conf`, the `.conf` of a component, or `RTC.xml`.
 
     Raises:
-        OpenRTMError: it is none of these, or something in it is wrong; says on which line.
-        MissingExtra: what reads it is not installed.
+        OpenRTMError: it is none of these, or something in it is wrong; the message has the line.
+        MissingExtra: the reader of its format is not installed.
     """
     kind = _kind(path)
     if kind == "conf":
@@ -59,11 +59,11 @@ def opened(path: Path, types: Types) -> Opened:
 def read_system(
     path: Path, *, module_paths: Sequence[Path] = (), folder: Path | None = None
 ) -> tuple[Wanted, tuple[Note, ...]]:
-    """The system that a file of OpenRTM describes, and what of it could not be carried over.
+    """The system that a file of OpenRTM describes, and notes on what could not be carried over.
 
     Args:
         module_paths: folders below which files may be named, besides that of the file.
-        folder: where the system file is to lie, which is made of it; the current one by default.
+        folder: the future folder of the system file that is made of it; the current one by default.
 
     Raises:
         OpenRTMError, MissingExtra: as `opened`.
@@ -75,7 +75,7 @@ def read_system(
 def read_placed_system(
     path: Path, *, module_paths: Sequence[Path] = (), folder: Path | None = None
 ) -> tuple[Wanted, tuple[Note, ...], Places]:
-    """As `read_system`, and where the components stand in the tools that wrote the file."""
+    """As `read_system`, with the places of the components in the tools that wrote the file."""
     types = Types((path.parent, *module_paths), folder or Path.cwd())
     found = opened(path, types)
     made = imported(found.profile, types, found.files)

@@ -15,8 +15,8 @@ def located(root: Element, names: Mapping[str, str], wanted: Wanted) -> Places:
     """The places that a profile states; tools that place nothing write 0, 0, which states none.
 
     Args:
-        names: of each component of the profile, its name in the system file.
-        wanted: the system: of the boxes of one context the highest stands at the top of its band.
+        names: the name in the system file of each component of the profile.
+        wanted: the system; the highest box of each context stands at the top of its band.
     """
     found = {names.get(name, name): place for name, place in _stated(root)}
     contexts: dict[str, str] = {}

@@ -1,4 +1,4 @@
-"""The profile of a system of one component, of the description of its type."""
+"""Makes the profile of a system of one component from the description of its type."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sequences of a profile (StartUp, Activation) as rules of when components are activated, and rules as a sequence."""
+"""Turns sequences of a profile (StartUp, Activation) into rules for activating components, and back."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from aiorts_openrtm.notes import Note
 from aiorts_openrtm.profiles.rts_profile import RtsComponent, RtsTarget
 
 _MOST: Final = 20_000
-"""Conditions of all steps."""
+"""The most conditions of all steps."""
 USUAL_TIMEOUT: Final = 10.0
-"""Seconds; of a rule that does not say it."""
+"""The time-out in seconds of a rule that states none."""
 
 
 def rules_of(
@@ -24,7 +24,7 @@ def rules_of(
     """The rule of each component, by its name here.
 
     Args:
-        names: of each component that can have a rule, its name here, by that in the profile.
+        names: the name here of each component that can have a rule, by its name in the profile.
     """
     chosen = chosen_sequence(sequences)
     for word, targets in sequences.items():
@@ -67,12 +67,12 @@ def rules_of(
 
 
 def chosen_sequence(sequences: Mapping[str, tuple[RtsTarget, ...]]) -> str:
-    """The sequence that says in which order components are activated; "" where there is none."""
+    """The name of the sequence that orders the activation of components; "" where there is none."""
     return next((word for word in ("Activation", "StartUp") if sequences.get(word)), "")
 
 
 def _without_circles(rules: dict[str, StartRule], notes: list[Note], word: str) -> dict[str, StartRule]:
-    """The same without conditions by which components would wait for each other."""
+    """The rules without conditions by which components would wait for each other."""
     done: set[str] = set()
     found: dict[str, StartRule] = {}
     left = dict(rules)
@@ -95,7 +95,7 @@ def _of(condition: str) -> str:
 
 
 def is_sayable(rule: StartRule) -> bool:
-    """Whether a sequence can say a rule whole."""
+    """Whether a sequence can state the whole rule."""
     waits_for_active = all(condition.state == "active" for condition in rule.conditions)
     in_ms = all(abs(seconds * 1000 - round(seconds * 1000)) < 1e-9 for seconds in (rule.wait, rule.timeout))
     both = bool(rule.after) and rule.wait > 0
@@ -105,11 +105,11 @@ def is_sayable(rule: StartRule) -> bool:
 def sequence_of(
     word: str, rules: Sequence[StartRule], components: Mapping[str, RtsComponent], old: Element | None
 ) -> Element:
-    """The element of a sequence that says these rules, as far as it can.
+    """The element of a sequence that states these rules, as far as it can.
 
     Args:
-        rules: in an order in which each comes after those it waits for.
-        components: of the profile, by their names here.
+        rules: ordered so that each comes after those that it waits for.
+        components: the profile's components, by their names here.
         old: the sequence that stood there.
     """
     levels: dict[str, int] = {}

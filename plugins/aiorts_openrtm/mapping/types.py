@@ -1,4 +1,4 @@
-"""Which class a component's type is: one that a plugin offers, or of a file below the folders that may be named."""
+"""Finds the class of a component's type: a plugin's, or one of a file below the folders that may be named."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 _LARGEST: Final = 1 << 20
-"""Bytes of a file that is looked into."""
+"""Bytes of a file that are searched for a class."""
 _OF_OPENRTM: Final = ("OpenRTM_aist", "RTC")
 
 
@@ -19,7 +19,7 @@ class Types:
     """Finds types by their names. It reads files, and imports none."""
 
     def __init__(self, roots: Sequence[Path], target: Path) -> None:
-        """`roots`: folders below which files may be named; `target`: where the system file is to lie."""
+        """Set `roots`, the folders below which files may be named, and `target`, the system file's future folder."""
         self.roots = tuple(Path(os.path.realpath(root)) for root in roots)
         self.target = Path(os.path.realpath(target))
 
@@ -37,11 +37,11 @@ class Types:
         return None
 
     def find(self, name: str, files: Iterable[Path] = ()) -> tuple[str, str]:
-        """The text of a type for a system file, and what is to be said of it.
+        """The text of a type for a system file, and a note on it, "" for none.
 
         Args:
-            name: as OpenRTM calls it.
-            files: where to look before the folders.
+            name: OpenRTM's name of the type.
+            files: files to search before the folders.
         """
         if name in _installed():
             return name, ""

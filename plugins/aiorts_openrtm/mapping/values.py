@@ -1,4 +1,4 @@
-"""Values of configuration parameters: texts in OpenRTM, by the type that `__type__` says in a system file."""
+"""Values of configuration parameters: texts in OpenRTM, values of the type in `__type__` in a system file."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _KINDS: Final[Mapping[str, type[bool] | type[int] | type[float]]] = {
     **dict.fromkeys(("float", "double", "long double"), float),
     **dict.fromkeys(("bool", "boolean"), bool),
 }
-"""By OpenRTM's name of a type, what its values are here; all others are texts."""
+"""The class of values here, by OpenRTM's name of a type; values of other types are texts."""
 _LONGEST: Final = 100
 
 
 def typed(text: str, kind: str) -> Any:
-    """The value that a text is, of a type as OpenRTM calls it; the text itself where it is none of that type.
+    """The value of a text, by OpenRTM's name of its type; the text itself where it is no value of that type.
 
-    It is read as a parameter of that type reads what `--set` gives it.
+    The text is read as a parameter of that type reads a text of `--set`.
     """
     here = kind_of_word(kind)
     if here is None or len(text) > _LONGEST:
@@ -69,7 +69,7 @@ def is_said(value: Any, kind: str) -> bool:
 
 
 def against(value: Any, constraint: str) -> str:
-    """What a constraint has against a value, or what cannot be read of it; "" for nothing."""
+    """The reason why a constraint refuses a value, or cannot be read; "" for none."""
     found = _refused(value, constraint)
     if found and isinstance(value, str) and (number := typed(value, "double")) != value:
         return _refused(number, constraint) and _refused(typed(value, "int"), constraint)

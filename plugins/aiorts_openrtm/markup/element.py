@@ -15,7 +15,7 @@ class Attribute(NamedTuple):
     """One attribute, or the declaration of a name space."""
 
     name: str
-    """As it is written: "rts:id"."""
+    """The name as it is written: "rts:id"."""
     space: str
     """The name space, as a URI; "" for none."""
     local: str
@@ -35,7 +35,7 @@ class Element:
     """One element with all that is in it."""
 
     name: str
-    """As it is written: "rts:Components"."""
+    """The name as it is written: "rts:Components"."""
     space: str
     local: str
     attributes: tuple[Attribute, ...] = ()
@@ -55,7 +55,7 @@ class Element:
         return any((one.space, one.local) == (space, local) for one in self.attributes)
 
     def elements(self, space: str = "", local: str = "") -> Iterator[Element]:
-        """The elements directly in it; of a name space and name, if one is given."""
+        """The elements directly in it; only those of a name space and name, if given."""
         for one in self.children:
             if isinstance(one, Element) and (not local or (one.space, one.local) == (space, local)):
                 yield one
@@ -66,7 +66,7 @@ class Element:
         return "".join(one for one in self.children if isinstance(one, str))
 
     def with_attribute(self, name: str, space: str, value: str | None) -> Element:
-        """The same with an attribute of another value, at its place or the end; None takes it away."""
+        """The element with another value of an attribute, at its place or the end; None takes the attribute away."""
         local = name.rpartition(":")[2]
         new = Attribute(name, space, local, value or "")
         kept = []
@@ -86,12 +86,12 @@ class Element:
         change: Callable[[Element], Element | None] = lambda child: child,
         added: Sequence[tuple[Sequence[str], Element]] = (),
     ) -> Element:
-        """The same with other elements in it; texts, comments and the order of all others stay.
+        """The element with other elements in it; texts, comments and the order of all others stay.
 
         Args:
-            change: makes of each element directly in it what is to stand in its place; None takes it away, with the
+            change: gives the replacement of each element directly in it; None takes the element away, with the
                 white space before it.
-            added: new elements, each after the last of those whose local name is in the list beside it, else first.
+            added: new elements, each after the last element whose local name is in its list, else first.
         """
         step = self._step()
         children: list[Element | Comment | str] = []
@@ -125,7 +125,7 @@ class Element:
 
 
 def indented(element: Element, step: str = "\n") -> Element:
-    """The same with each element on a line of its own, four spaces further in than what it is in.
+    """The element with each element on a line of its own, four spaces further in than its parent.
 
     Args:
         step: the white space before the element itself.

@@ -1,4 +1,4 @@
-"""How the same profile is written in XML and in YAML: names, lists, types; one table for both directions."""
+"""The forms of one profile in XML and in YAML: names, lists, types; one table for both directions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RTS_EXT: Final = "http://www.openrtp.org/namespaces/rts_ext"
 XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 ROOT: Final = "RtsProfile"
 EXT_MARK: Final = "rtsExt::"
-"""What a key of YAML begins with that is not of the basic profile."""
+"""The beginning of a key of YAML that is not of the basic profile."""
 
 LISTS: Final = frozenset(
     {
@@ -29,7 +29,7 @@ LOWER: Final = frozenset(
 )
 """Elements whose name begins with a small letter."""
 SEQUENCES: Final = ("StartUp", "ShutDown", "Activation", "Deactivation", "Resetting", "Initializing", "Finalizing")
-"""What is done to components in an order."""
+"""The operations that sequences do to components in an order."""
 _ORDER: Final = (
     *("TargetComponent", "WaitTime", "Preceding"),
     *("sourceDataPort", "targetDataPort", "sourceServicePort", "targetServicePort"),
@@ -60,23 +60,23 @@ TYPES: Final[Mapping[str, str]] = MappingProxyType(
         "targets": "condition_ext",
     }
 )
-"""What `xsi:type` of an element is, as OpenRTM's tools write it."""
+"""The `xsi:type` of an element, as OpenRTM's tools write it."""
 _NEVER: Final = "1970-01-01T00:00:00"
 _SPACES: Final = (("rts", RTS), ("rtsExt", RTS_EXT), ("xsi", XSI))
 
 
 def before(local: str) -> tuple[str, ...]:
-    """The elements after which an element stands, beside which it stands, itself among them."""
+    """The elements behind which an element stands among its siblings, itself included."""
     return _ORDER[: _ORDER.index(local) + 1] if local in _ORDER else _ORDER
 
 
 def in_order(elements: Iterable[Element]) -> tuple[Element, ...]:
-    """Elements that stand beside each other, in the order of the schema; unknown ones at the end."""
+    """Siblings in the order of the schema; unknown elements at the end."""
     return tuple(sorted(elements, key=lambda one: len(before(one.local))))
 
 
 def made(local: str, *children: Element | str, ext: bool = False, where: str = "", **values: str | None) -> Element:
-    """A new element of a profile; of an attribute's name, `ext_` is the mark of the extended profile.
+    """A new element of a profile; `ext_` before an attribute's name marks the extended profile.
 
     A value that is None is left out.
     """
@@ -104,7 +104,7 @@ def made_root(*children: Element, where: str = "", **values: str) -> Element:
 
 
 def made_system(*children: Element, identity: str, abstract: str = "", date: str = _NEVER, where: str = "") -> Element:
-    """A new root with what each has to say."""
+    """A new root with the attributes that every profile has."""
     return made_root(
         *children, id=identity, abstract=abstract, creationDate=date, updateDate=date, version="0.2", where=where
     )
@@ -120,7 +120,7 @@ def made_component(
     composite: str = "None",
     where: str = "",
 ) -> Element:
-    """A new component of a profile, with what each has to say."""
+    """A new component of a profile, with the attributes that every component has."""
     return made(
         "Components",
         *parts,
@@ -137,7 +137,7 @@ def made_component(
 
 
 def made_set(name: str, data: Mapping[str, tuple[str, str]], where: str) -> Element:
-    """A new configuration set, of each value and its place."""
+    """A new configuration set of values, each with its place."""
     values = (made("ConfigurationData", name=key, data=value, where=place) for key, (value, place) in data.items())
     return made("ConfigurationSets", *values, id=name, where=where)
 

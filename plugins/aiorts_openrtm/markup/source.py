@@ -12,9 +12,9 @@ from typing import Final
 from aiorts_openrtm.errors import OpenRTMError
 
 LARGEST: Final = 10_000_000
-"""Bytes of a file."""
+"""The most bytes of a file."""
 DEEPEST: Final = 64
-"""Elements, or tables and lists, inside each other."""
+"""The most elements, or tables and lists, inside each other."""
 _ENCODING: Final = re.compile(rb"""^<\?xml[^>]{0,200}?\bencoding\s*=\s*["']([A-Za-z0-9._-]{1,40})["']""")
 _KNOWN: Final = frozenset(
     codecs.lookup(name).name
@@ -49,10 +49,10 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decoded(data: bytes, path: Path | str) -> str:
-    """The text, by its byte-order mark, or by what an XML declaration says, or UTF-8.
+    """The text of the bytes, by their byte-order mark, else by an XML declaration, else as UTF-8.
 
     Raises:
-        OpenRTMError: an encoding that is not known, or bytes that it does not have; with the line.
+        OpenRTMError: the encoding is not known, or does not have the bytes; the message has the line.
     """
     name = next((name for mark, name in _MARKS if data.startswith(mark)), "")
     if not name:

@@ -1,4 +1,4 @@
-"""XML to a tree: without document types, entities and references to anything outside; 64 elements deep at the most."""
+"""XML to a tree: without document types, entities and references to anything outside; at most 64 elements deep."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def element_of_xml(text: str, path: Path | str) -> Element:
     """The root element of a document.
 
     Raises:
-        OpenRTMError: it is no XML, or has a document type; says on which line.
+        OpenRTMError: it is no XML, or has a document type; the message has the line.
         MissingExtra: defusedxml is not installed.
     """
     try:
@@ -151,7 +151,7 @@ class _Open:
 
 
 def _joined(children: list[Element | Comment | str]) -> Iterator[Element | Comment | str]:
-    """The same with texts that follow each other as one."""
+    """Join texts that follow each other."""
     for are_texts, several in groupby(children, lambda child: isinstance(child, str)):
         if are_texts:
             yield "".join(one for one in several if isinstance(one, str))

@@ -15,10 +15,10 @@ _IN_VALUE: Final = {**_IN_TEXT, ord('"'): "&quot;", ord("\n"): "&#10;", ord("\t"
 
 
 def xml_of_element(root: Element) -> str:
-    """The document.
+    """The XML document of a tree.
 
     Raises:
-        OpenRTMError: a character that XML cannot have.
+        OpenRTMError: the tree has a character that XML cannot have.
     """
     parts = [_BEGIN]
     _write(root, parts)

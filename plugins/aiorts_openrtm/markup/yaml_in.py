@@ -1,4 +1,4 @@
-"""YAML of a profile to the tree that its XML would be. No tag makes an object, and no alias makes more than it says."""
+"""YAML of a profile to the tree that its XML would be. No tag makes an object, and aliases are bounded."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from aiorts_openrtm.markup.source import DEEPEST
 
 MOST_ALIASES: Final = 100
 _MOST_AGAIN: Final = 100_000
-"""Values that aliases may repeat in all."""
+"""The most values that aliases repeat in all."""
 _PLAIN_TAGS: Final = ("!", *(f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "map", "seq")))
 _WORD: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]{0,99}")
 _DIGITS: Final = re.compile(r"\d{1,4}")
@@ -58,7 +58,7 @@ def element_of_yaml(text: str, path: Path | str) -> Element:
     """The root element of a profile.
 
     Raises:
-        OpenRTMError: it is no YAML, or no profile; says on which line.
+        OpenRTMError: it is no YAML, or no profile; the message has the line.
         MissingExtra: PyYAML is not installed.
     """
     top = _Reader(text, path).document()

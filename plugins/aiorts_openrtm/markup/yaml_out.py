@@ -28,7 +28,7 @@ _WHOLE_NUMBER: Final = re.compile(r"-?(?:0|[1-9]\d{0,17})")
 
 
 def yaml_of_element(root: Element, notes: list[Note]) -> str:
-    """The text; `notes` gets what YAML of a profile cannot say.
+    """The text of a profile; `notes` gets a note on each thing that YAML cannot state.
 
     Raises:
         MissingExtra: PyYAML is not installed.
@@ -50,7 +50,7 @@ class _Writer:
         self._notes = notes
 
     def table(self, element: Element) -> dict[str, Any]:
-        """What an element says."""
+        """The table of an element's attributes and children."""
         found: dict[str, Any] = {}
         for one in element.attributes:
             if one.space == XMLNS or self._is_known_type(element, one):

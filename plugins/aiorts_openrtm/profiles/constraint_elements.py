@@ -22,7 +22,7 @@ def constraint_text(element: Element) -> str:
     """The text of an element `Constraint`.
 
     Raises:
-        OpenRTMError: it says what the grammar has no words for.
+        OpenRTMError: the grammar has no words for the constraint.
     """
     kind = _only(element)
     if kind is None:
@@ -58,7 +58,7 @@ _LIMITS: Final = ("LowerBoundary", "UpperBoundary")
 
 
 def _equals(element: Element) -> Iterator[str]:
-    """The values of a constraint that is one, or one of several."""
+    """The values that a constraint allows, which names one value or several."""
     kind = _only(element)
     condition = None if kind is None else _only(kind)
     if condition is None or condition.local not in ("propertyIsEqualTo", "Or"):

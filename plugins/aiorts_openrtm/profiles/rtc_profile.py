@@ -30,11 +30,11 @@ class RtcParameter:
 
     name: str
     type: str
-    """As it is written: "double", "string", "std::vector<int>"."""
+    """The type as it is written: "double", "string", "std::vector<int>"."""
     default: str
     unit: str
     constraint: str
-    """In the grammar of aiorts' and OpenRTM's constraints; "" for none."""
+    """The constraint in the grammar of aiorts and OpenRTM; "" for none."""
     widget: str
     doc: str
     where: str
@@ -47,7 +47,7 @@ class RtcDataPort:
     name: str
     direction: Literal["in", "out", "event"]
     type: str
-    """As it is written: "RTC::TimedPose3D"."""
+    """The type as it is written: "RTC::TimedPose3D"."""
     unit: str
     doc: str
     where: str
@@ -93,12 +93,12 @@ class RtcProfile:
     context: str
     """The kind of its execution context: "PeriodicExecutionContext", ..."""
     rate: float
-    """Hz; 0 where nothing is said."""
+    """The rate in Hz; 0 where none is stated."""
     most: int
-    """Instances at the most; 0 is any number."""
+    """The most instances; 0 is any number."""
     language: str
     hooks: tuple[str, ...]
-    """Those that are implemented, as aiorts calls them: "on_execute"."""
+    """The hooks that are implemented, as aiorts calls them: "on_execute"."""
     parameters: tuple[RtcParameter, ...]
     data_ports: tuple[RtcDataPort, ...]
     service_ports: tuple[RtcServicePort, ...]
@@ -107,7 +107,7 @@ class RtcProfile:
 
     @property
     def id(self) -> str:
-        """As a system's profile has it: "RTC:vendor:category:type:version"."""
+        """The id in a system's profile: "RTC:vendor:category:type:version"."""
         return f"RTC:{self.vendor}:{self.category}:{self.name}:{self.version}"
 
     @classmethod
@@ -115,7 +115,7 @@ class RtcProfile:
         """Read a file.
 
         Raises:
-            OpenRTMError: it cannot be read, or is no such profile; says on which line.
+            OpenRTMError: it cannot be read, or is no such profile; the message has the line.
         """
         return cls.of(element_of_xml(decoded(read_bytes(path), path), path))
 

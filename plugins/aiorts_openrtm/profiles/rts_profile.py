@@ -1,4 +1,4 @@
-"""`RtsProfile`: a whole OpenRTM system, read from the tree of its XML or YAML, in which all else stays."""
+"""`RtsProfile`: a whole OpenRTM system, read from the tree of its XML or YAML, which it keeps whole."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from aiorts_openrtm.markup.shapes import ROOT, RTS, RTS_EXT, SEQUENCES
 
 COMPOSITES: Final = ("PeriodicECShared", "PeriodicStateShared", "Grouping", "FsmECShared", "FsmStateShared")
 MOST: Final = 10_000
-"""Components of a profile."""
+"""The most components of a profile."""
 _LONGEST: Final = 200
 
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationSet:
-    """A named set of parameters; one whose name begins with "__" says something about them."""
+    """A named set of parameters; a set whose name begins with "__" is about parameters, such as their types."""
 
     name: str
     values: Mapping[str, str]
@@ -35,9 +35,9 @@ class RtsContext:
     id: str
     kind: str
     rate: float
-    """Hz; 0 where nothing is said."""
+    """The rate in Hz; 0 where none is stated."""
     participants: tuple[str, ...]
-    """Components of others that take part."""
+    """The names of other components that take part."""
     properties: Mapping[str, str]
     where: str
 
@@ -47,13 +47,13 @@ class RtsComponent:
     """One component of a system."""
 
     name: str
-    """Its instance name."""
+    """The component's instance name."""
     id: str
     """"RTC:vendor:category:type:version"."""
     path: str
-    """Where name servers have it."""
+    """The component's path in name servers."""
     composite: str
-    """"None", or how its members belong to it."""
+    """"None", or the kind of the composite."""
     active: str
     """The active configuration set."""
     required: bool
@@ -62,13 +62,13 @@ class RtsComponent:
     sets: tuple[ConfigurationSet, ...]
     contexts: tuple[RtsContext, ...]
     members: tuple[str, ...]
-    """Of a composite: the instance names of its members."""
+    """The instance names of a composite's members."""
     properties: Mapping[str, str]
     where: str
 
     @property
     def id_parts(self) -> tuple[str, str, str, str]:
-        """Vendor, category, type and version; "" for one that is not said."""
+        """Vendor, category, type and version; "" for one that is not stated."""
         parts = self.id.removeprefix("RTC:").split(":")
         if len(parts) in (1, 2):  # as old tools write it: "RTC:vendor.category.type:version"
             dotted = parts[0].rsplit(".", 2)
@@ -108,9 +108,9 @@ class RtsTarget:
     """Seconds."""
     preceding: tuple[str, ...]
     timing: str
-    """"SYNC" or "ASYNC"; "" where nothing is said."""
+    """"SYNC" or "ASYNC"; "" where neither is stated."""
     timeout: float
-    """Seconds; 0 where nothing is said."""
+    """Seconds; 0 where none is stated."""
     where: str
 
 
@@ -125,7 +125,7 @@ class RtsProfile:
     connectors: tuple[RtsConnector, ...]
     """In the order of the file."""
     sequences: Mapping[str, tuple[RtsTarget, ...]]
-    """By their names: "StartUp", "Activation", ...; those that the profile has."""
+    """The sequences of the profile, by their names: "StartUp", "Activation", ..."""
     groups: tuple[str, ...]
     properties: Mapping[str, str]
     element: Element
@@ -136,7 +136,7 @@ class RtsProfile:
         """The profile that a tree is.
 
         Raises:
-            OpenRTMError: it is none, or something in it cannot be; says on which line.
+            OpenRTMError: it is no profile, or a value is impossible; the message has the line.
         """
         if (root.space, root.local) not in ((RTS, ROOT), ("", ROOT)):
             raise OpenRTMError(f"{root.where}: expected an RtsProfile of {RTS}, got {root.name!r:.80}")
