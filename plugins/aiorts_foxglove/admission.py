@@ -1,7 +1,7 @@
-"""Which viewers may connect: those on this machine, from pages that the user trusts.
+"""Decides which viewers may connect: those on this machine, from pages that the user trusts.
 
-Any page of a browser may open a WebSocket to this machine. Its Origin says which page it is; the Host says by which
-name it came, which is another than this machine's when a page has its own name lead here (DNS rebinding).
+Any page of a browser may open a WebSocket to this machine. The header Origin names the page; Host has the name by which
+it came, which is not this machine's when the page's own name leads here (DNS rebinding).
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from typing import Final
 from urllib.parse import urlsplit
 
 ORIGINS: Final = ("https://app.foxglove.dev",)
-"""Pages that may connect, beside those of this machine."""
+"""Pages that may connect, in addition to those of this machine."""
 VIEWERS: Final = 32
-"""At a time."""
+"""The most viewers at a time."""
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str], allowed: Collection[str]) -> str:
-    """Why who asks with these headers may not connect; "" for who may.
+    """The reason why a viewer with these headers may not connect; "" where it may.
 
     Args:
         hosts: the values of all headers `Host`.
         origins: the values of all headers `Origin`; programs that are no browser send none.
-        allowed: origins beside those of this machine.
+        allowed: origins in addition to those of this machine.
     """
     if len(hosts) != 1 or not is_local(f"//{hosts[0]}"):
         return f"Host {_shown(hosts)}: expected localhost or 127.0.0.1"

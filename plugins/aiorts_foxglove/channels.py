@@ -16,9 +16,9 @@ from aiorts_log import encoder, schema_of
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What the samples of a port are.
+    """The kind of a port's samples.
 
-    Those of a type that is known here travel as frames and have a schema; all others are shown without one.
+    Samples of a type that is known here travel as frames and have a schema; all others are shown without one.
     """
 
     name: str
@@ -26,12 +26,12 @@ class Kind:
     cls: type | None
     schema: str = ""
     panel: Panel | None = None
-    """The panel that draws the samples, beside those that show any record."""
+    """The panel that draws the samples, in addition to those that show any record."""
     _encoders: dict[type, Callable[[Any], bytes]] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
     def of(cls, name: str) -> Kind:
-        """Of the type with this full name."""
+        """The kind of samples of the type with this full name."""
         try:
             known = wire_type(name)
         except UnknownTypeError:
@@ -42,10 +42,10 @@ class Kind:
         return cls(name, known, schema if panel is None else panel.schema_with(schema), panel)
 
     def payload(self, item: Mapping[str, Any]) -> bytes:
-        """A sample, as a tap gives it, as JSON: what recordings in JSON hold.
+        """The JSON of a sample that a tap gave, in the form of recordings in JSON.
 
         Raises:
-            WireError, RecordError: it is none, or has no form in JSON.
+            WireError, RecordError: the item is no sample, or has no form in JSON.
         """
         if "error" in item:
             raise RecordError(str(item["error"]))
@@ -73,7 +73,7 @@ class Channel:
 
     @property
     def plain(self) -> dict[str, Any]:
-        """As it is advertised."""
+        """The channel as it is advertised."""
         about = {"id": self.number, "topic": self.port, "encoding": "json", "schemaName": "", "schema": ""}
         if self.kind.schema:
             name = self.kind.panel.name if self.kind.panel else self.kind.name.removeprefix("aiorts.types.")

@@ -1,7 +1,7 @@
-"""The records that Foxglove's 3D and Image panels draw, with the schema of each and how it is made.
+"""The records that Foxglove's 3D and Image panels draw, with the schema of each and the values of its fields.
 
 A panel goes by the name of a schema and by its fields. A message of one of these types has the fields of its record,
-so that plots and tables have them, and those of the schema beside them.
+so that plots and tables have them, and in addition those of the schema.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ _COMPRESSED: Final = ("jpeg", "jpg", "png", "webp", "avif")
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """How the records of a type are drawn."""
+    """The way in which the records of a type are drawn."""
 
     name: str
     """The schema's name."""
     fields: Mapping[str, Any]
     """JSON schemas of the fields that are added, or that take the place of one of the record."""
     values: Callable[[Any], Mapping[str, Any]]
-    """Their values."""
+    """The values of these fields."""
     left_out: str = ""
-    """A field of the record that is one of these, named otherwise."""
+    """A field of the record that is one of these under another name."""
 
     def schema_with(self, schema: str) -> str:
         """The schema of the messages, from that of the records."""
@@ -58,7 +58,7 @@ def panel_of(cls: type) -> Panel | None:
 
 
 def _text(value: Any) -> str:
-    """As JSON. A number that is none, which JSON has not, is beyond all numbers: nothing is drawn there."""
+    """The value as JSON. NaN and infinities, which JSON lacks, become 1e999 or -1e999: nothing is drawn there."""
     if isinstance(value, dict):
         return "{" + ",".join(f"{json.dumps(key)}:{_text(one)}" for key, one in value.items()) + "}"
     if isinstance(value, list):
@@ -117,7 +117,7 @@ _RAW_IMAGE: Final = {
 
 
 def _stamped(record: Any) -> dict[str, Any]:
-    """When and in which frame; a header names both."""
+    """The time stamp of a record, and its frame, which a header names."""
     header = getattr(record, "header", None)
     ns = int(record.tm)
     stamp = {"sec": ns // 1_000_000_000, "nsec": ns % 1_000_000_000}
@@ -190,7 +190,7 @@ def _transform(record: Any) -> dict[str, Any]:
 
 
 def _camera_image(record: Any) -> dict[str, Any]:
-    """Without data where it is compressed, which a raw image is not."""
+    """The fields of a camera image; without data where it is compressed, which a raw image is not."""
     raw = record.format.lower() not in _COMPRESSED
     return {
         **_stamped(record),
@@ -201,7 +201,7 @@ def _camera_image(record: Any) -> dict[str, Any]:
 
 
 def _odometry(record: Any) -> dict[str, Any]:
-    """Its pose with the covariance is where the schema has a pose: it is both."""
+    """The fields of an odometry: its pose with covariance and the schema's pose have one name, and are merged."""
     pose = {**json_message(record)["pose"], **_pose(record.pose.pose)}
     return {**_stamped(record), "pose": pose}
 
@@ -228,4 +228,4 @@ PANELS: Final[Mapping[str, Panel]] = MappingProxyType(
         ),
     }
 )
-"""By the full names of types."""
+"""The panels, by the full names of types."""

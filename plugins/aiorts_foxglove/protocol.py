@@ -11,7 +11,7 @@ from typing import Any, Final
 from aiorts.errors import WireError
 
 SUBPROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
-"""What today's app asks for, and what older ones do; the messages are the same."""
+"""The subprotocol of today's app, and that of older ones; the messages are the same."""
 INFO: Final = 0
 WARNING: Final = 1
 ERROR: Final = 2
@@ -26,12 +26,12 @@ _WRITING: Final = frozenset(
         *("unsubscribeParameterUpdates", "subscribeConnectionGraph", "unsubscribeConnectionGraph", "fetchAsset"),
     }
 )
-"""What needs a capability that this server does not have."""
+"""Operations that need a capability which this server does not have."""
 
 
 @dataclass(frozen=True, slots=True)
 class Subscribe:
-    """A viewer wants channels."""
+    """A viewer's request to subscribe to channels."""
 
     wanted: tuple[tuple[int, int], ...]
     """The viewer's number of each subscription, and the channel."""
@@ -39,16 +39,16 @@ class Subscribe:
 
 @dataclass(frozen=True, slots=True)
 class Unsubscribe:
-    """A viewer wants no more of subscriptions."""
+    """A viewer's request to end subscriptions."""
 
     subscriptions: tuple[int, ...]
 
 
 def request_in(message: str | bytes) -> Subscribe | Unsubscribe:
-    """What a viewer asks for.
+    """The request in a viewer's message.
 
     Raises:
-        WireError: it is nothing of the protocol, or nothing that is offered here; says what.
+        WireError: the message is not of the protocol, or asks for a thing that is not offered; the text says which.
     """
     if isinstance(message, bytes):
         raise WireError("a binary message: this server only shows samples, nothing is published or called through it")
@@ -92,32 +92,32 @@ def server_info(name: str, session: str) -> str:
 
 
 def advertise(channels: Iterable[Mapping[str, Any]]) -> str:
-    """Channels that are there now."""
+    """The message that offers channels."""
     return _text("advertise", channels=list(channels))
 
 
 def unadvertise(channels: Collection[int]) -> str:
-    """Channels that are gone."""
+    """The message that channels are gone."""
     return _text("unadvertise", channelIds=sorted(channels))
 
 
 def status(key: str, level: int, message: str) -> str:
-    """Something to be shown; it takes the place of what was said with the same key."""
+    """The message that shows a line in the place of the line with the same key."""
     return _text("status", level=level, message=message, id=key)
 
 
 def remove_status(keys: Iterable[str]) -> str:
-    """What was said with these keys holds no longer."""
+    """The message that takes back the lines with these keys."""
     return _text("removeStatus", statusIds=list(keys))
 
 
 def sample(subscription: int, time_ns: int, payload: bytes) -> bytes:
-    """A sample of a channel."""
+    """The message with a sample of a channel."""
     return _SAMPLE.pack(1, subscription, time_ns) + payload
 
 
 def time(time_ns: int) -> bytes:
-    """How late it is in the system that is shown."""
+    """The message with the time of the system that is shown."""
     return _TIME.pack(2, time_ns)
 
 

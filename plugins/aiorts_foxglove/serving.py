@@ -1,4 +1,4 @@
-"""The server: viewers come and go, and each gets of one kernel what it wants."""
+"""The server: viewers come and go, and each gets the channels of one kernel that it wants."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _GOODBYE: Final = 1.0
 
 
 class Serving:
-    """What is shown, and to whom. It is the audience of one source at a time.
+    """The server's state: the kernel that is shown, and its viewers. It is the audience of one source at a time.
 
     Args:
-        origins: pages that may connect, beside those of this machine.
-        say: takes lines for who started the command.
+        origins: pages that may connect, in addition to those of this machine.
+        say: takes lines for the user of the command.
     """
 
     def __init__(self, origins: Collection[str], say: Callable[[str], None]) -> None:
@@ -45,7 +45,7 @@ class Serving:
         self._by_port: dict[str, Channel] = {}
         self._numbers = count(1)
         self._troubles: dict[str, tuple[int, str]] = {}
-        """What is said to every viewer, by key."""
+        """The lines that every viewer shows, by key."""
         self._source: Source | None = None
 
     # -- the kernel ------------------------------------------------------------------------------------------------
@@ -64,11 +64,11 @@ class Serving:
                 self.ports({})
 
     def gone(self, text: str) -> None:
-        """Say to all viewers, also those that come, that the kernel is not there."""
+        """Tell all viewers, also those that come later, that the kernel is not there."""
         self._trouble("kernel", text, protocol.ERROR)
 
     def ports(self, found: Mapping[str, Kind]) -> None:
-        """See `Audience`. A port that is as it was keeps its channel."""
+        """See `Audience`. An unchanged port keeps its channel."""
         before = self._by_port
         self._by_port = {
             port: before[port]
@@ -123,7 +123,7 @@ class Serving:
             viewer.show(self._session, self._channels)
 
     def _watch(self) -> None:
-        """Take samples of what any viewer wants, and of nothing else."""
+        """Take samples of the channels that any viewer wants, and of no others."""
         if self._source is not None:
             wanted = {number for viewer in self._viewers for number in viewer.wanted}
             self._source.watch(frozenset(self._channels[number].port for number in wanted & self._channels.keys()))
@@ -131,7 +131,7 @@ class Serving:
     # -- viewers ---------------------------------------------------------------------------------------------------
 
     async def listen(self, port: int) -> Listening:
-        """Let viewers come.
+        """Listen for viewers.
 
         Raises:
             MissingExtra: websockets is not installed.
@@ -210,7 +210,7 @@ async def _send(connection: ServerConnection, viewer: Viewer) -> None:
 
 
 async def goodbye(listening: Listening) -> None:
-    """Give viewers time for the last line, and close; one that does not read is left."""
+    """Give viewers time for the last line, and close; one that does not read is cut off."""
     if viewers := tuple(listening.connections):
         await asyncio.sleep(_GOODBYE)
     listening.close()
@@ -222,7 +222,7 @@ async def goodbye(listening: Listening) -> None:
 
 
 def _silent() -> Any:
-    """A logger for what viewers do wrong: a scanner of ports must not fill the terminal."""
+    """A silent logger for errors of viewers: a scanner of ports must not fill the terminal."""
     import logging
 
     logger = logging.getLogger("aiorts.foxglove")

@@ -33,7 +33,7 @@ class Audience(Protocol):
         """The kernel's clock."""
 
     def trouble(self, about: str, text: str) -> None:
-        """What is wrong with a port, or with the kernel (""); an empty text ends it."""
+        """The trouble with a port, or with the kernel (""); an empty text ends it."""
 
 
 class Source:
@@ -51,7 +51,7 @@ class Source:
         self._running = False
         self._watched: frozenset[str] = frozenset()
         self._kinds: dict[str, Kind] = {}
-        """Of the ports that run."""
+        """The kinds of the ports that run, by path."""
         self._taps: dict[str, tuple[asyncio.Task[None], Kind]] = {}
         self._refused: set[str] = set()
         """Watched ports that cannot be tapped; tried again after the next look at what runs."""
@@ -81,7 +81,7 @@ class Source:
         return self._tasks.create_task(what, name="aiorts foxglove")
 
     def _tap_watched(self) -> None:
-        """Tap what is watched, and no more."""
+        """Tap the watched ports, and no others."""
         if not self._running:
             return
         for port, (task, kind) in tuple(self._taps.items()):
@@ -117,7 +117,7 @@ class Source:
 
     async def _follow_events(self) -> None:
         async with self._client.stream("events", kinds=_EVENTS) as events:
-            self._outdated.set()  # what ran before is asked for once no event after it is missed
+            self._outdated.set()  # ports that ran before are asked for once no event can be missed
             async for _ in events:
                 self._outdated.set()
         raise ClosedError(f"{self._client.entry.name}: has ended")
@@ -129,7 +129,7 @@ class Source:
             await asyncio.sleep(_TICK)
 
     async def _look(self) -> None:
-        """Ask what runs, now and each time that this is outdated."""
+        """Ask for the ports that run, now and each time that the answer is outdated."""
         while True:
             await self._outdated.wait()
             self._outdated.clear()

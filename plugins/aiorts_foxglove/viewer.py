@@ -1,4 +1,4 @@
-"""One viewer: what it knows, what it wants, and what waits to be sent to it, which is bounded."""
+"""One viewer: its state, its subscriptions, and the bounded queue of samples to it."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from aiorts_foxglove import protocol
 from aiorts_foxglove.channels import Channel
 
 QUEUE: Final = 1_000
-"""Samples that wait for a viewer."""
+"""The most samples that wait for a viewer."""
 QUEUE_BYTES: Final = 8 << 20
 _PATIENCE: Final = 1.0
 """Seconds between two statements of how much was dropped."""
 
 
 class Viewer:
-    """What is to be sent is state wherever it can be, so that only samples queue up: the oldest are dropped.
+    """A viewer. Messages to it are made of state where they can be, so only samples queue up: the oldest are dropped.
 
     Attributes:
         wanted: by channel, the viewer's number of the subscription.
@@ -41,14 +41,14 @@ class Viewer:
         self._wake = asyncio.Event()
 
     def show(self, session: tuple[str, str], channels: Mapping[int, Channel]) -> None:
-        """What runs: its name, the number of the session, the channels."""
+        """Show what runs: its name, the number of the session, the channels."""
         self._session, self._channels = session, channels
         for channel in self.wanted.keys() - channels.keys():
             del self.wanted[channel]
         self._wake.set()
 
     def subscribe(self, wanted: Iterable[tuple[int, int]]) -> None:
-        """Want channels; what cannot be wanted is said in one line, the rest is."""
+        """Subscribe to channels; those that are refused are reported in one line."""
         refused = 0
         for subscription, channel in wanted:
             known = channel in self._channels and channel in (self._sent_channels or ())
@@ -61,7 +61,7 @@ class Viewer:
             self.say("request", protocol.ERROR, f"subscribe: {refused} refused: {why}")
 
     def unsubscribe(self, subscriptions: Iterable[int]) -> None:
-        """Want no more of subscriptions; what waits of them is not sent."""
+        """End subscriptions; their waiting samples are not sent."""
         ended = set(subscriptions)
         gone = {channel for channel, subscription in self.wanted.items() if subscription in ended}
         for channel in gone:
@@ -72,7 +72,7 @@ class Viewer:
         self._bytes = sum(len(message) for _, message in self._samples)
 
     def say(self, key: str, level: int, text: str) -> None:
-        """Show a line in place of what was said with the same key; "" takes it back."""
+        """Show a line in the place of the line with the same key; "" takes it back."""
         if text:
             self._statuses[key] = level, text[:500]
         elif key in self._shown or key in self._statuses:
@@ -80,13 +80,13 @@ class Viewer:
         self._wake.set()
 
     def show_time(self, time_ns: int) -> None:
-        """How late it is; never earlier than what was shown."""
+        """Show the time; never an earlier one than before."""
         if time_ns > self._time_ns:
             self._time_ns = time_ns
             self._wake.set()
 
     def offer(self, channel: int, time_ns: int, payload: bytes) -> None:
-        """A sample of a channel that is wanted."""
+        """Queue a sample of a channel that is wanted."""
         message = protocol.sample(self.wanted[channel], time_ns, payload)
         self._samples.append((channel, message))
         self._bytes += len(message)
@@ -101,7 +101,7 @@ class Viewer:
         self._wake.set()
 
     async def messages(self) -> AsyncIterator[str | bytes]:
-        """What is to be sent, as it comes; while this is not asked for the next, the queue is bounded."""
+        """The messages to send, as they come; the queue is bounded while the next is not asked for."""
         while True:
             for _ in range(len(self._samples)):
                 if not self._samples:
@@ -118,7 +118,7 @@ class Viewer:
                 await self._sleep()
 
     def _changed(self) -> list[str]:
-        """Messages for all that is not as it was shown last."""
+        """The messages for all state that differs from what was sent last."""
         found: list[str] = []
         before, self._sent_channels = self._sent_channels, dict(self._channels)
         now = self._sent_channels
@@ -146,7 +146,7 @@ class Viewer:
             self.say("dropped", protocol.WARNING, f"{self.dropped} samples were dropped on the way to this viewer")
 
     async def _sleep(self) -> None:
-        """Until there is something to send."""
+        """Wait until there is something to send."""
         left = _PATIENCE if self.dropped > self._dropped_shown else None
         try:
             async with asyncio.timeout(left):
