@@ -58,7 +58,7 @@ class FlexiAdd(FlexiComponent):
         return self.taking(self._use, cls, count, Summation(cls, values["overflow"]))
 
     def _use(self, cls: type, count: int, summation: Summation) -> None:
-        # An input that stays counts with what it sent last, one that went counts no more.
+        # An input that stays counts with its last sample, one that went counts no more.
         self._last = {number: sample for number, sample in self._last.items() if number < count and cls is self._type}
         self._type, self._sum = cls, summation
         self._inputs = [self.in_port(f"input{number}") for number in range(count)]
@@ -69,7 +69,7 @@ class FlexiAdd(FlexiComponent):
 
     @property
     def in_line_order(self) -> bool:
-        return self.wait != "all"  # which leaves what has no partner yet, and makes the same sums in any order
+        return self.wait != "all"  # "all" leaves samples without a partner, and makes the same sums in any order
 
     async def on_execute(self) -> None:
         if self.wait == "all":

@@ -1,4 +1,4 @@
-"""FlexiConst: sends constants at a rate of its own, every so many seconds, or as fast as the readers take them.
+"""FlexiConst: sends constants at its own rate, every so many seconds, or as fast as the readers take them.
 
     [components.speed]
     type = "FlexiConst"
@@ -8,7 +8,7 @@
 
 The rate is the component's, not its context's: samples are sent by a task of its own at t0 + n / rate of the kernel's
 clock, in any context; t0 is the activation. A moment that passes while a reader holds up the last sample is skipped,
-and the number of these is logged at the end.
+and the number of skipped moments is logged at the end.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _PAUSE: Final = 0.001
 
 
 class Orders:
-    """What to send, and how often; replaced by a new object when parameters change."""
+    """The samples to send, and their period; replaced by a new object when parameters change."""
 
     __slots__ = ("parcels", "period")
 
@@ -125,13 +125,13 @@ class FlexiConst(FlexiComponent):
             return
         self._task = None
         if task.done():
-            return  # a failure of it is why we are here
+            return  # its failure is the reason of the deactivation
         task.cancel()
         await asyncio.wait([task])
         if not task.cancelled() and (error := task.exception()) is not None:
             raise error
 
-    # -- what is sent ----------------------------------------------------------------------------------------------
+    # -- the samples -----------------------------------------------------------------------------------------------
 
     def _named(self, values: Mapping[str, Any]) -> dict[str, tuple[type, int]]:
         """Type and sequence length of each port by its name."""
@@ -225,7 +225,7 @@ class FlexiConst(FlexiComponent):
 
 
 def _type(text: str, name: str) -> tuple[type, int]:
-    """The type of a port, and the length its sequence must have; 0 is any."""
+    """The type of a port, and the length that its sequence must have; 0 is any."""
     if ":" not in text:
         return parse_type(text, name), 0
     spec = parse_port(text, name)

@@ -104,7 +104,7 @@ class FlexiDump(FlexiComponent):
         by_sample = self.rate_clock == "tm" and has_tm(type(sample))
         now = int(sample.tm) if by_sample else self.clock.monotonic_ns()
         last = self._printed_last.get(port)
-        # A time that jumps back begins anew: a recording may be played twice.
+        # A time that jumps back begins a new interval: a recording may be played twice.
         if last is not None and 0 <= now - last < 1e9 / self.rate_limit:
             self._hidden += 1
             return False

@@ -121,7 +121,7 @@ class FlexiSelect(FlexiComponent):
                 try:
                     changed = self._select(sample if self._plain else sample.data)
                 except SelectionError as error:
-                    refused = refused or error  # good samples are sent first: they were taken, and would be lost
+                    refused = refused or error  # good samples go first: they were taken, and would be lost
                     continue
                 if changed:
                     await self._report()
@@ -131,7 +131,7 @@ class FlexiSelect(FlexiComponent):
             raise refused
 
     def _arrivals(self) -> Iterator[tuple[int, Any]]:
-        """The samples of this cycle in the order that counts, selections as number -1."""
+        """The samples of this cycle in the order of `order`, selections as number -1."""
         found = [(_NONE, sample) for sample in self._selecting.drain()]
         for number, port in enumerate(self._inputs):
             found += [(number, sample) for sample in port.drain()]

@@ -32,7 +32,7 @@ _REASONS: Final = {
 }
 
 Adder: TypeAlias = Callable[[Sequence[Any], Sequence[str], str], Any]
-"""(values, names of their inputs, path of the field) -> their sum."""
+"""A function that adds values: (values, names of their inputs, path of the field) -> sum."""
 
 
 class Summation:
@@ -66,7 +66,7 @@ class Summation:
         values = {name: add([getattr(s, name) for s in samples], names, name) for name, add in self._fields}
         return self._cls(tm=tm, **values) if has_tm(self._cls) else self._cls(**values)
 
-    # -- what adds each kind of field --------------------------------------------------------------------------------
+    # -- adders of each kind of field --------------------------------------------------------------------------------
 
     def _adders(self, cls: type[Any], path: str, *, top: bool = False) -> list[tuple[str, Adder]]:
         return [
@@ -122,7 +122,7 @@ class Summation:
 
         return add
 
-    # -- what does not fit ---------------------------------------------------------------------------------------------
+    # -- sums out of range ---------------------------------------------------------------------------------------------
 
     def _fitted(self, total: Any, kind: str, path: str) -> Any:
         try:

@@ -1,7 +1,7 @@
 """The base class of the Flexi components: ports follow the parameters; tables describe the command line and the README.
 
-A component gives in `ports_for` the ports for any values of its parameters, and in `check_configuration` what it
-derives from them; both are computed before anything is changed, at its creation and while it runs.
+`ports_for` of a component gives the ports for any values of its parameters, and `check_configuration` the results that
+it derives from them. Both are computed before anything is changed, at its creation and while it runs.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class FlexiComponent(Component):
     options: ClassVar[tuple[Option, ...]] = (VERBOSITY,)
     """The options of its command line."""
     alone: ClassVar[Mapping[str, object]] = {"kind": "event"}
-    """What has no in-ports has a task and a pace of its own."""
+    """The context of a component that runs alone; one without in-ports sends from its own task, at its own pace."""
     interface: ClassVar[str] = ""
     """The names of the ports, for the documentation."""
 
@@ -32,7 +32,7 @@ class FlexiComponent(Component):
 
     @property
     def in_line_order(self) -> bool:
-        """Whether a filter feeds the in-ports in the order of its lines; each cycle then has to read all they have."""
+        """Whether a filter feeds the in-ports in the order of its lines; each cycle then has to drain all of them."""
         return True
 
     _runs = False
@@ -67,10 +67,10 @@ class FlexiComponent(Component):
         return cast("OutPort[Any]", self.ports[name])
 
     def log_ports(self) -> None:
-        """Log the ports if the parameter for that is set; called after they are made."""
+        """Log the ports if `verbosity` asks for it; called after they are made."""
         self._logged = tuple(self.ports)
         if self.verbosity >= 1:
-            # One line: the log folds what follows by the same template.
+            # One line: the log folds further lines of the same template.
             ports = [f"{_direction(port)} {port.name}: {type_name(port.type)}" for port in self.ports.values()]
             self.log.info("ports: %s", ", ".join(ports))
 

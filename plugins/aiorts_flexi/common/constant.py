@@ -23,7 +23,7 @@ def sample_of(cls: type[Any], text: str, where: str = "constant", length: int = 
     """Make a sample of `cls` from the literal `text`; its `tm` is 0, and the sender stamps it.
 
     Args:
-        where: what the text is, for messages. length: items that a sequence must have; 0 is any number.
+        where: the name of the text in messages. length: items that a sequence must have; 0 is any number.
 
     Raises:
         TypedTextError: the text is no literal.

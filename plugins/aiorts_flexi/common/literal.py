@@ -1,4 +1,4 @@
-"""Values that somebody typed, as literals of JSON or of Python: nothing is ever run, and nothing can grow large.
+"""Parses values that a user typed, literals of JSON or of Python: nothing is ever run, and nothing can grow large.
 
     value  := number | text | bytes | list | mapping | truth | nothing
     number := [+-] ( 12 | 0x1f | 0o17 | 0b11 | 1.5e3 | NaN | nan | Infinity | inf )
@@ -53,7 +53,7 @@ def parse_literal(text: str, what: str = "constant") -> Any:
     """The value of a literal: None, bool, int, float, str, bytes, list (of a tuple too) or dict with text as keys.
 
     Raises:
-        TypedTextError: the text is no literal; says which character of `what` does not fit.
+        TypedTextError: the text is no literal; it names the character of `what` that does not fit.
     """
     if len(text) > LONGEST:
         raise TypedTextError(
@@ -68,7 +68,7 @@ def parse_literal(text: str, what: str = "constant") -> Any:
 
 
 class _Reader(Scanner):
-    """A place in the text, and what is read there."""
+    """Reads values at the present place in the text."""
 
     @property
     def next(self) -> str:
@@ -158,7 +158,7 @@ class _Reader(Scanner):
             raise self.error("expected bytes, \\x00 to \\xff", start)
         return text.encode("latin-1")
 
-    # -- what holds values -----------------------------------------------------------------------------------------
+    # -- lists and mappings ----------------------------------------------------------------------------------------
 
     def list(self, depth: int) -> list[Any]:
         closing = _BRACKETS[self.next]

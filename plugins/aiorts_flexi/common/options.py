@@ -1,4 +1,4 @@
-"""Describes command-line options as data: which flag sets which parameter.
+"""Describes command-line options as data: flags, and the parameters that they set.
 
 `aiorts` builds its commands from these tables. The first flags, short and long, are those of the original components.
 """
@@ -19,7 +19,7 @@ class Option:
     """A command-line option.
 
     Attributes:
-        flags: as they are typed, "-i", "--inputport".
+        flags: the flags as they are typed, "-i", "--inputport".
         param: the parameter it sets; "" when the command line itself handles it, as `help` describes.
         kind: "text" and "number" take one value, "repeat" collects the values of all its uses into a tuple, a "flag"
             takes
@@ -29,7 +29,7 @@ class Option:
         action: for a flag without parameter: a class method of the component that takes the parameters by name and
             gives
             the text to print, instead of a run.
-        bare: its value when it is given without one; "" when it needs one.
+        bare: the value of an option that is given without one; "" when it needs one.
         unless: the flag of another option with which it is not required; "" for none.
         words: words that stand for a value of a parameter that has no text for it.
     """

@@ -1,4 +1,4 @@
-"""A place in typed text, and the error for a mistake there, which a command line can mark."""
+"""A scanner of typed text, and the error for a mistake in it, whose place a command line can mark."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _BLANKS: Final = re.compile(r"[ \t\r\n]*")
 
 
 class TypedTextError(ConfigurationError):
-    """A text does not follow its grammar. Attributes: `what` it is, the whole `text`, and the `place` from 0.
+    """A text does not follow its grammar. Attributes: the kind `what`, the whole `text`, and the `place` from 0.
 
     Args:
         what: the kind of text ("map", "input0").
-        expected: what a correct text has there, or the reason of the refusal.
-        found: show what the text has there instead.
+        expected: the content of a correct text there, or the reason of the refusal.
+        found: whether to show the text that stands there instead.
     """
 
     def __init__(self, what: str, text: str, place: int, expected: str, *, found: bool = True) -> None:
@@ -37,13 +37,13 @@ class TypedTextError(ConfigurationError):
 
 
 class Scanner:
-    """The text, and the place of the next character; `what` kind of text it is."""
+    """The text, its kind `what`, and the place of the next character."""
 
     def __init__(self, text: str, what: str) -> None:
         self.text, self.what, self.place = text, what, 0
 
     def error(self, expected: str, place: int | None = None) -> TypedTextError:
-        """The error for what stands at the place, or at another one."""
+        """The error for the text at the present place, or at another one."""
         return TypedTextError(self.what, self.text, self.place if place is None else place, expected)
 
     def blanks(self) -> None:
@@ -51,7 +51,7 @@ class Scanner:
         self.take(_BLANKS)
 
     def take(self, pattern: re.Pattern[str]) -> str | None:
-        """What a pattern has at the place, to go behind it; None where it has nothing."""
+        """Take the match of a pattern at the place, and go behind it; None where there is no match."""
         match = pattern.match(self.text, self.place)
         if match is None:
             return None

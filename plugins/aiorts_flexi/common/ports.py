@@ -57,13 +57,13 @@ class PortSpec:
         return f"data.{pin}"
 
     def special(self, pin: int | str) -> Any:
-        """The kind at a pin whose values may be absent, one of few, or moments; None for all others."""
+        """The kind at a pin whose values may be absent, members of an enumeration, or moments; None for all others."""
         path = self.pin_path(pin)
         found: Any = path_type(self.type, path) if path else None
         return found if getattr(found, "base", "") != getattr(found, "spelling", "") else None
 
     def _check(self, path: str) -> None:
-        """RecordError if a path is none; ConfigurationError if it leads through a record that may be absent."""
+        """Raise RecordError for no such path, ConfigurationError if it leads through a record that may be absent."""
         path_type(self.type, path)
         for place in (match.start() for match in _STEPS.finditer(path)):
             found: Any = path_type(self.type, path[:place])
@@ -158,7 +158,7 @@ def named_types(owner: str, inputs: Sequence[str], names: Sequence[str]) -> dict
 
     Raises:
         ConfigurationError: there is no type, or there are too many names.
-        WiringError: a name stands there twice.
+        WiringError: a name is given twice.
         TypedTextError: there is no such type.
     """
     if not inputs:

@@ -13,7 +13,7 @@ from aiorts import OutPort, WouldBlock
 from aiorts.errors import WriteTimeout
 
 Parcel: TypeAlias = tuple[OutPort[Any], Any]
-"""A sample and the port it goes to."""
+"""A port, and the sample to write to it."""
 _UNSUSPENDED: Final = 256
 """Samples after which the loop gets a turn, as with awaited writes."""
 

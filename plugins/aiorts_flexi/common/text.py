@@ -22,7 +22,7 @@ def line_of(
 ) -> str:
     """Format a sample of the port `name` as one line, without its end.
 
-    `arrived`, in ns, stands in the line in place of the sample's own time.
+    `arrived`, in ns, replaces the sample's own time in the line.
 
     Raises:
         RecordError, InvalidNameError: the sample has no such field.

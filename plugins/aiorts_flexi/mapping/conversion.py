@@ -31,7 +31,7 @@ def conversion(text: str, source: type[Any], target: type[Any]) -> Callable[[Any
 
     Raises:
         TypedTextError: the map is wrong, with the place.
-        ConfigurationError: a rule is, or a type has no pins.
+        ConfigurationError: a rule is wrong, or a type has no pins.
     """
     rules: dict[str, Any] = {}
     while (found := _RULE.search(text)) is not None:

@@ -88,7 +88,7 @@ class FlexiFilter(FlexiComponent):
         """The map as a table for people; no component is made.
 
         Raises:
-            ConfigurationError: what creating it would raise; a TypedTextError has the place.
+            ConfigurationError: the error that its creation would raise; a TypedTextError has the place.
         """
         draft = cls("filter")
         values = {**draft.configuration.values, **draft.params.check(params)}
@@ -120,7 +120,7 @@ class FlexiFilter(FlexiComponent):
     def check_configuration(self, values: Values) -> Callable[[], None]:
         ins, outs = self._specs(values)
         made_of = tuple(values[name] for name in ("inputs", "outputs", "map", *_RULES))
-        # One that stays as it was remembers the last value of each pin.
+        # A mapping that stays as it was keeps the last value of each pin.
         same = made_of == self._made_of
         mapping = self._mapping if same else Mapping(ins, outs, values["map"], self._rules(values))
         return self.taking(self._use, ins, outs, mapping, made_of)
@@ -140,7 +140,7 @@ class FlexiFilter(FlexiComponent):
         self._mapping, self._made_of = mapping, made_of
         self._in_ports = [self.in_port(spec.name) for spec in ins]
         self._out_ports = {spec.name: self.out_port(spec.name) for spec in outs}
-        # What was taken from a port that stays, and not sent yet, is sent by the new map.
+        # Samples that were taken from a port that stays, and not sent yet, are sent by the new map.
         self._waiting = [before.get(port, deque()) for port in self._in_ports]
 
     def on_initialize(self) -> None:

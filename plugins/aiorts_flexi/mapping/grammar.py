@@ -5,7 +5,7 @@
 
 `in` and `out` are port numbers; a pin is a number (0 when missing) or a field path such as `position.x`. `mult` is a
 decimal with optional sign and exponent, or a fraction such as `5/9`, `off` the same with its sign required; of two
-readings the longer number wins, so `0>1e3>0` is a factor of 1000 and `0>1-5e3>0` is x - 5000. Blanks are allowed beside
+readings the longer number wins, so `0>1e3>0` is a factor of 1000 and `0>1-5e3>0` is x - 5000. Blanks are allowed around
 "," and ">" only. Every other character that does not fit is an error with its place.
 """
 
@@ -47,7 +47,7 @@ class Entry:
     mult: Number | None = None
     off: Number | None = None
     place: int = field(default=0, compare=False)
-    """Where it begins in the text, from 0."""
+    """The place in the text, from 0, where the entry begins."""
 
     def __str__(self) -> str:
         """The entry as text; parsing it gives an equal entry."""
@@ -128,7 +128,7 @@ def _pin(scanner: _Scanner) -> Pin:
 
 
 def _factor(scanner: _Scanner) -> tuple[Number | None, Number | None]:
-    """Multiplier and offset, or nothing when the number was the out-port."""
+    """Multiplier and offset; None for both when the number was the out-port."""
     place = scanner.place
     found = scanner.take(_MULT)
     if found is None:

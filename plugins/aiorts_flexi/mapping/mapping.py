@@ -39,7 +39,7 @@ class Rules:
         zero_old: set pins without new data to 0, False or the empty text; `reset` may give another value.
         clamp: (low, high) for numbers; () is none.
         nan: "pass", "error", or a number to replace it by.
-        combine: how several entries to one pin make one value of their last ones; "" allows one entry. "newest" is the
+        combine: the rule by which several entries to one pin make one value; "" allows one entry. "newest" is the
             value with the latest time, which is then the time of the pin.
         time: "oldest" or "newest" of the sources of a sample.
     """
@@ -88,7 +88,7 @@ class _Target:
     tm: int | None = None
     valid: bool = False
     last: dict[int, tuple[Any, int | None]] = field(default_factory=dict)
-    """By route: the newest converted value and its time, for `combine`."""
+    """The newest converted value of each route and its time, for `combine`."""
 
 
 @dataclass(slots=True)
@@ -98,7 +98,7 @@ class _Output:
     sources: frozenset[int]
     timed: bool
     base: Any = None
-    """For a record: the values of the fields that no entry sets."""
+    """A record with the values of the fields that no entry sets."""
     headed: bool = False
     """Whether its header holds the time."""
 
@@ -135,7 +135,7 @@ class Mapping:
         Raises:
             ConversionError: an entry's value cannot be converted, the entry is named; no sample of the round is sent.
         """
-        if len(self.inputs) == 1:  # what a bad sample leaves behind, the next one replaces
+        if len(self.inputs) == 1:  # values that a bad sample leaves, the next sample replaces
             return self._apply(samples, now)
         before = [(each, each.value, each.tm, each.valid, dict(each.last)) for o in self._outputs for each in o.targets]
         try:
@@ -189,7 +189,7 @@ class Mapping:
         except RecordError as error:
             raise ConversionError(f"{entry}: {self.inputs[entry.source].name}: {error}") from None
         try:
-            # A NaN may have been text, or have come of infinity times zero: it is asked for after each step.
+            # A NaN may have been text, or infinity times zero: each step is followed by a check.
             return self._without_nan(self._fitted(self._limited(self._scaled(value, entry)), target))
         except ConversionError as error:
             raise ConversionError(f"{entry}: {error}") from None
@@ -239,7 +239,7 @@ class Mapping:
         if len(values) == 1:
             return values[0]
         if rule != "sum":
-            # NaN is neither less nor more than anything: it is the answer, whichever entry it came by.
+            # NaN is neither less nor more than any number: it is the result, whichever entry gave it.
             unordered = [value for value in values if value != value]
             return unordered[0] if unordered else min(values) if rule == "min" else max(values)
         try:
@@ -286,7 +286,7 @@ class Mapping:
             changes["tm"] = stamp
         try:
             return with_values(output.base, changes)
-        except RecordError as error:  # a value of the right kind that is none of those that the field may have
+        except RecordError as error:  # a value of the right kind that the field does not allow
             raise ConversionError(str(error)) from None
 
     def _empty(self, kind: str) -> Any:
@@ -298,7 +298,7 @@ class Mapping:
         except ConversionError as error:
             raise ConfigurationError(f"reset = {text!r}: {error}") from None
 
-    # -- making it -------------------------------------------------------------------------------------------------
+    # -- construction ----------------------------------------------------------------------------------------------
 
     def _make_outputs(self, specs: Sequence[PortSpec]) -> list[_Output]:
         found: dict[int, dict[str, _Target]] = {}
@@ -367,7 +367,7 @@ def _port(specs: Sequence[PortSpec], number: int, word: str) -> PortSpec:
 
 
 def _exactly(number: float, mult: Number, off: Number) -> float:
-    """The number times a factor, and an offset, rounded once; a whole number stays one where the result is whole."""
+    """The number times a factor, plus an offset, rounded once; an int stays an int where the result is whole."""
     if not math.isfinite(number):
         return number * float(mult) + float(off)
     exact = Fraction(number) * Fraction(mult) + Fraction(off)
@@ -375,7 +375,7 @@ def _exactly(number: float, mult: Number, off: Number) -> float:
 
 
 def _newest(found: Sequence[tuple[Any, int | None]]) -> tuple[Any, int | None]:
-    """Value and time of the latest; of equal time, or without time, of the last that arrived."""
+    """Value and time of the latest entry; of equal times, or without time, those of the last that arrived."""
     value, latest = found[0]
     for other, tm in found[1:]:
         if latest is None or tm is None or tm >= latest:

@@ -29,7 +29,7 @@ def reader(spec: PortSpec, pin: int | str) -> Callable[[Any], Any]:
     def item(sample: Any) -> Any:
         data = sample.data
         if pin >= len(data):
-            return read_path(sample, path)  # which says how many there are
+            return read_path(sample, path)  # its error has the number of items
         found = data[pin]
         return found.item() if hasattr(found, "dtype") else found
 

@@ -15,7 +15,7 @@ def map_table(inputs: Sequence[str], outputs: Sequence[str], text: str, rules: R
 
     Raises:
         TypedTextError: a port or the map is wrong, with the place.
-        ConfigurationError: the rules are.
+        ConfigurationError: the rules are wrong.
     """
     ins = [parse_port(spec, f"input{number}") for number, spec in enumerate(inputs)]
     outs = [parse_port(spec, f"output{number}") for number, spec in enumerate(outputs)]

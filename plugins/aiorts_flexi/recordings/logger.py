@@ -1,4 +1,4 @@
-"""FlexiLogger: records what arrives at its in-ports into a file, or replays a file from its out-ports.
+"""FlexiLogger: records the samples of its in-ports into a file, or replays a file from its out-ports.
 
     [components.log]
     type = "FlexiLogger"
@@ -12,8 +12,8 @@
         await kernel.start(EventContext(), log, activate=True)
         await kernel.sleep(10.0)
 
-The parameter `mode` chooses between the two; each is a role of its own, in `recording.py` and `replaying.py`. This file
-has the user's side: parameters, options, ports and the service port.
+The parameter `mode` chooses between recording and replaying, which are roles in `recording.py` and `replaying.py`. This
+file has the user's side: parameters, options, ports and the service port.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _OF_THE_OTHER: Final = {
     "record": ("speed", "rate", "absolute", "begin", "end", "loop", "max_gap", "only", "skip", "remap", "strict"),
     "replay": ("encoding", "existing", "sync", "flush_age", "chunk", "queue", "rotate_size", "rotate_time", "min_free"),
 }
-"""Parameters without a meaning in a mode. Types and names are ignored when it replays, as the original ignored them."""
+"""Parameters without a meaning in a mode. Types and names are ignored in a replay, as by the original."""
 
 
 def _is_given(option: Option, value: object) -> bool:
@@ -115,7 +115,7 @@ class FlexiLogger(FlexiComponent):
     logfile = Param(Path("logger.mcap"), file="write", doc="the file; in a system file counted from the folder of that")
     paused = Param(False, doc="record: take samples and do not record them; replay: stand still")
     use_control = Param(False, doc="service port `Control`: stands still until `start()` is called")
-    # What recording alone has.
+    # Parameters of recording.
     text = Param(False, doc="record: a flat text file, a line for each sample")
     encoding = Param("msgpack", choices=("msgpack", "json"), doc="record: of the samples; json opens in Foxglove")
     existing = Param("refuse", choices=("refuse", "append", "overwrite"), doc="record: what if the file is there")
@@ -130,7 +130,7 @@ class FlexiLogger(FlexiComponent):
     min_free: float | None = Param(
         None, type=float | None, ge=0.0, le=1e12, unit="MB", doc="record: what stays free; None is 1 GiB, or 5 %"
     )
-    # What replay alone has.
+    # Parameters of replay.
     speed: float | None = Param(
         1.0, type=float | None, ge=0.1, le=1000.0, doc="replay: times as fast; None is as fast as the readers take it"
     )

@@ -1,6 +1,6 @@
 """The recording role of FlexiLogger: reads its in-ports and hands the samples to a background recording, never waiting.
 
-The log time of a sample is when it was read: the kernel's clock at the activation, and from there on its monotonic
+The log time of a sample is the time of its read: the kernel's clock at the activation, and from there on its monotonic
 time. Its publish time is its own `tm`.
 """
 
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from aiorts_flexi.recordings.logger import FlexiLogger
 
 _AT_ONCE: Final = 1000
-"""Samples read of a port in one cycle when their writer can wait."""
+"""The most samples read of a port in one cycle when their writer can wait."""
 _PERIOD: Final = 1000
 """Default length of a connector: the samples of a 1 kHz source in one cycle of a 1 Hz context."""
 _FULL: Final = 0.75
-"""How full the queue may be before writers that can wait have to."""
+"""The load of the queue from which writers that can wait have to."""
 _LOOK_AGAIN: Final = 0.005
 _SOON: Final = 0.005
 """Seconds that an activation waits on the loop for the file, which is normally open at once."""
@@ -129,7 +129,7 @@ class Recording:
     def initialized(self) -> None:
         """Refuse a file that cannot be written before anything runs; it is made when the component is activated."""
         if self._logger.kernel.components.get(self._logger.name, self._logger) is not self._logger:
-            return  # it takes the place of another one, whose file it takes over (`take_over`)
+            return  # it replaces another instance, whose file it takes over (`take_over`)
         try:
             self._check_target()
         except RecordingError as error:
@@ -177,7 +177,7 @@ class Recording:
 
     def execute(self) -> None:
         if self._session is not None and self._session.is_ordered and not self._closing:
-            self._begin()  # new code that had taken over went, and closed it: go on in another segment
+            self._begin()  # a replacement took over, went and closed the file: go on in another segment
         if self._session is not None and self._session.failure is not None:
             self._is_reported = True
             raise self._session.failure
@@ -272,7 +272,7 @@ class Recording:
             self._look_again()
 
     def _record_all(self, session: BackgroundRecording, number: int, samples: Sequence[Any], now: int) -> None:
-        """Record everything, in virtual time: it waits for the disk, which time would run away from."""
+        """Record everything, in virtual time: it waits for the disk, ahead of which time would run."""
         for sample in samples:
             if session.load >= _FULL:
                 session.flush()
@@ -329,13 +329,13 @@ class Recording:
                 numbers[name] = port, session.add_port(name, port.type, about_port)
         self._inputs = numbers
 
-    # -- what the recording's thread says --------------------------------------------------------------------------
+    # -- notices of the recording's thread --------------------------------------------------------------------------
 
     def _teller(self, segment: int) -> Callable[[Notice], None]:
         loop = self._logger.kernel.loop
 
         def notify(notice: Notice) -> None:
-            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody is left to be told
+            with contextlib.suppress(RuntimeError):  # the loop is closed: the notice has no receiver
                 loop.call_soon_threadsafe(self._noticed, segment, notice)
 
         return notify
@@ -351,7 +351,7 @@ class Recording:
         elif notice.kind == "failed" and not self._closing:
             for context in logger.contexts:
                 if isinstance(context, EventContext):
-                    context.trigger(logger)  # which raises it
+                    context.trigger(logger)  # its cycle raises the failure
         elif notice.kind == "failed":
             logger.kernel.loop.call_later(_LATE, self._report_late, segment)
 

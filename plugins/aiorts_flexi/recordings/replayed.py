@@ -1,4 +1,4 @@
-"""Decides which ports of a recording are replayed, under which names and with which types.
+"""Decides which ports of a recording are replayed, and their names and types.
 
 A recording may come from anywhere: a type that is not loaded is refused by the port's name, and nothing that a file
 names is ever imported.
@@ -29,18 +29,18 @@ class RecordedAs(NamedTuple):
     keys: tuple[str, ...]
     """Its channels: a port with records of a subclass has several."""
     types: tuple[Any, ...]
-    """The type of each; None where it is not loaded."""
+    """The type of each channel; None where it is not loaded."""
     unknown: str
-    """Why one of them is not; "" when all are."""
+    """The reason why one of the types is not loaded; "" when all are."""
     unit: str
 
 
 class Contents(NamedTuple):
-    """What has to be known of a file before it is replayed."""
+    """The content of a file that has to be known before it is replayed."""
 
     path: Path
     stamp: tuple[int, ...]
-    """Differs when the file differs."""
+    """A value that differs when the file differs."""
     ports: tuple[RecordedAs, ...]
     start: int
     """The first log time, in ns."""
@@ -55,10 +55,10 @@ class Replayed(NamedTuple):
 
 
 def look_into(path: Path, known: Contents | None = None) -> Contents:
-    """Read what a file holds; returns `known` if the file is unchanged.
+    """Read the content of a file; returns `known` if the file is unchanged.
 
     Raises:
-        ConfigurationError: it cannot be read, or is no recording.
+        ConfigurationError: the file cannot be read, or is no recording.
     """
     stamp = _stamp(path)
     if known is not None and known.path == path and stamp in (known.stamp, ()):
@@ -82,7 +82,7 @@ def _grouped(ports: Mapping[str, Any]) -> tuple[RecordedAs, ...]:
     """Ports by their names, each with all of its channels."""
     channels: dict[str, list[str]] = {}
     for key, port in ports.items():
-        if port.count or not port.unknown:  # one without samples needs no type that is loaded
+        if port.count or not port.unknown:  # a port without samples may have an unknown type: it is left out
             channels.setdefault(port.name, []).append(key)
     return tuple(
         RecordedAs(
@@ -102,7 +102,7 @@ def replayed_ports(
     """The out-ports by their names.
 
     Args:
-        only: names in the recording that are wanted; none is all.
+        only: the wanted names in the recording; none is all.
         skip: names to leave out.
         remap: OLD=NEW: the name in the recording, and that of the out-port.
 

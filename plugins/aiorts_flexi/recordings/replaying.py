@@ -105,7 +105,7 @@ class Replaying:
         self._player: Player | None = None
         self._task: asyncio.Task[None] | None = None
         self._left: set[asyncio.Task[None]] = set()
-        """Tasks that were ended and still let their file go."""
+        """Cancelled tasks that are still closing their file."""
         self._active_in = 0
         self._enabled = True
 
@@ -148,7 +148,7 @@ class Replaying:
     def _look_into(self, values: Mapping[str, Any]) -> Contents:
         known, path = self._contents, values["logfile"]
         if known is None or known.path != path or self._player is None:
-            # What is replayed stays what it was, even when somebody appends to the file meanwhile.
+            # A replay keeps the content that it began with, even when the file grows meanwhile.
             known = self._contents = look_into(path, known)
         return known
 
@@ -281,14 +281,14 @@ class Replaying:
         return player.paused
 
     def seek(self, seconds: float) -> float:
-        """Play from there; ValueError for a position that is no time."""
+        """Play from that time on; ValueError for a position that is no time."""
         if not 0.0 <= seconds < 1e10:
             raise ValueError(f"seek: expected seconds after the first sample, got {seconds}")
         self._playing("seek").seek(self._start + round(seconds * _NS))
         return self.position()
 
     def position(self) -> float:
-        """Seconds after the first sample of the recording."""
+        """The position, in seconds after the first sample of the recording."""
         position = self._playing("position").position
         return 0.0 if position is None else (position - self._start) / _NS
 
