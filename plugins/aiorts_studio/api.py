@@ -71,14 +71,14 @@ class Api:
 
     Args:
         scheme, ours: as `Guard` takes them.
-        right: what tokens allow.
+        right: the right that tokens give.
         say: shows a line to the user who started the server.
         pages: files of the user's own pages, by their names in the address.
-        studio: what the page shows; all kernels of this user by default.
+        studio: the content of the page; all kernels of this user by default.
 
     Attributes:
         exchanged: called when a code was exchanged.
-        ends: why the server ends; "" while it does not.
+        ends: the reason why the server ends; "" while it does not.
     """
 
     def __init__(
@@ -161,7 +161,7 @@ class Api:
     # -- tokens ----------------------------------------------------------------------------------------------------
 
     def visitor(self, token: str) -> Visitor:
-        """The client with this token; HttpError: it is none, or asks too often."""
+        """The client with this token; HttpError: there is no such token, or the client asks too often."""
         now = time.monotonic()
         holder = self.codes.holder(token, now) if token else None
         if holder is None:
@@ -208,7 +208,7 @@ class Api:
             ending.add_done_callback(self._endings.discard)
 
     async def close(self, why: str = "") -> None:
-        """End all tokens, and what their clients have under way, who are told why."""
+        """End all tokens, and the calls and streams of their clients, which are told why."""
         self.ends = why
         self.codes.end_all()
         await self.studio.close()
@@ -240,7 +240,7 @@ class Answer:
         self._began = False
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it; it ends when the client goes."""
+        """Send the answer; it ends when the client goes."""
         with self._api.under_way.one(self._visitor.holder.number, self._entry.address):
             work = self._stream(send) if self._operation.streams else self._call(send)
             done = await self._visitor.work(work, partial(_gone, receive))
@@ -287,7 +287,7 @@ async def _line(send: Send, value: Mapping[str, Any], *, more: bool = True) -> N
 
 
 async def _end(send: Send, error: AiortsError) -> None:
-    """The last line of a stream that ends otherwise than by itself."""
+    """Send the last line of a stream that ends with an error."""
     await _line(send, {"problem": problem_of(error)}, more=False)
 
 
@@ -302,7 +302,7 @@ async def _nothing() -> dict[str, Any]:
 
 
 async def _object(request: Request) -> dict[str, Any]:
-    """The object that a client sends; none is an empty one."""
+    """The object in the body of a request; no body is an empty object."""
     body = await request.body()
     if not body:
         return {}

@@ -1,4 +1,4 @@
-"""`aiorts run --studio`: the page of a run, served by a process beside it.
+"""`aiorts run --studio`: the page of a run, served by a process of its own.
 
 The process begins before the system is made, so that its address is there before the first sample. It ends with the
 run; where a user sits at the terminal it stays while a page shows the run, or none has shown it yet.
@@ -22,11 +22,11 @@ from aiorts.late import dataclass
 from aiorts.layout import layout_beside
 
 _FIRST: Final = 5.0
-"""Seconds for which a run waits at the most for the address of its page before its contexts start."""
+"""Seconds for which a run waits at most for the address of its page before its contexts start."""
 PORTS: Final = range(20_000, 32_000)
-"""Below those that a system gives to clients."""
+"""The ports of pages of runs, below those that a system gives to clients."""
 _LAST: Final = 3.0
-"""Seconds that the process has to end in."""
+"""Seconds within which the process has to end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class StudioBeside(KernelService):
         await to_thread.run_sync(self._addressed.wait, _FIRST, abandon_on_cancel=True)
 
     def _say_address(self, process: subprocess.Popen[bytes]) -> None:
-        """Set its address apart from what the system prints; no line comes where the process has failed."""
+        """Print the page's address apart from the system's output; no line comes where the process has failed."""
         if process.stdout is None:
             return
         with process.stdout as said:
@@ -120,7 +120,7 @@ class StudioBeside(KernelService):
 
 
 def port_of(lasting: str) -> int:
-    """The port of the page of a run: the same each time that the same is run, so that an open page finds it again."""
+    """The port of a run's page: the same for each run of the same system, so that an open page finds it again."""
     return PORTS.start + crc32(lasting.encode()) % len(PORTS)
 
 

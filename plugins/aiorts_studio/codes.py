@@ -1,4 +1,4 @@
-"""Codes, and the tokens for which clients exchange them. It decides; the clock is passed in, and nothing waits.
+"""Codes, and the tokens for which clients exchange them. Pure decisions: the clock is passed in.
 
 A code is read by a person or from a file, so it is good once and for a minute. A second use means that one of its two
 users has stolen it: the token that it gave ends.
@@ -22,13 +22,13 @@ GOOD_ONCE: Final = f"it is good once, and for {CODE_SECONDS:.0f} s; `aiorts stud
 TRIES: Final = 10
 """Wrong codes after which the good one is refused, too."""
 TOKENS: Final = 16
-"""Good tokens at a time; of more the one used longest ago ends. A kernel takes as many sessions of a viewer."""
+"""Good tokens at a time; for one more the one used longest ago ends. A kernel takes as many sessions of a viewer."""
 _BYTES: Final = 20
 """The length of a code and of a token: 160 bits."""
 
 
 class Fault(Enum):
-    """Why a code is not taken."""
+    """The reasons why a code is refused."""
 
     WRONG = "wrong"
     LATE = "late"
@@ -47,10 +47,10 @@ TEXTS: Final[Mapping[Fault, str]] = MappingProxyType(
 
 
 class CodeError(DeniedError):
-    """A code is not taken.
+    """A code is refused.
 
     Attributes:
-        fault: why.
+        fault: the reason.
     """
 
     def __init__(self, fault: Fault) -> None:
@@ -76,7 +76,7 @@ class Codes:
     """The codes of one server, and the tokens that they gave.
 
     Args:
-        ended: called with the holder of each token that has ended, and why; "" where its end was asked for.
+        ended: called with the holder of each token that has ended, and the reason; "" where its end was requested.
 
     Attributes:
         count: tokens that were given.
@@ -85,7 +85,7 @@ class Codes:
     def __init__(self, ended: Callable[[Holder, str], None]) -> None:
         self._ended = ended
         self._code = ""
-        """The code that is good now; "": none is."""
+        """The code that is good now; "" for none."""
         self._until = 0.0
         self._tries = 0
         self._holders: list[Holder] = []
@@ -128,7 +128,7 @@ class Codes:
         return token
 
     def holder(self, token: str, now: float) -> Holder | None:
-        """The client that holds a token; None where the token is none."""
+        """The client that holds a token; None for an unknown token."""
         found = [one for one in self._holders if _equal(one._token, token)]
         for one in found:
             one.used_at = now
@@ -152,5 +152,5 @@ class Codes:
 
 
 def _equal(one: str, other: str) -> bool:
-    """Whether they are equal; how long that takes says nothing of where they differ."""
+    """Whether two texts are equal; the time that it takes does not show where they differ."""
     return compare_digest(one.encode("utf-8", "surrogatepass"), other.encode("utf-8", "surrogatepass"))

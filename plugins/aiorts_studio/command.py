@@ -110,7 +110,7 @@ def studio(
     right = Right.OPERATE if edit else Right.VIEW
     own = () if pages is None else sorted(pages.iterdir())
     shown = {one.name: one for one in own if one.suffix in PAGES and one.is_file()}
-    # Pages beyond the machine write nothing.
+    # Pages on other machines write nothing.
     places = PlaceFiles(state_folder(), layout, _say) if bind is None else None
     watched = Studio(kernels, files, _NO_FILES if bind is None else _NO_FILES_BEYOND, places)
     serving = _Serving(names, port, tls, right, shown, watched, opens=opens, bare=api, beside=beside)
@@ -131,7 +131,7 @@ class _Serving:
     bare: bool
     """Whether address and code are printed alone, for programs."""
     beside: bool
-    """Whether it is that of a run, which says on its standard input how it has ended, and ends it with that."""
+    """Whether it serves a run, which writes its status to the server's standard input, and closes that to end it."""
 
     async def run(self) -> int:
         """Serve until a signal comes."""
@@ -144,7 +144,7 @@ class _Serving:
         except ConfigurationError:
             if not self.beside:
                 raise
-            listening = bound(self.names[0], 0)  # another runs the same
+            listening = bound(self.names[0], 0)  # another run of the same has it
         loop, over = asyncio.get_running_loop(), asyncio.Event()
         for number in _SIGNALS:
             loop.add_signal_handler(number, over.set)
@@ -168,7 +168,7 @@ class _Serving:
         return exits.DONE
 
     async def _outlast(self, api: Api, entrance: Entrance, over: asyncio.Event) -> None:
-        """Show the run from its begin, and what it was at its end, for as long as a page is open or may yet be."""
+        """Show the run from its beginning, and its last state after its end while a page is open or may yet be."""
         loop, said = asyncio.get_running_loop(), asyncio.Event()
         loop.add_reader(0, said.set)
         async with self.studio.watching():

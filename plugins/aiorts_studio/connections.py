@@ -1,6 +1,6 @@
 """Connections of the server, bounded: in number, and in the time that a client may need to ask and to read.
 
-They are those of uvicorn, which waits for a request, and for a client that does not read, as long as the client likes.
+The connections of uvicorn itself wait without a limit for a request, and for a client that does not read.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ REQUEST_SECONDS: Final = 10.0
 STALL_SECONDS: Final = 30.0
 """Seconds after which a client that does not take what is sent is cut off."""
 WAITING: Final = 128
-"""Connections without a whole request; of more the one that came first gives way."""
+"""The most connections without a whole request; for another the oldest gives way."""
 
 
 class _Reading(asyncio.Protocol):
@@ -28,17 +28,17 @@ class _Reading(asyncio.Protocol):
     _stalled: asyncio.TimerHandle | None = None
 
     def pause_writing(self) -> None:
-        """The client does not take what is sent."""
+        """Start the time-out of a client that does not read."""
         super().pause_writing()
         self._stalled = self.loop.call_later(STALL_SECONDS, self.transport.abort)
 
     def resume_writing(self) -> None:
-        """It takes it again."""
+        """End the time-out: the client reads again."""
         super().resume_writing()
         self._forget()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It has gone."""
+        """End the time-out: the client has gone."""
         self._forget()
         super().connection_lost(exc)
 
@@ -56,7 +56,7 @@ class Connection(_Reading, H11Protocol):
     """A connection that takes one request after the other.
 
     Args:
-        waiting: the connections of this server that have no whole request; it puts itself there.
+        waiting: the connections of this server that have no whole request; each puts itself there.
     """
 
     def __init__(self, *args: Any, waiting: dict[Connection, None], **options: Any) -> None:
@@ -65,27 +65,27 @@ class Connection(_Reading, H11Protocol):
         self._late: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """It waits for its first request."""
+        """Begin to wait for the first request."""
         super().connection_made(transport)
         self._look()
 
     def data_received(self, data: bytes) -> None:
-        """Something of a request has come."""
+        """Take a part of a request."""
         super().data_received(data)
         self._look()
 
     def on_response_complete(self) -> None:
-        """It waits for the next request."""
+        """Begin to wait for the next request."""
         super().on_response_complete()
         self._look()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It has gone."""
+        """End the wait for a request: the client has gone."""
         self._wait_no_more()
         super().connection_lost(exc)
 
     def _look(self) -> None:
-        """See whether it waits for a request, or for the rest of one."""
+        """Check whether the connection waits for a request, or for the rest of one."""
         state = self.conn.their_state
         if state not in (h11.IDLE, h11.SEND_BODY) or self.transport.get_protocol() is not self:
             self._wait_no_more()

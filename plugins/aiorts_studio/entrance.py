@@ -50,7 +50,7 @@ class Entrance:
         self._removal: asyncio.TimerHandle | None = None
 
     def invite(self) -> Invitation:
-        """A new code; the one before is none any more."""
+        """A new code; the code before is no longer good."""
         self.remove_redirect()
         return Invitation(self._url, self._codes.issue(time.monotonic()))
 
@@ -58,7 +58,7 @@ class Entrance:
     async def open(self) -> AsyncIterator[None]:
         """Give codes to this user's commands for as long as the block takes."""
         path = folder() / f"{os.getpid()}.sock"
-        path.unlink(missing_ok=True)  # of a process that was killed
+        path.unlink(missing_ok=True)  # left by a process that was killed
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
             listening.bind(str(path))
             try:
@@ -82,7 +82,7 @@ class Entrance:
         await to_thread.run_sync(webbrowser.open, path.as_uri())
 
     def remove_redirect(self) -> None:
-        """Remove the file that leads a browser here, if there is one: its code was used, or is none any more."""
+        """Remove the file that leads a browser here, if there is one: its code was used, or is no longer good."""
         if self._removal is not None:
             self._removal.cancel()
         if self._redirect is not None:
@@ -91,7 +91,7 @@ class Entrance:
 
 
 def _redirect(invitation: Invitation) -> Path:
-    """A page that leads a browser to a server; a browser keeps what is behind # to itself and the page."""
+    """A page that leads a browser to a server; the part behind # is known to the browser and the page alone."""
     path = folder() / f"{secrets.token_hex(8)}.html"
     target = escape(f"{invitation.url}/#{invitation.code}")
     page = f'<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url={target}">'
@@ -104,7 +104,7 @@ def invitations() -> list[Invitation]:
     """A new code of each server of this user that answers.
 
     Raises:
-        AbsentError: there is none.
+        AbsentError: no server runs.
     """
     found = [one for path in sorted(folder().glob("*.sock")) if (one := _invitation(path)) is not None]
     if not found:

@@ -1,7 +1,7 @@
 """Checks of every request, and headers of every answer: a layer of ASGI around all that is served.
 
-Any page of a browser may send requests to this machine. Its Origin says which page it is; the Host says by which name
-it came, which is another than this machine's when a page has its own name lead here (DNS rebinding).
+Any page of a browser may send requests to this machine. The header Origin names the page; Host has the name by which
+it came, which is not this machine's when the page's own name leads here (DNS rebinding).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ HEADERS: Final[Mapping[str, str]] = MappingProxyType(
 )
 """The headers of every answer."""
 STRANGERS_BODY: Final = 1 << 10
-"""Bytes of a request without a token, which has a code in it at most."""
+"""Bytes of a request without a token, which has at most a code in it."""
 BODY: Final = 64 << 10
 """Bytes of a request."""
 LARGE_BODY: Final = 512 << 10
@@ -52,16 +52,16 @@ _USUAL: Final[Mapping[str, int]] = MappingProxyType({"http": 80, "https": 443})
 
 
 class Admission(NamedTuple):
-    """A request that is to be read."""
+    """The limits of a request that is to be read."""
 
     most: int
-    """Bytes that it may have."""
+    """Bytes that the request may have."""
     take: Callable[[int], object]
-    """Called with the bytes that come, before they are kept; HttpError: they are not."""
+    """Called with the number of bytes that come, before they are kept; HttpError: they are refused."""
 
 
 def hosts_of(scheme: str, names: Sequence[str], port: int) -> tuple[str, ...]:
-    """The values of the header `Host` that name a server, that of its own address first."""
+    """The values of the header `Host` that name a server, its own address first."""
     hosts = [f"[{one}]" if ":" in one else one for one in names]
     return (*(f"{one}:{port}" for one in hosts), *(hosts if port == _USUAL[scheme] else ()))
 
@@ -69,7 +69,7 @@ def hosts_of(scheme: str, names: Sequence[str], port: int) -> tuple[str, ...]:
 def refusal(
     hosts: Sequence[str], origins: Sequence[str], ours: Collection[str], scheme: str, *, needs_origin: bool
 ) -> str:
-    """Why a request with these headers is not answered; "" for one that is.
+    """The reason why a request with these headers is refused; "" for none.
 
     Args:
         hosts: the values of all headers `Host`.
@@ -88,13 +88,13 @@ def refusal(
 
 
 class Guard:
-    """Refuses what no page or program of this server sends, before anything else sees it.
+    """Refuses requests that no page or program of this server sends, before the application sees them.
 
     Args:
-        app: what is served.
+        app: the application that is served.
         scheme: "http" or "https".
         ours: the values of the header `Host` that name this server.
-        admit: admits a request by its head until it is answered; HttpError: it is not answered.
+        admit: admits a request by its head until it is answered; HttpError: it is refused.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Guard:
         self._scheme, self._ours, self._admit = scheme, ours, admit
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request, or have the application answer it."""
+        """Answer one request, or pass it to the application."""
         if scope["type"] == "websocket":
             await self._attend(scope, receive, send)
             return
@@ -153,10 +153,10 @@ class _Coming:
     def __init__(self, receive: Receive) -> None:
         self._receive = receive
         self._more = True
-        """Whether there may be more of it."""
+        """Whether there may be more of the body."""
 
     async def whole(self, admission: Admission) -> bytes:
-        """All of it. HttpError: it is too large, or does not come."""
+        """The whole body. HttpError: it is too large, or does not come."""
         body = bytearray()
         try:
             async with asyncio.timeout(BODY_SECONDS):
@@ -205,7 +205,7 @@ async def answer(send: Send, error: HttpError, *, more: bool = False) -> None:
 
 
 def _again(body: bytes, receive: Receive) -> Receive:
-    """Gives the body that was taken, then what comes after it."""
+    """A `receive` that gives the body that was taken, then the messages after it."""
     taken = [body]
 
     async def again() -> Message:

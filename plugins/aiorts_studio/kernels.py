@@ -72,7 +72,7 @@ def _lives(pid: int) -> bool:
 
 
 class Visitor:
-    """A client with a token: its sessions with kernels, and what it has under way.
+    """A client with a token: its sessions with kernels, and its work under way.
 
     Args:
         holder: the client, as its token names it.
@@ -112,7 +112,7 @@ class Visitor:
         raise DeniedError(f"{entry.address}: is of a release that gives {given.value!r} whatever is asked; not used")
 
     async def work(self, work: Coroutine[Any, Any, object], gone: Callable[[], Awaitable[object]]) -> bool:
-        """Carry something out for as long as its client is there; False: it has gone, or its token has ended.
+        """Carry out work while its client is there; False: the client has gone, or its token has ended.
 
         Args:
             work: is cancelled when the client goes.
@@ -139,7 +139,7 @@ class Visitor:
                     one.exception()
 
     async def close(self) -> None:
-        """End its sessions, and what it has under way."""
+        """End the client's work, and its sessions."""
         self.closed = True
         for work in tuple(self._works):
             work.cancel()
@@ -164,14 +164,14 @@ def _is_open(opening: asyncio.Task[AsyncClient]) -> bool:
 async def lines_of(
     stream: AsyncStream, credit: Callable[[], Awaitable[object]] = _at_once
 ) -> AsyncIterator[Mapping[str, Any]]:
-    """The messages to the client of a stream: that it began, each item, its end.
+    """The messages to the client of a stream: its beginning, each item, its end.
 
     Args:
-        stream: has begun.
+        stream: a stream that has begun.
         credit: waits until the client takes an item; the end needs none.
 
     Raises:
-        AiortsError: its kernel ended, or failed.
+        AiortsError: the stream's kernel ended, or failed.
     """
     yield {"began": stream.began}
     counted = 0

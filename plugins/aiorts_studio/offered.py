@@ -1,4 +1,4 @@
-"""The operations of a kernel that are offered over HTTP: those of its table that need no right to give it code."""
+"""The operations of a kernel that are offered over HTTP: those of its table that do not need the right `code`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from aiorts_studio.plain.problems import HttpError
 LARGE: Final = frozenset(("apply", "change", "load_configuration", "plan"))
 """The operations whose arguments are the text of a file."""
 _LOOK: Final = 10.0
-"""Seconds that an operation may take which only looks."""
+"""Seconds that an operation which only looks may take."""
 _CHANGE: Final = 60.0
-"""Seconds that an operation may take which changes something; its `timeout`, where it has one, is added."""
+"""Seconds that an operation which changes something may take; its `timeout`, where it has one, is added."""
 _LONGEST: Final = 3_600.0
 """Seconds that any call is waited for."""
 
@@ -39,7 +39,7 @@ def operation_of(name: str, right: Right) -> Operation:
 
 
 def asked_in(said: Mapping[str, Any], what: str, right: Right) -> tuple[str, Operation, dict[str, Any]]:
-    """The kernel, the operation and the arguments that a message asks for; AiortsError: clients may not have it."""
+    """The kernel, the operation and the arguments that a message asks for; AiortsError: it is not offered."""
     kernel, name, arguments = said.get("kernel"), said.get("operation"), said.get("arguments", {})
     if not (isinstance(kernel, str) and isinstance(name, str) and isinstance(arguments, dict)):
         raise RecordError(f"{what}: expected kernel and operation, and arguments as an object")

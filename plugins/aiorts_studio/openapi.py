@@ -61,10 +61,10 @@ _KERNEL: Final[Json] = {
 
 
 def document(right: Right, server: str) -> Json:
-    """The description of what a server with this right offers.
+    """The description of the operations that a server with this right offers.
 
     Args:
-        right: what its tokens allow.
+        right: the right that its tokens give.
         server: its address, "http://127.0.0.1:8080".
     """
     answers = Schemas(_PLACE, defaults=True, simple={int: _INTEGER})

@@ -1,4 +1,4 @@
-"""The WebSocket of one page: what it says is done, and what it is to be told is sent."""
+"""The WebSocket of one page: its requests are carried out, and its messages are sent."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from aiorts_studio.api import Api
 
 PAGES: Final = 16
-"""Pages at once."""
+"""The most pages at once."""
 _CALLS: Final = 16
 """Calls of one page that may be under way."""
 _WATCHES: Final = 32
 """Ports whose values one page may be shown."""
 _PORTS: Final = 64
-"""Ports of one recording."""
+"""The most ports of one recording."""
 _FARTHEST: Final = 1e9
 """Numbers of a page are no larger: places, scales and rates."""
 _FIELDS: Final = 16
@@ -79,7 +79,7 @@ class _PageSocket:
         """The time until which the page was sent events, in ns."""
 
     async def carry(self) -> None:
-        """Do what the page says, and send what it is told, until it goes."""
+        """Carry out the page's requests, and send its messages, until it goes."""
         page = self._page
         page.put(
             {
@@ -109,7 +109,7 @@ class _PageSocket:
         from starlette.websockets import WebSocketDisconnect
 
         page = self._page
-        with suppress(WebSocketDisconnect, RuntimeError):  # the end that reads notices
+        with suppress(WebSocketDisconnect, RuntimeError):  # the reading side notices it
             while True:
                 text = await page.next()
                 if text is None:
@@ -117,7 +117,7 @@ class _PageSocket:
                 await self._socket.send_text(text)
 
     def _do(self, said: Mapping[str, Any]) -> None:
-        """Do what the page says; AiortsError: it says nothing that is known."""
+        """Carry out a request of the page; AiortsError: it is unknown."""
         match said.get("t"):
             case "view":
                 self._studio.see(self._page, _rect(said.get("rect")), _number(said.get("scale"), "scale"))
@@ -153,7 +153,7 @@ class _PageSocket:
                 raise RecordError(f"{kind!s:.40}: nothing that a page says")
 
     def _events(self, *, on: bool) -> None:
-        """Send the page events, first the changes of the last minute that it has missed; or end it."""
+        """Send the page events, first the changes of the last minute that it has missed; or end them."""
         if not on:
             if "events" in self._feeds:
                 self._follow("events", None)
@@ -188,7 +188,7 @@ class _PageSocket:
         task.add_done_callback(self._calls.discard)
 
     def _follow(self, kind: str, feed: Feed | None) -> None:
-        """Follow this in place of what was followed before."""
+        """Follow a feed in the place of the one of this kind before."""
         if (before := self._feeds.pop(kind, None)) is not None:
             self._studio.unfollow(before)
         if feed is not None:

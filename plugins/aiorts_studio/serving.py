@@ -69,7 +69,7 @@ async def served(listening: socket.socket, app: App, secured: ssl.SSLContext | N
     """Serve an application for as long as the block takes.
 
     Args:
-        listening: bound; it is closed at the end.
+        listening: a bound socket; it is closed at the end.
         secured: the certificate of the server, for TLS.
     """
     import uvicorn
@@ -130,5 +130,5 @@ def _server(config: uvicorn.Config) -> Any:
 
 
 def _log() -> None:
-    """Show what goes wrong in this server, and not what clients do wrong."""
+    """Show errors of this server, and not those of clients."""
     logging.getLogger("uvicorn.error").setLevel(logging.ERROR)

@@ -1,8 +1,8 @@
 """One WebSocket for each client: many streams at once, each with a credit of items that the client takes.
 
-The client says `{"token": ...}` first, then `{"subscribe": id, "kernel": ..., "operation": ..., "arguments": {...},
-"credit": n}`, `{"credit": id, "items": n}` and `{"unsubscribe": id}`. The server says `{"right": ...}`, and of each
-stream, with its id, what the lines of one over HTTP say.
+The client sends `{"token": ...}` first, then `{"subscribe": id, "kernel": ..., "operation": ..., "arguments": {...},
+"credit": n}`, `{"credit": id, "items": n}` and `{"unsubscribe": id}`. The server sends `{"right": ...}`, and for each
+stream, with its id, the content of the lines of one over HTTP.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from aiorts_studio.api import Api
 
 GREETING_SECONDS: Final = 5.0
-"""Seconds within which a client has to say its token."""
+"""Seconds within which a client has to send its token."""
 STRANGERS: Final = 32
-"""WebSockets that have said no token; of more the one that came first gives way."""
+"""The most WebSockets that have sent no token; for another the oldest gives way."""
 CREDIT: Final = 4_096
 """Items that a stream may be ahead of its client."""
 REFUSED: Final = 1008
@@ -57,7 +57,7 @@ class Sockets:
             await self._carry(socket, visitor)
 
     async def greeted(self, socket: WebSocket) -> Visitor | None:
-        """The client that says its token; None: it has gone. HttpError: it says none."""
+        """The client that sends its token; None: it has gone. HttpError: it sends none."""
         asking = asyncio.create_task(socket.receive())
         self._strangers[asking] = None
         try:
@@ -83,7 +83,7 @@ class Sockets:
     async def _carry(self, socket: WebSocket, visitor: Visitor) -> None:
         number, replaced = visitor.holder.number, asyncio.Event()
         if (before := self._by_client.get(number)) is not None:
-            before.set()  # one that went without a word, or a page that was opened twice
+            before.set()  # a client that vanished, or a page that was opened twice
         self._by_client[number] = replaced
         try:
             await visitor.work(_Carrier(self._api, socket, visitor).carry(), replaced.wait)
@@ -94,19 +94,19 @@ class Sockets:
 
 
 class _Credit:
-    """The items that a client takes."""
+    """The number of items that a client takes."""
 
     def __init__(self, items: int) -> None:
         self._left = items
         self._more = asyncio.Event()
 
     def add(self, items: int) -> None:
-        """It takes so many more."""
+        """Add items that the client takes."""
         self._left = min(self._left + items, CREDIT)
         self._more.set()
 
     async def take(self) -> None:
-        """Wait until it takes one."""
+        """Wait until the client takes an item."""
         while not self._left:
             self._more.clear()
             await self._more.wait()
@@ -121,7 +121,7 @@ class _Carrier:
         self._streams: dict[int, tuple[asyncio.Task[None], _Credit]] = {}
 
     async def carry(self) -> None:
-        """Do what the client says until it goes."""
+        """Carry out the client's messages until it goes."""
         await self._say({"right": self._api.right.value})
         async with asyncio.TaskGroup() as group:
             try:
@@ -136,7 +136,7 @@ class _Carrier:
                     task.cancel()
 
     def _do(self, group: asyncio.TaskGroup, said: Mapping[str, Any]) -> None:
-        """Do what a message says; AiortsError: it says nothing that is known."""
+        """Carry out a message; AiortsError: it is unknown."""
         if "subscribe" in said:
             number = whole(said, "subscribe")
             if number in self._streams:
@@ -175,18 +175,18 @@ class _Carrier:
         except AiortsError as error:
             await self._say({"id": number, "problem": problem_of(error)})
         finally:
-            if self._streams.get(number, (None, None))[1] is credit:  # and not that of the next with this id
+            if self._streams.get(number, (None, None))[1] is credit:  # not the next stream with this id
                 del self._streams[number]
 
     async def _say(self, message: Mapping[str, Any]) -> None:
         from starlette.websockets import WebSocketDisconnect
 
-        with suppress(WebSocketDisconnect):  # the end that reads notices
+        with suppress(WebSocketDisconnect):  # the reading side notices it
             await self._socket.send_text(json_out(message).decode())
 
 
 def said_in(message: Mapping[str, Any]) -> dict[str, Any]:
-    """The object that a message of a client is; RecordError: it is none."""
+    """The object in a client's message; RecordError: there is none."""
     text = message.get("text")
     value = json_in(text) if text is not None else None
     if not isinstance(value, dict):

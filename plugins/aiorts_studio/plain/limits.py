@@ -1,4 +1,4 @@
-"""Limits of what one client, and all clients together, may ask. They decide; the clock is passed in."""
+"""Limits for the requests of one client, and of all clients together. Pure: the clock is passed in."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class UnderWay:
 
     @contextmanager
     def one(self, client: int, kernel: str) -> Iterator[None]:
-        """Count one more while the block runs; HttpError: there are too many."""
+        """Count a call while the block runs; HttpError: there are too many."""
         for key, most, who in ((client, OF_CLIENT, "this client"), (kernel, OF_KERNEL, f"the clients of {kernel}")):
             if self._counts[key] >= most:
                 raise _busy(f"{who}: {most} calls are under way already")
@@ -57,7 +57,7 @@ class UnderWay:
             yield
         finally:
             self._counts.subtract((client, kernel))
-            self._counts = +self._counts  # what is not under way is forgotten
+            self._counts = +self._counts  # keys without calls are forgotten
 
 
 class Open:
@@ -69,7 +69,7 @@ class Open:
 
     @contextmanager
     def one(self, client: int) -> Iterator[Callable[[int], None]]:
-        """Count one more while the block runs; HttpError: there are too many.
+        """Count a request while the block runs; HttpError: there are too many.
 
         It gives a function that counts bytes of its body; HttpError: they are too many, and do not count.
         """
@@ -94,7 +94,7 @@ class Open:
         finally:
             self._requests[client] -= 1
             self._bytes[client] -= size
-            self._requests, self._bytes = +self._requests, +self._bytes  # who has nothing open is forgotten
+            self._requests, self._bytes = +self._requests, +self._bytes  # clients without open requests are forgotten
 
 
 def _busy(text: str) -> HttpError:

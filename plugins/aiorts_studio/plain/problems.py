@@ -9,7 +9,7 @@ from typing import Any, Final
 from aiorts.errors import AiortsError
 
 CONFLICT: Final = 409
-"""The kernel has understood what is wanted, and does not do it as things are: the status of most errors."""
+"""The kernel has understood the request, and cannot carry it out in its present state: the status of most errors."""
 _STATUS: Final[Mapping[str, int]] = MappingProxyType(
     {
         "E-RECORD": 400,

@@ -1,4 +1,4 @@
-"""JSON as clients send it, bounded, and what kernels answer as JSON that every client reads without loss.
+"""JSON as clients send it, bounded, and answers of kernels as JSON that every client reads without loss.
 
 An integer that a number of JavaScript does not hold exactly is a text, a number that is not finite a word, and bytes
 are base64 text, as in recordings and in the output of `--json`.
@@ -17,7 +17,7 @@ from aiorts.types import to_plain
 LARGEST: Final = 2**53
 """Integers beyond it, in either direction, are texts."""
 DEEPEST: Final = 32
-"""Levels of objects and lists in what a client sends."""
+"""The most levels of objects and lists in a client's JSON."""
 
 
 def json_in(text: bytes | str) -> Any:
@@ -53,7 +53,7 @@ def value_out(value: Any) -> Any:
         return value if -LARGEST <= value <= LARGEST else str(value)
     if kind is float and isfinite(value):
         return value
-    if kind is list:  # these two before what takes longer to find out: pictures and figures have thousands
+    if kind is list:  # these two before the slower checks: pictures and figures have thousands of them
         return [value_out(one) for one in value]
     if kind is dict:
         return {str(key): value_out(one) for key, one in value.items()}

@@ -20,16 +20,16 @@ MOST: Final = 16
 _TIMED: Final = 64
 """Connectors of a kernel, measured by their own option, whose ages are looked at."""
 _RATE: Final = 1.0
-"""Looks a second: the kernel puts the ages in order for each."""
+"""Looks a second: the kernel sorts the ages for each."""
 _PAUSE: Final = 0.5
-"""Seconds between looks at what is wanted while it is nothing; no kernel is asked for it."""
+"""Seconds between checks of which ages are wanted, while none are; no kernel is asked for it."""
 
 
 class Ages:
-    """Follows the ages of all kernels; what pages ask for is measured for as long as one of them asks.
+    """Follows the ages of all kernels; connectors that pages ask for are measured for as long as one of them asks.
 
     Args:
-        refused: is told what a kernel says that measures no more.
+        refused: called with the error of a kernel that measures no more.
     """
 
     kernel = ""
@@ -56,7 +56,7 @@ class Ages:
         self._asked.pop(page, None)
 
     async def run(self, watch: Watch) -> None:
-        """Look at the ages of one kernel until its session ends, anew whenever others are wanted."""
+        """Look at the ages of one kernel until its session ends, with a new stream whenever others are wanted."""
         refused: tuple[list[str], list[str]] | None = None
         while watch.session.is_open:
             wanted = timed, measured = self._wanted(watch.view)
@@ -92,6 +92,6 @@ class Ages:
 
 
 def _age_ms(spans: Mapping[str, Any]) -> float | None:
-    """The median; None: there is none yet, or it ends where a link takes the sample, which nobody has read there."""
+    """The median; None: there is none yet, or it ends where a link takes the sample, which was not read there."""
     age = spans.get("age")
     return None if age is None or "link" in spans else round(age[1] / 1e6, 3)

@@ -1,7 +1,7 @@
 """Feeds of a page: lines of the log and events of kernels.
 
 A feed runs in each session with a kernel that it is about, and again after a restart. It never sends more than a page
-can show: what is beyond that is counted.
+can show: items beyond that are counted.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 GATHER: Final = 0.1
 """Seconds over which lines and events are gathered into one message."""
 MOST: Final = 200
-"""Lines, or events, of one message: 2,000 a second are more than anybody reads."""
+"""Lines, or events, of one message: 2,000 a second are more than a user reads."""
 
 
 class Feed:
     """A feed of one page.
 
     Args:
-        page: is told.
+        page: the page that is told.
         kernel: the address of the kernel; "" is all.
     """
 

@@ -1,4 +1,4 @@
-"""The figures of a kernel: rates, losses and what waits, from its counters.
+"""The figures of a kernel: rates, losses and waiting samples, from its counters.
 
 Pure: items of the stream `counters` come in, rows for pages come out.
 """
@@ -32,7 +32,7 @@ class EdgeFigures(NamedTuple):
     dropped: Mapping[str, int] | None
     """Drops by reason; None where there are none."""
     age: float | None
-    """In ms, when samples are read."""
+    """The age of samples in ms, when they are read."""
     trip: float | None
     """The round trip in ms."""
 
@@ -44,7 +44,7 @@ class Figures:
         self.now: dict[str, dict[str, Any]] = {kind: {} for kind in _KINDS}
         self.at_ns = 0
         self.are_old = False
-        """Whether the kernel does not answer: its counts are those that were last, and it has no rates."""
+        """Whether the kernel does not answer: its counts are then the last ones, and it has no rates."""
         self.trips: dict[str, float] = {}
         """The round trips of links in ms, by connector."""
         self.ages: dict[str, float] = {}
@@ -58,7 +58,7 @@ class Figures:
         self._earlier: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_LOOKS)
 
     def take(self, item: Mapping[str, Any]) -> None:
-        """Take an item of the stream: what has changed, or all."""
+        """Take an item of the stream: changes, or all."""
         if item["whole"]:
             self._earlier.clear()
             self.now = {kind: {} for kind in _KINDS}
@@ -82,7 +82,7 @@ class Figures:
                 del kept[name]
 
     def take_part(self, part: Mapping[str, Any]) -> None:
-        """Take a look at links and contexts, as the operation `part` has them."""
+        """Take the state of links and contexts from an answer of the operation `part`."""
         for name, one in part["connectors"].items():
             if (trip := one["ledger"]["round_trip_ns"]) is not None:
                 self.trips[name] = round(trip / 1e6, 3)
@@ -143,7 +143,7 @@ class Figures:
         return None
 
     def box(self, name: str) -> Row | None:
-        """The state of a component, and what is said of it; None: it is not known, or not now."""
+        """The state of a component, and words on it; None: they are not known, or not now."""
         if self.are_old:
             return None
         row = self._boxes.get(name)
@@ -153,7 +153,7 @@ class Figures:
         return row
 
     def frame(self, context: str) -> Row | None:
-        """The lateness of a context in ms (p99; None without a rate), its overruns, and what made it late most."""
+        """The lateness of a context in ms (p99; None without a rate), overruns, and most frequent cause of lateness."""
         found = self.now["contexts"].get(context)
         if found is None:
             return None
@@ -162,7 +162,7 @@ class Figures:
 
 
 def lost(dropped: Mapping[str, int]) -> int:
-    """The samples that were lost, of all that were dropped, by reason: what an option leaves out is no loss."""
+    """The samples that were lost, of all that were dropped, by reason: those left out by an option are no loss."""
     return sum(count for reason, count in dropped.items() if reason not in LEFT_OUT)
 
 

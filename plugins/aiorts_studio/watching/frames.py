@@ -13,11 +13,11 @@ from aiorts_studio.watching.words import composite_said, context_said
 Thing: TypeAlias = dict[str, Any]
 
 _PAD: Final = 16.0
-"""Between the frame of a kernel and those of its contexts."""
+"""The distance between the frame of a kernel and those of its contexts."""
 _INSET: Final = 8.0
-"""Between the frame of a context and those of its composites."""
+"""The distance between the frame of a context and those of its composites."""
 _BEND: Final = 20.0
-"""Between a bend of an edge and the frame of its context."""
+"""The distance between a bend of an edge and the frame of its context."""
 
 
 def frames_of(
@@ -29,12 +29,12 @@ def frames_of(
 ) -> dict[int, Thing]:
     """The frames of all kernels, by number.
 
-    Those of a pile are as wide as the boxes, and the edges, that reach farthest; one that is folded is as large as its
-    box wants.
+    The frames of a pile are as wide as the boxes and edges that reach farthest; a folded frame is as large as its box
+    needs.
 
     Args:
         number: the number of a thing, by the words of its key.
-        folded: the keys of those that are folded.
+        folded: the keys of the folded frames.
     """
     return _Frames(layout, routes, number, folded).made(views)
 
@@ -111,7 +111,7 @@ class _Frames:
         return {frame["id"]: frame}
 
     def _near_box(self, key: Key) -> Thing | None:
-        """The place of a frame that is folded: around the box that stands for what is in it."""
+        """The place of a folded frame: around the box that stands for its content; None: it is not folded."""
         box = self._layout.spots.get((FOLDED, *key[1:]))
         if box is None:
             return None
@@ -119,7 +119,7 @@ class _Frames:
         return {side: round(value, 1) for side, value in place.items()}
 
     def _host_frames(self, kernels: Mapping[int, Thing]) -> dict[int, Thing]:
-        """A frame around the kernels of each host, where they are of several."""
+        """A frame around the kernels of each host, where there are several hosts."""
         made: dict[int, Thing] = {}
         for key in [key for key in self._layout.bands if key[0] == HOST]:
             number, top = self._number("frame", *key), self._layout.bands[key].top
@@ -138,6 +138,6 @@ class _Frames:
 
 
 def _extent(bands: Iterable[Band]) -> Band:
-    """From the top of the first of some bands to the foot of the last."""
+    """The band from the top of the first of some bands to the foot of the last."""
     found = list(bands)
     return Band(found[0].top, found[-1].top + found[-1].height - found[0].top)

@@ -13,9 +13,9 @@ from aiorts_studio.watching.words import class_of
 FOLDED = "folded"
 HOST = "host"
 ELSEWHERE = " elsewhere"
-"""In place of a context, in the keys of the band and the frame of far ends; no context has a space in its name."""
+"""A word for a context, in the keys of the band and the frame of far ends; no context has a space in its name."""
 IN_COMPOSITE = 4
-"""Words of the key of a band, or a frame, of a composite."""
+"""The number of words in the key of a composite's band or frame."""
 
 
 class Graph:
@@ -23,7 +23,7 @@ class Graph:
 
     Args:
         views: the kernels by key.
-        folded: frames of which one box stands for all that is in them: ("frame", kernel), ("frame", kernel, context)
+        folded: frames with one box that stands for all their content: ("frame", kernel), ("frame", kernel, context)
             or ("frame", kernel, context, composite).
 
     Attributes:
@@ -31,9 +31,9 @@ class Graph:
             kernel is not watched, ("folded", kernel, context) of a frame that is folded. The band of a box is
             ("band", kernel, context), or ("band", kernel, context, composite) of a composite's member.
         edges: the edges by key.
-        folds: of each folded box, the components that it stands for.
-        inside: by the key of a kernel, the connectors that are inside folded boxes.
-        bundles: of each edge, the connectors that it stands for: the view of the writer's end, and the name; a link
+        folds: the components that each folded box stands for.
+        inside: the connectors inside folded boxes, by the key of their kernel.
+        bundles: the connectors that each edge stands for: the view of the writer's end, and the name; a link
             that both ends list has the reader's, too.
     """
 
@@ -120,7 +120,7 @@ class Graph:
         return next((frame for frame in frames if frame in self._folded), None)
 
     def _grow(self, key: Key, view: View, port: str, *, out: bool) -> None:
-        """Put in the box of a far end whose kernel is not watched, or one port more of a box."""
+        """Add a port to a box, or the box of a far end whose kernel is not watched."""
         known = self.spots.get(key)
         if known is None:
             known = Spot(key, ("band", view.key, ELSEWHERE), (), (), key[2], "not watched")
@@ -159,7 +159,7 @@ class Graph:
         if far:
             host = view.address.partition("/")[0]
             there = [one for one in self._views.values() if one.is_called(far, host) and name in one.components]
-            there.sort(key=lambda one: one.address.partition("/")[0] != host)  # the nearest of one name
+            there.sort(key=lambda one: one.address.partition("/")[0] != host)  # of one name the one on this host
             kernel = next(iter(there), None)
         if kernel is None:
             return ("far", view.key, f"{far}/{name}"), port
@@ -201,7 +201,7 @@ def _leaves(report: Mapping[str, Any], port: str) -> bool:
 
 
 def side_of(port: Mapping[str, Any]) -> str:
-    """At which side of its box a port stands: what provides a service stands at the right."""
+    """The side of its box at which a port stands; a provided service stands at the right."""
     if port["direction"] != "service":
         return str(port["direction"])
     return "out" if any(one["polarity"] == "provided" for one in port["interfaces"]) else "in"

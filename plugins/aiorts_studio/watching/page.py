@@ -15,7 +15,7 @@ MESSAGES: Final = 256
 BYTES: Final = 4 << 20
 """Bytes of messages that may wait for a page."""
 FAR: Final = 0.6
-"""Scale below which a page shows no figures of edges but whether they lose samples."""
+"""The scale below which a page shows of edges only whether they lose samples."""
 
 
 class Page:
@@ -66,7 +66,7 @@ class Page:
         return text
 
     def renew(self) -> int:
-        """Forget what it was told, since a picture comes; the number of messages that it missed."""
+        """Forget the rows that it was told, since a picture comes; returns the number of messages that it missed."""
         missed, self.missed = self.missed, 0
         for rows in self.told.values():
             rows.clear()

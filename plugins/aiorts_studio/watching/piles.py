@@ -1,4 +1,4 @@
-"""Groups of bands above one another and beside: the whole has about a screen's proportions."""
+"""Piles of groups of bands, above and next to one another: the whole has about a screen's proportions."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from aiorts.layout import BAND_GAP, GROUP_GAP, GROUP_HEAD, Edge, Key, Layout, Po
 _WIDE: Final = 1.55
 """Width of the room for the scene, where its height is 1."""
 _MOST: Final = 8
-"""Piles that are tried."""
+"""The most piles that are tried."""
 _GOOD: Final = 0.7
-"""The part of the largest scale at which the piles of before are good enough: what stands where it stood is found."""
+"""The part of the largest scale at which earlier piles are kept: users find things where they stood."""
 
 
 def placed(
@@ -26,8 +26,8 @@ def placed(
     """A layout of as many piles as show the whole at the largest scale.
 
     Args:
-        groups: of each band, its group.
-        units: of each group, what stays together in one pile with it.
+        groups: the group of each band.
+        units: the unit of each group; the groups of a unit stay together in one pile.
         kept: the piles of groups that were laid out before; they stay, unless others show the whole far larger.
     """
     layout = Layout()
@@ -54,7 +54,7 @@ def placed(
 
 
 def _as_before(kept: Mapping[str, int], heights: Mapping[str, float], units: Mapping[str, str]) -> dict[str, int]:
-    """The piles of before, without those that are empty now; what is new is in the lowest."""
+    """The earlier piles, without those that are empty now; new units are in the lowest."""
     before = {units[group]: pile for group, pile in kept.items() if units.get(group) in heights}
     left = sorted({*before.values()}) or [0]
     pile = {unit: left.index(one) for unit, one in before.items()}
@@ -71,7 +71,7 @@ def _scale(size: Point) -> float:
 
 
 def _linked(layout: Layout, edges: Sequence[Edge], units: Mapping[str, str]) -> list[str]:
-    """The units that edges join to others, in an order in which these lead forwards, where they can."""
+    """The units that edges join to others, ordered so that edges lead forwards, where they can."""
     between = []
     for edge in edges:
         source, target = (units[layout.groups[layout.spots[key].band]] for key in (edge.source, edge.target))
@@ -98,7 +98,7 @@ def _dealt(linked: Sequence[str], heights: Mapping[str, float], count: int, unit
 
 
 def _piles(tall: Sequence[float], most: float, count: int) -> list[int]:
-    """The pile of each unit where none is higher than `most`, and there are `count` at least."""
+    """The pile of each unit where none is higher than `most`, and there are at least `count`."""
     found, pile, height = list[int](), 0, 0.0
     for at, one in enumerate(tall):
         if height and (height + one > most or count - 1 - pile >= len(tall) - at):

@@ -1,4 +1,4 @@
-"""Places of boxes in files: one for each kernel in the user's state folder, and one beside a system file.
+"""Places of boxes in files: one for each kernel in the user's state folder, and one next to a system file.
 
 The names of the files come from the command line and from kernels, never from a page.
 """
@@ -32,7 +32,7 @@ class PlaceFiles:
         self._unusable: set[Path] = set()
 
     def read(self, lasting: str) -> Places:
-        """The places that were written for a kernel; the file beside the system's goes before that of the folder."""
+        """The places that were written for a kernel; the file next to the system's goes before that of the folder."""
         found = Places()
         for path in (self._path(lasting), self._beside):
             known = self._of(path) if path is not None else None
@@ -45,7 +45,7 @@ class PlaceFiles:
         """Write the places of a kernel.
 
         Args:
-            is_of_user: whether a user has placed boxes: then the file beside the system's is written, too.
+            is_of_user: whether a user has placed boxes: then the file next to the system's is written, too.
         """
         data = text_of_places(lasting, places).encode()
         if len(data) > LARGEST_LAYOUT:

@@ -65,7 +65,7 @@ class Shown:
     """A watch of one page: fields of a port, or the whole value.
 
     Args:
-        number: the page's.
+        number: the page's number of the watch.
         fields: paths of numbers; none is the whole value, up to ten times a second.
         rate: columns a second.
     """
@@ -120,7 +120,7 @@ class Tap:
 
     Attributes:
         shown: the watches.
-        failed: why nothing comes.
+        failed: the error because of which nothing comes.
     """
 
     def __init__(self, kernel: str, path: str) -> None:

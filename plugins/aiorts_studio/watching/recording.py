@@ -1,4 +1,4 @@
-"""Recordings that pages ask for: `aiorts record`, as a process beside the server, writes into the folder of --files."""
+"""Recordings that pages ask for: `aiorts record`, as a process of its own, writes into the folder of --files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any, Final
 from aiorts.errors import ControlError
 
 _LAST: Final = 5.0
-"""Seconds that a recording has to end in."""
+"""Seconds within which a recording has to end."""
 _LONGEST: Final = 64 << 10
 
 
@@ -24,8 +24,8 @@ class Recorder:
 
     Args:
         folder: where files go; None: nothing is recorded.
-        why: what a page is told where nothing can be recorded.
-        tell: is called with what pages are told.
+        why: the text for a page where nothing can be recorded.
+        tell: called with messages to pages.
     """
 
     def __init__(self, folder: Path | None, why: str, tell: Callable[[Mapping[str, Any]], object]) -> None:
@@ -41,7 +41,7 @@ class Recorder:
         return self._folder is not None
 
     def state(self, why: str = "", samples: int = 0) -> dict[str, Any]:
-        """The message that says how it stands."""
+        """The message with the state of the recording."""
         on = self._process is not None
         why = why or ("" if self.can_record else self._why)
         return {"t": "recording", "on": on, "file": self._file or None, "samples": samples, "why": why}
@@ -87,13 +87,13 @@ class Recorder:
         self._tell(self.state(why, samples))
 
     def end(self) -> None:
-        """End it; its file is whole then, and pages are told."""
+        """End the recording; its file is whole then, and pages are told."""
         if self._process is not None:
             with suppress(ProcessLookupError):
                 self._process.send_signal(signal.SIGINT)
 
     async def close(self) -> None:
-        """End it, and wait for its end."""
+        """End the recording, and wait for its end."""
         self.end()
         process, ending = self._process, self._ending
         if ending is None:

@@ -33,11 +33,11 @@ class Scene:
         views: the kernels by key.
         things: what pages show, by kind and number.
         connectors: by the key of a kernel, the number of the edge of each connector whose figures the edge has.
-        wires: the same by the number of the edge.
+        wires: by the key of a kernel, the connectors of each edge by its number.
         folds: by the key of a kernel, the components of each folded box by its number.
         inside: by the key of a kernel, its connectors that are inside folded boxes.
         numbers: the number of each thing by key.
-        laid_out: by the key of a kernel, its shape when all was laid out last.
+        laid_out: by the key of a kernel, its shape at the last full layout.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class Scene:
         self._again = True
         """Whether all is to be placed again."""
         self._tidy = True
-        """Whether kernels, too, may come to stand elsewhere then."""
+        """Whether kernels may move then, too."""
 
     def number(self, *key: str) -> int:
         """The number of a thing; the same for the same thing."""
@@ -72,12 +72,12 @@ class Scene:
     # -- what pages do with it -------------------------------------------------------------------------------------
 
     def tidy(self) -> None:
-        """Place everything again when it is drawn next, also what has been given a place."""
+        """Place everything again when it is drawn next, also boxes that were given a place."""
         self._moved, self._by_hand = {}, set()
         self._again = self._tidy = True
 
     def lay_out(self) -> None:
-        """Place everything again when it is drawn next: what was given a place keeps it, and kernels stay in order."""
+        """Place everything again when it is drawn next: placed boxes keep their place, kernels their order."""
         self._again = True
 
     def move(self, number: int, x: float, y: float) -> str | None:
@@ -100,7 +100,7 @@ class Scene:
         self._by_hand |= {("box", kernel, name) for name in places.by_hand}
 
     def places(self, kernel: str) -> Places:
-        """The places of a kernel's boxes; of one in a frame that is folded, the place that it is to have."""
+        """The places of a kernel's boxes; for a box in a folded frame, its future place."""
         components, layout = self.views[kernel].components, self._layout
         first = min((band.top for key, band in layout.bands.items() if key[1] == kernel), default=0.0)
         boxes = {key[2]: Place(*place, 0.0) for key, place in self._moved.items() if key[:2] == ("box", kernel)}
@@ -119,7 +119,7 @@ class Scene:
                 self._again = True
 
     def check_port(self, kernel: str, path: str) -> None:
-        """Take the path of a data port; AbsentError: no kernel of this address has it."""
+        """Check the path of a port; AbsentError: no kernel of this address has it."""
         component, _, port = path.partition(".")
         for view in self.views.values():
             if view.address == kernel and port in view.components.get(component, {}).get("ports", {}):
@@ -129,7 +129,7 @@ class Scene:
     # -- what pages are told ---------------------------------------------------------------------------------------
 
     def picture(self) -> Message:
-        """All things, for a page that comes."""
+        """The message with all things, for a new page."""
         made = {kind: list(self.things[kind].values()) for kind in KINDS}
         return {"t": "picture", "kernels": self.kernels(), **made, "missed": 0}
 
@@ -140,7 +140,7 @@ class Scene:
     async def draw(self) -> Message | None:
         """Bring the things up to date; the change to tell, or None where there is none.
 
-        What is laid out anew is laid out in a thread: 1,000 boxes take some tenths of a second.
+        A new layout is made in a thread: 1,000 boxes take some tenths of a second.
         """
         graph = Graph(self.views, self._folded)
         tidy, again = self._tidy, self._again
@@ -171,7 +171,7 @@ class Scene:
         return change
 
     def _forget(self) -> None:
-        """Forget numbers, places and folds of what is gone, when that is more than what is there."""
+        """Forget numbers, places and folds of things that are gone, when these outnumber the things that are there."""
         there = {number for things in self.things.values() for number in things}
         if len(self.numbers) > 2 * len(there) + _SPARE:
             folded = {key for key in self._folded if key[1] in self.views or self.numbers[key] in there}
@@ -205,7 +205,7 @@ class Scene:
         return message if len(message) > 1 else None
 
     def _adapt(self, graph: Graph) -> bool:
-        """Put in what is different and leave all else where it stands; False: it is to be laid out again."""
+        """Put in new and changed boxes, and leave all others where they stand; False: a new layout is needed."""
         layout, again = self._layout, set[Key]()
         for key in [key for key in layout.spots if key not in graph.spots]:
             layout.remove(key)
@@ -303,7 +303,7 @@ def _wanted(layout: Layout, moved: Mapping[Key, Point]) -> dict[Key, Point]:
 
 
 def _is_placed(old: Spot | None, new: Spot) -> bool:
-    """Whether a box has a place that is good for what it is to be; its texts are brought up to date."""
+    """Whether a box has a place that is good for its new version; its texts are brought up to date."""
     if old is None or (old.band, old.inputs, old.outputs) != (new.band, new.inputs, new.outputs):
         return False
     old.title, old.kind = new.title, new.kind
@@ -337,7 +337,7 @@ def _box(view: View, name: str, spot: Spot) -> Thing:
 
 
 def _condition(view: View, report: Mapping[str, Any]) -> Thing:
-    """How a component is; of one that has not failed, the state of a kernel that does not answer."""
+    """The condition of a component; where it has not failed and its kernel does not answer, the kernel's state."""
     states, failed = report["states"], report["last_error"]
     error, known = view.failure_of(report), view.about["state"]
     if known != "live" and failed is None:
@@ -350,5 +350,5 @@ def _condition(view: View, report: Mapping[str, Any]) -> Thing:
 
 
 def _comes_between(band: Key, bands: Mapping[Key, Band]) -> bool:
-    """Whether a new band belongs beside those of its context, or has to begin with one more: not at the end."""
+    """Whether a new band comes between others: next to those of its context, or for a composite, not at the end."""
     return band not in bands and (len(band) == IN_COMPOSITE or any(one[:3] == band[:3] for one in bands))

@@ -39,7 +39,7 @@ _SAID: Final = {"live": "KernelAnswers", "silent": "KernelSilent", "ended": "Ker
 _SETTLES: Final = 0.5
 """Seconds without a change after which a kernel that has just begun is laid out again."""
 _SETTLING: Final = 10
-"""Looks whether a kernel that has just begun is assembled."""
+"""The most looks whether a kernel that has just begun is assembled."""
 _KEEP: Final = 1.0
 """Seconds after a change until places are written: many come one after the other."""
 _MANY: Final = 100
@@ -48,7 +48,7 @@ _SUM_UP: Final = 900_000_000
 """Nanoseconds of a kernel's clock for which its sums are good."""
 _OPEN: Final = 3.0
 _AGAIN: Final = 1.0
-"""Seconds until a kernel that refuses is asked once more."""
+"""Seconds until a kernel that refuses is asked again."""
 _MINUTE: Final = 60 * 10**9
 _KEPT: Final = 500
 """Changes of the last minute that are kept."""
@@ -63,12 +63,12 @@ class Studio:
     Args:
         names: names or addresses of the kernels to watch; none is all of this user, also those that begin later.
         files: the folder where recordings go; None: nothing is recorded, and pages are told why.
-        places: files with the places of boxes; None: they are kept as long as this is.
+        places: files with the places of boxes; None: places last as long as this object.
 
     Attributes:
-        scene: what pages show.
+        scene: the scene that pages show.
         pages: the pages that are open.
-        recorder: records what pages ask for.
+        recorder: makes the recordings that pages ask for.
     """
 
     def __init__(
@@ -85,16 +85,16 @@ class Studio:
         self._names = names
         self._working: asyncio.Task[None] | None = None
         self._sessions: dict[str, asyncio.Task[None]] = {}
-        """By the epoch of a kernel, its watching; done where it has ended, and its file is still there."""
+        """The watching task of each kernel, by its epoch; done where it has ended, and its file is still there."""
         self._watches: dict[str, Watch] = {}
-        """By the key of the view; of a kernel that has ended, the one that was last."""
+        """The watches, by the key of the view; for a kernel that has ended, its last one."""
         self._ages = Ages(self._refused)
         self._followers: dict[Follower, None] = {self._ages: None}
         self._taps: dict[tuple[str, str], Tap] = {}
         self._history: deque[dict[str, Any]] = deque(maxlen=_KEPT)
         self._keeps = False
         self._totals: dict[str, tuple[int, dict[int, Row]]] = {}
-        """By the key of the view: when it was summed up last, and what it came to."""
+        """By the key of the view: the time of the last sums, and the sums."""
         self._dirty, self._drawn = asyncio.Event(), asyncio.Event()
         self._unwritten = asyncio.Event()
         self._places = places
@@ -112,7 +112,7 @@ class Studio:
         self._coming += 1
         self._begin()
         try:
-            with suppress(TimeoutError):  # then it begins with what is there
+            with suppress(TimeoutError):  # then it begins with the scene as it is
                 async with asyncio.timeout(_LOOK):
                     await self._drawn.wait()
         finally:
@@ -155,8 +155,8 @@ class Studio:
         """Wait until no page has been open for so many seconds.
 
         Args:
-            first: where none is.
-            again: after the last was closed.
+            first: the seconds while none has been open.
+            again: the seconds after the last was closed.
         """
         patience = again if self.pages else first
         while True:
@@ -169,7 +169,7 @@ class Studio:
             patience = again
 
     def say_ended(self, why: str) -> None:
-        """Say how what is watched has ended."""
+        """Tell that the watched kernels have ended, and how."""
         for view in self.scene.views.values():
             if view.say("ended", why):
                 self.state_changed(view)
@@ -186,10 +186,10 @@ class Studio:
         if tasks:
             await asyncio.wait(tasks)
         await self._write_places()
-        await self.recorder.close()  # takes its time: a page that comes meanwhile begins anew
+        await self.recorder.close()  # takes its time: a page that comes meanwhile begins a new watching
 
     def see(self, page: Page, rect: tuple[float, float, float, float], scale: float) -> None:
-        """A page has this in view; it is told its figures at once."""
+        """Take the part that a page has in view; it is told the figures of that at once."""
         if page.is_far != (scale < FAR):
             page.told["e"].clear()
         page.rect, page.scale = rect, scale
@@ -222,7 +222,7 @@ class Studio:
         self._tell({"t": "problem", "problem": problem_of(error)})
 
     def show(self, kernel: str, path: str, shown: Shown) -> None:
-        """Show a page the values of a port; AbsentError: there is none."""
+        """Show a page the values of a port; AbsentError: there is no such port."""
         tap = self._taps.get((kernel, path))
         if tap is not None:
             tap.shown.append(shown)
@@ -235,7 +235,7 @@ class Studio:
         self.follow(tap)
 
     def hide(self, kernel: str, path: str, shown: Shown) -> None:
-        """Tell a page the values of a port no longer."""
+        """Show a page the values of a port no longer."""
         shown.close()
         tap = self._taps.get((kernel, path))
         if tap is not None and shown in tap.shown:
@@ -304,7 +304,7 @@ class Studio:
                 continue
             except AiortsError:
                 await asyncio.sleep(_AGAIN)
-                return  # it has just ended, or has too many clients: what is still there is tried once more
+                return  # it has just ended, or has too many clients: if it is still there, it is tried again
             view = self._view(entry, client.hello["lasting"])
             await self._read_places(view)
             watch = self._watches[view.key] = Watch(client, view, self, self._followers)
@@ -318,7 +318,7 @@ class Studio:
             return
 
     def _view(self, entry: Entry, lasting: str) -> View:
-        """The view of a kernel: of the one that it was before a restart, where it is the same again."""
+        """The view of a kernel; the view from before a restart, where it is the same kernel again."""
         views = self.scene.views
         view = views.get(entry.address)
         for one in views.values():
@@ -331,10 +331,10 @@ class Studio:
         return view
 
     async def _settle(self, client: AsyncClient, view: View) -> None:
-        """Lay a kernel that has just begun out again when it is assembled: what came one by one stands in a row.
+        """Lay out a kernel that has just begun again when it is assembled: boxes that came one by one stand in a row.
 
-        Only what boxes and edges there are, and in which contexts, counts, and only for a while: later nothing moves
-        that is not asked to.
+        Only the boxes, their contexts and the number of edges count, and only for a while: later nothing moves without
+        a request.
         """
         for _ in range(_SETTLING):
             if view.settled:
@@ -350,7 +350,7 @@ class Studio:
         self.changed()
 
     def _end(self, there: Collection[str]) -> None:
-        """Say of kernels that they have ended, where that was while no page was open."""
+        """Tell that kernels have ended which did so while no page was open."""
         for view in self.scene.views.values():
             watch = self._watches.get(view.key)
             is_watched = watch is not None and watch.session.is_open
@@ -386,7 +386,7 @@ class Studio:
             await self._write_places()
 
     async def _write_places(self) -> None:
-        """Write what is other than it was: of kernels that are assembled, or whose boxes a user has placed."""
+        """Write places that have changed: of kernels that are assembled, or whose boxes a user has placed."""
         for view in list(self.scene.views.values()):
             placed = view.key in self._placed
             if self._places is None or view.key not in self._written or not (placed or view.settled):
@@ -421,7 +421,7 @@ class Studio:
         self._dirty.set()
 
     def state_changed(self, view: View) -> None:
-        """Tell pages that a kernel does not answer, or does so again, also those that come within a minute."""
+        """Tell pages that a kernel does not answer, or does so again, also pages that come within a minute."""
         if view.about["simulated"]:
             return  # its events have times of its own
         said = {"at_ns": time.time_ns(), "kind": _SAID[view.about["state"]], "text": view.about["why"]}
@@ -511,7 +511,7 @@ class Studio:
         row: Callable[[str], Row | None],
         wanted: Collection[int] | None = None,
     ) -> dict[int, Row]:
-        """Rows by the numbers of things; of those alone that are wanted, where that is said."""
+        """Rows by the numbers of things; only of those in `wanted`, where it is given."""
         numbers = self.scene.numbers
         return {
             number: found

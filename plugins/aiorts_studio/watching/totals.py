@@ -1,4 +1,4 @@
-"""A kernel as a whole, whatever pages have folded: its sums, and what needs a look.
+"""A kernel as a whole, whatever pages have folded: its sums, and the parts that need a look.
 
 Pure: a view and its figures come in, rows for pages come out.
 """
@@ -12,14 +12,14 @@ from aiorts_studio.watching.figures import Figures, Row, lost
 from aiorts_studio.watching.view import View
 
 Place: TypeAlias = int | None
-"""The number of the box or edge that stands for a thing; None: nothing does."""
+"""The number of the box or edge that stands for a thing; None: there is none."""
 _MOST: Final = 30
 """Failed components, and connectors that lose samples, that are named."""
 _WORST_FIRST: Final = ("error", "ended", "created", "inactive", "active")
 
 
 def total_of(view: View, figures: Figures, connectors: Mapping[str, Place], boxes: Mapping[str, Place]) -> Row:
-    """Components, connectors, samples a second, lost samples; then what has failed, and what loses samples.
+    """Components, connectors, samples a second, lost samples; then failed components, and connectors that lose samples.
 
     Args:
         view: the kernel.
@@ -41,14 +41,14 @@ def total_of(view: View, figures: Figures, connectors: Mapping[str, Place], boxe
 
 
 def _trouble(report: Mapping[str, Any] | None, row: Row | None) -> str:
-    """Words for what is wrong with a component; "" is nothing."""
+    """Words for the trouble of a component; "" is none."""
     state, said = row or ("", "")
     failed = (report or {}).get("last_error")
     return said or (str(failed or state) if state == "error" or failed else "")
 
 
 def _loss(view: View, figures: Figures, name: str, edge: Place, boxes: Mapping[str, Place]) -> list[Any]:
-    """The ends of a connector, the samples that it has lost, why, and the kind and number of what stands for it."""
+    """The ends of a connector, the samples that it has lost, why, and the kind and number of its thing on the page."""
     report = view.connectors.get(name) or {"source": name, "target": ""}
     reasons = [reason for reason, count in figures.now["connectors"][name].dropped.items() if lost({reason: count})]
     where = ["box", boxes.get(report["source"].partition(".")[0])] if edge is None else ["edge", edge]
@@ -56,12 +56,12 @@ def _loss(view: View, figures: Figures, name: str, edge: Place, boxes: Mapping[s
 
 
 def folded_row(figures: Figures, components: Iterable[str], connectors: Iterable[str]) -> Row:
-    """The worst state of the components inside a folded frame, and what is said of them.
+    """The worst state of the components inside a folded frame, and words on them.
 
     Args:
         figures: the counters of their kernel.
-        components: what the frame holds.
-        connectors: those that have an end, or both, inside.
+        components: the components in the frame.
+        connectors: the connectors that have an end, or both, inside.
     """
     states = [str(row[0]) for name in components if (row := figures.box(name)) is not None]
     failed, lossy = states.count("error"), len(figures.lossy.intersection(connectors))

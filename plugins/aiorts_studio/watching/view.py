@@ -11,7 +11,7 @@ from aiorts.sessions import Entry
 from aiorts_studio.watching.words import class_of, error_of
 
 NOT_YET: Final = "has not answered yet"
-"""Why a kernel is silent that has just been found."""
+"""The reason why a kernel that has just been found is silent."""
 _FILTER: Final = "FlexiFilter"
 _LOOK_ON: Final = frozenset(("FlexiDump", "FlexiLogger"))
 
@@ -26,9 +26,9 @@ class View:
         profile: the parts of its profile, as `changes` tells them.
         lasting: its name that stays over restarts; "" is not known.
         links: the name by which links of other kernels reach it; "" where they cannot.
-        settled: whether it was laid out after it was whole.
+        settled: whether it was laid out after it was assembled.
         answered: when it answered last, by the monotonic clock.
-        about: what the page says of it: "name", "state", "why", and others.
+        about: the facts that the page shows of it: "name", "state", "why", and others.
     """
 
     key: str
@@ -41,7 +41,7 @@ class View:
     answered: float = field(default_factory=time.monotonic)
 
     def say(self, state: str, why: str) -> bool:
-        """Take whether it answers; False: that was known."""
+        """Take a state and its reason; False: they were known."""
         if (state, why) == (self.about["state"], self.about["why"]):
             return False
         since = 0.0 if state == "live" else round(time.monotonic() - self.answered, 1)
@@ -56,7 +56,7 @@ class View:
 
     @property
     def shape(self) -> tuple[int, tuple[str, ...]]:
-        """How many connectors it has, and the contexts of its components: what a layout follows."""
+        """The number of its connectors, and the contexts of its components, which a layout follows."""
         return len(self.connectors), tuple(map(self.context_of, self.components))
 
     @property

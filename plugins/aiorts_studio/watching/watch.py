@@ -19,15 +19,15 @@ _SILENT: Final = 2.5
 
 ENDED: Final = "has ended"
 KILLED: Final = "was killed, or has crashed"
-"""Why there is no session any more: an orderly end closes its streams."""
+"""The reasons why a session has ended: an orderly end closes its streams."""
 _PAUSE: Final = 1.0
-"""Seconds between looks at what no stream tells."""
+"""Seconds between looks at states that no stream tells."""
 _LINKS: Final = 64
 """Links, and components, that are looked at in one second."""
 
 
 def begun(work: Coroutine[Any, Any, None], name: str) -> asyncio.Task[None]:
-    """A task whose error is told to the loop's handler when it ends, and ends nothing else."""
+    """Start a task whose error goes to the loop's handler when it ends, and ends nothing else."""
     task = asyncio.create_task(work, name=name)
     task.add_done_callback(_report)
     return task
@@ -44,7 +44,7 @@ class Told(Protocol):
     """The receiver of the news of a kernel."""
 
     def changed(self) -> object:
-        """Take that the view is other than before."""
+        """Take that the view has changed."""
 
     def counted(self, watch: Watch) -> object:
         """Take that there are new figures."""
@@ -63,21 +63,21 @@ class Follower(Protocol):
     """The address of the kernel that it is about; "" is any."""
 
     async def run(self, watch: Watch) -> None:
-        """Follow it; the session's end ends it, too."""
+        """Follow the kernel; the session's end ends that, too."""
 
 
 class Watch:
     """Watches one kernel until its session ends.
 
     Args:
-        session: with the kernel.
-        view: is kept up to date with what the kernel says.
-        told: is called with what is new.
-        followers: what follows kernels now.
+        session: the session with the kernel.
+        view: kept up to date by what the kernel tells.
+        told: called with the news.
+        followers: the present followers of kernels.
 
     Attributes:
-        figures: the counters, and those that were last.
-        closes: whether the kernel has begun to close: nothing of what it gives up is taken.
+        figures: the counters, and those of the second before.
+        closes: whether the kernel has begun to close: changes by its closing are not taken.
     """
 
     def __init__(self, session: AsyncClient, view: View, told: Told, followers: Iterable[Follower]) -> None:
@@ -133,7 +133,7 @@ class Watch:
             return
         self.closes = self.closes or item["kind"] == "Closing"
         if self.closes:
-            return  # what is shown of it last is the whole
+            return  # the last view shows the whole kernel
         for part in item["parts"]:
             known, name, now = self.view.profile[part["section"]], part["name"], part["now"]
             if part["section"] == "components":
@@ -177,7 +177,7 @@ class Watch:
                 return item
 
     async def _look(self) -> None:
-        """Look at what no stream tells: states and round trips of links, and who made contexts late."""
+        """Look at states that no stream tells: of links, their round trips, and the causes of late contexts."""
         overruns: dict[str, int] = {}
         while True:
             links = [name for name, one in self.view.connectors.items() if one["options"]["on_link_lost"] is not None]

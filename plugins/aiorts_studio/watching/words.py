@@ -20,7 +20,7 @@ def state_of(states: Mapping[str, str], *, failed: bool) -> str:
 
 
 def said_of(states: Mapping[str, str], overdue: Mapping[str, Any]) -> str:
-    """Words beside the state of a component: a hook over its deadline, states that differ; "" is nothing."""
+    """Words next to the state of a component: a hook over its deadline, states that differ; "" is nothing."""
     return state_text(states, overdue) if overdue or len(set(states.values())) > 1 else ""
 
 
@@ -45,7 +45,7 @@ def policy_of(options: Mapping[str, Any]) -> str:
 
 
 def link_state(links: Iterable[str]) -> str:
-    """How far a link is, by what both of its ends say: "up", "waiting" or "down"."""
+    """The state of a link, by the reports of both of its ends: "up", "waiting" or "down"."""
     states = {one.partition(":")[0] for one in links}
     if states <= {"up"}:
         return "up"
