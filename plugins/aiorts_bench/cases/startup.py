@@ -127,7 +127,7 @@ def report(options: Options) -> Report:
 
 BENCH: Final = Bench(
     "startup",
-    "ProfileSnapshot interpreters: importing aiorts, its command, and the first sample of a system file.",
+    "New interpreters: importing aiorts, its command, and the first sample of a system file.",
     report,
     quick_rounds=9,
     rounds=25,
