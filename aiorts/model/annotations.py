@@ -1,4 +1,4 @@
-"""Annotations taken apart: what each form of one is made into, such as a reader, a writer or a schema; pure."""
+"""Makes one result, such as a reader, a writer or a schema, of each form of annotation; pure."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ def fields_of_row(hint: Any) -> Mapping[str, Any]:
 
 
 class ByAnnotation(Generic[M]):
-    """What is made of annotations. A subclass has a method for each form that it knows, and `other` for the rest.
+    """Makes one result per annotation. A subclass has a method for each form that it knows, and `other` for the rest.
 
-    `union` gets what its arms become, by arm; `words` those of a Literal; `fixed` what the elements of a tuple become,
-    or the fields of a NamedTuple;
-    `many` the class of a list or set, and what an element becomes; `mapping` the class, the annotation of its keys, and
-    what a value becomes; `members` is for an Enum, `record` for a dataclass.
+    `union` gets the results of its arms, by arm; `words` the words of a Literal; `fixed` the results of the elements
+    of a tuple, or of the fields of a NamedTuple; `many` the class of a list or set, and the result of an element;
+    `mapping` the class, the annotation of its keys, and the result of a value; `members` is for an Enum, `record` for
+    a dataclass.
 
     Args:
-        simple: what single annotations become.
+        simple: the results of single annotations.
     """
 
     def __init__(self, simple: Mapping[Any, M]) -> None:
         self._simple = simple
 
     def of(self, hint: Any) -> M:
-        """What an annotation becomes."""
+        """The result of an annotation."""
         if hint in self._simple:
             return self._simple[hint]
         origin, parts = typing.get_origin(hint) or hint, typing.get_args(hint)
@@ -67,7 +67,7 @@ class ByAnnotation(Generic[M]):
         return self.record(hint) if isinstance(hint, type) and is_dataclass(hint) else self.other(hint)
 
     def other(self, hint: Any) -> M:
-        """What an annotation of another form becomes."""
+        """The result of an annotation of another form."""
         raise NotImplementedError
 
     def _rest(self, hint: Any, *_parts: Any) -> M:

@@ -1,7 +1,6 @@
-"""Who made a cycle late, as values: a blame, counts of missed deadlines by blame, pauses of the garbage collector.
+"""The causes of late cycles, as values: a blame, counts of missed deadlines by blame, pauses of the garbage collector.
 
-Nothing here finds out anything (`aiorts.diagnostics.blame` judges, `aiorts.diagnostics.stack_sampler` looks); it names
-and counts.
+This file names and counts; `aiorts.diagnostics.blame` judges and `aiorts.diagnostics.stack_sampler` looks.
 """
 
 from __future__ import annotations
@@ -14,26 +13,26 @@ from typing import Final
 from aiorts.late import dataclass
 
 OTHERS: Final = "others"
-"""What missed deadlines are counted under once there are too many places."""
+"""The key under which missed deadlines are counted once there are too many places."""
 _PLACES: Final = 32
 _REPORT_EVERY_NS: Final = 5_000_000_000
-"""One line of the log for each place in that time."""
+"""Each place has at most one line of the log in this time."""
 _REPORT_FROM_NS: Final = 10_000_000
 """Shorter holds are counted, published and not logged."""
 _OVERLOAD_NS: Final = 1_000_000_000
 _OVERLOAD_TICKS: Final = 10
 _OVERLOAD_CYCLES: Final = 3
-"""In so long a time, with so many ticks in it, most cycles overran, and not fewer than so many."""
+"""An overload: in at least this time and so many ticks, most cycles overran, and at least so many did."""
 
 
 @dataclass(frozen=True, slots=True)
 class Blame:
-    """What held up a context when a deadline was missed; `str` gives it as one sentence."""
+    """The cause that held up a context when a deadline was missed; `str` gives it as one sentence."""
 
     kind: str
     """"hook": one of the context's own; "loop": other code on the event loop (a hook of another context, a task that a
     component started, code of the application); "gc": a garbage collection; "machine": no code of this process ran;
-    "unknown": it was over before it could be sampled."""
+    "unknown": the hold was over before it could be sampled."""
     component: str = ""
     """Empty for the application's code, "gc", "machine" and "unknown"."""
     hook: str = ""
@@ -43,15 +42,15 @@ class Blame:
     """The line that ran; the first line of the hook where no sample was taken in time."""
     function: str = ""
     held_ns: int = 0
-    """How long, as far as is known, in nanoseconds."""
+    """The duration of the hold, as far as it is known, in nanoseconds."""
     generation: int | None = None
-    """Of a garbage collection."""
+    """The generation of a garbage collection; else None."""
     held: str = "the loop"
-    """What was held: "the loop", "its thread", or "its context" by a hook that waited."""
+    """The thing that was held: "the loop", "its thread", or "its context" by a hook that waited."""
 
     @property
     def place(self) -> str:
-        """The text without the duration: what missed deadlines are counted by."""
+        """The text without the duration, by which missed deadlines are counted."""
         if self.kind == "gc":
             return f"garbage collection of generation {self.generation}"
         if self.kind == "machine":
@@ -95,11 +94,11 @@ class MissedDeadlines:
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """By `Blame.place`; the 33rd place and all after it are "others"."""
+        """The counts by `Blame.place`; the 33rd place and all after it are "others"."""
         return MappingProxyType(self._counts.copy())
 
     def add(self, blame: Blame, now_ns: int) -> int:
-        """Count one more. Returns how many of its place were not reported yet, when it is time to report; else 0."""
+        """Count a blame. Returns how many of its place were not reported yet, when it is time to report; else 0."""
         self.last = blame
         counts, place = self._counts, blame.place
         if place not in counts and len(counts) >= _PLACES:
@@ -115,18 +114,18 @@ class MissedDeadlines:
 
 
 class Overload:
-    """Finds out that a context misses most of its deadlines, and says so once; an overrun now and then is none."""
+    """Finds a context that misses most of its deadlines, once; an occasional overrun is no overload."""
 
     def __init__(self) -> None:
         self._since: tuple[int, int, int] | None = None
-        """When, and after how many cycles and ticks, the time began that is looked at."""
+        """Time, cycles and ticks at the start of the time that is examined."""
         self._late = 0
         self._reported = False
 
     def add(self, now_ns: int, cycles: int, ticks: int) -> tuple[int, int, int] | None:
-        """One more overrun, after so many cycles and ticks of the schedule.
+        """Count an overrun, after so many cycles and ticks of the schedule.
 
-        Returns overruns, cycles and nanoseconds when it is time to tell, else None.
+        Returns overruns, cycles and nanoseconds when it is time to report, else None.
         """
         if self._reported:
             return None

@@ -1,6 +1,6 @@
 """This file decides what a bounded buffer does at its ends; it never waits, wakes or asks the time.
 
-`decide` is the truth for a full buffer.
+`decide` alone defines what happens at a full buffer.
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ from enum import Enum, StrEnum
 from typing import Final
 
 DEFAULT_LENGTH: Final = 8
-"""Samples of a buffer where nothing says how many."""
+"""The length of a buffer, in samples, where none is given."""
 MAX_LENGTH: Final = 1_000_000
-"""Samples of the longest buffer."""
+"""The length of the longest buffer, in samples."""
 
 
 class FullPolicy(StrEnum):
-    """What a write does when the buffer is full."""
+    """The behaviour of a write when the buffer is full."""
 
     OVERWRITE = "overwrite"
     REJECT = "reject"
@@ -23,7 +23,7 @@ class FullPolicy(StrEnum):
 
 
 class EmptyPolicy(StrEnum):
-    """What a generic component does when there is nothing to read (OpenRTM's buffer.read.empty_policy)."""
+    """The behaviour of a generic component when there is nothing to read (OpenRTM's buffer.read.empty_policy)."""
 
     READBACK = "readback"
     NOTHING = "do_nothing"
@@ -31,7 +31,7 @@ class EmptyPolicy(StrEnum):
 
 
 class Verdict(Enum):
-    """What becomes of a sample that is offered to a buffer."""
+    """The treatment of a sample that is offered to a buffer."""
 
     STORE = "store"
     REPLACE_OLDEST = "replace oldest"
@@ -50,5 +50,5 @@ _STORE = Verdict.STORE
 
 
 def decide(buffered: int, length: int, full: FullPolicy) -> Verdict:
-    """What to do with a sample offered to a buffer that holds `buffered` of at most `length` samples."""
+    """The decision on a sample offered to a buffer that holds `buffered` of at most `length` samples."""
     return _STORE if buffered < length else _WHEN_FULL[full]

@@ -1,6 +1,6 @@
-"""What makes samples of one port into samples of another: a plain function of one sample, known by a name.
+"""Converters of one port's samples into another's: plain functions of one sample, known by a name.
 
-Nothing is called here but what makes the function of a text, and no sample is seen.
+This file calls only the makers that turn a text into a function; it sees no sample.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from aiorts.errors import AiortsError, WiringError, format_error
 
 Function: TypeAlias = Callable[[Any], Any]
 Maker: TypeAlias = Callable[[str, type[Any], type[Any]], Function]
-"""What a plugin offers: of the text, the out-port's type and the in-port's type it makes the function."""
+"""The offer of a plugin: makes the function of the text, the out-port's type and the in-port's type."""
 REMEDY: Final = "give a plain function of one sample, def convert(sample): return ..."
 _NAME: Final = 200
-"""Characters of a name in a message."""
+"""The most characters of a name in a message."""
 
 
 class Converter(str):
     """The name of a converter, with its function: the text that it was found by, or the function's qualified name.
 
-    It is text wherever text is wanted; a copy of it is the name alone.
+    The name is text wherever text is wanted; a copy is plain text.
 
     Attributes:
-        function: makes a sample of the in-port of one of the out-port; None until the types are known.
+        function: makes a sample for the in-port of a sample of the out-port; None until the types are known.
         of_text: whether the name is a text that finds the function again.
     """
 
@@ -48,10 +48,10 @@ class Converter(str):
 
     @classmethod
     def of_function(cls, function: object) -> Converter:
-        """A function that a program gives.
+        """The converter with a function that a program gives.
 
         Raises:
-            WiringError: it is no plain function of one sample.
+            WiringError: the function is no plain function of one sample.
         """
         name = name_of(function)
         if fault := function_fault(function):
@@ -59,10 +59,10 @@ class Converter(str):
         return cls(name, typing.cast("Function", function))
 
     def between(self, source: type[Any], target: type[Any]) -> Converter:
-        """The same for one connector, from an out-port of one type to an in-port of another, with a function.
+        """The converter for one connector, with a function from the out-port's type to the in-port's.
 
         Raises:
-            WiringError: it cannot be between these types.
+            WiringError: it cannot convert between these types.
         """
         function = self.function if self._make is None else self._made(source, target)
         if function is None:
@@ -77,7 +77,7 @@ class Converter(str):
             function = typing.cast("Maker", self._make)(text, source, target)
         except AiortsError as error:
             raise WiringError(str(error)) from error
-        except Exception as error:  # a plugin's border: whatever its code does is reported as the plugin's
+        except Exception as error:  # a plugin's border: any failure of its code is reported as the plugin's
             raise WiringError(f"it could not be made: {format_error(error)}") from error
         if fault := function_fault(function):
             raise WiringError(f"it made something else: {fault}")
@@ -88,18 +88,18 @@ class Converter(str):
 
 
 def name_of(function: object) -> str:
-    """The qualified name of a function, or of what stands for one."""
+    """The qualified name of a function, or of another callable's class; a partial has its function's name."""
     inner = function.func if isinstance(function, partial) else function
     name = getattr(inner, "__qualname__", None)
     return (name if isinstance(name, str) else type(inner).__qualname__)[:_NAME]
 
 
 def function_fault(function: object) -> str:
-    """Why this is no plain function of one sample, and what to give; "" where it is one."""
+    """The reason why this is no plain function of one sample, and the remedy; "" where it is one."""
     if not callable(function):
         return f"expected a function or a text, got {type(function).__name__}; {REMEDY}"
     inner = function.func if isinstance(function, partial) else function
-    # Of an instance it is the class that says how it is called.
+    # A call of an instance is the `__call__` of its class.
     for one in (inner, getattr(type(inner), "__call__", None)):  # noqa: B004 - it may be a coroutine function
         if inspect.iscoroutinefunction(one):
             return "is a coroutine function, and nothing waits inside a write; take the await out of it"
@@ -108,7 +108,7 @@ def function_fault(function: object) -> str:
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):
-        return ""  # in C, and does not say
+        return ""  # a function in C without a signature
     try:
         signature.bind(None)
     except TypeError as error:
@@ -118,13 +118,13 @@ def function_fault(function: object) -> str:
 
 
 def _annotation_fault(function: Function, source: type[Any], target: type[Any]) -> str:
-    """What the annotations say against converting from one type into the other; "" where they say nothing."""
+    """The objection of the annotations to converting from one type into the other; "" for none."""
     annotated = inspect.unwrap(function) if not isinstance(function, type) else function
     if isinstance(function, type):
         return "" if _may_be(function, target) else f"makes {function.__name__}, the in-port takes {target.__name__}"
     try:
         hints = typing.get_type_hints(annotated)
-    except Exception:  # noqa: BLE001 - somebody else's annotations, which may name what is not there
+    except Exception:  # noqa: BLE001 - a user's annotations may name things that are not there
         return ""
     returned = hints.pop("return", target)
     if not _may_be(returned, target):
@@ -140,8 +140,8 @@ def _annotation_fault(function: Function, source: type[Any], target: type[Any]) 
 
 
 def _may_be(annotated: Any, wanted: type[Any]) -> bool:
-    """Whether a value annotated so may be of this class; only classes and None say no."""
-    # On CPython 3.11 Any is a class; of a protocol it is not known which classes are of it.
+    """Whether a value with this annotation may be of the class; only annotations that are classes can deny it."""
+    # Any is a class from CPython 3.11 on; which classes implement a protocol is not known.
     if annotated is Any or not isinstance(annotated, type) or typing.get_origin(annotated) is not None:
         return True
     return getattr(annotated, "_is_protocol", False) or issubclass(annotated, wanted) or issubclass(wanted, annotated)

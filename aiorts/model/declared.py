@@ -1,7 +1,7 @@
 """Declarations of options: the values that a field of a frozen dataclass, or a parameter, takes, stated once.
 
 A declaration is metadata of the field, or of the parameter's type: `Annotated[float, Option("Its rate.", unit="Hz")]`.
-What reads a value, writes a schema, compares or describes asks for it; none of them names an option.
+Code that reads a value, writes a schema, compares or describes asks the declaration; none of it names an option.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _NUMBERS: Final[Mapping[str, str]] = MappingProxyType(
 
 
 class OptionError(ValueError):
-    """A value is none of those that its option takes."""
+    """A value that its option does not take."""
 
 
 class Option(NamedTuple):
@@ -37,7 +37,7 @@ class Option(NamedTuple):
     doc: str
     """The description of its values, in whole sentences."""
     default: Any = None
-    """That of the field; a parameter has its own."""
+    """The default of the field; a parameter has its own."""
     unit: str = ""
     """The unit of a number; "" where it has none."""
     low: float | None = None
@@ -49,22 +49,22 @@ class Option(NamedTuple):
     words: Mapping[str, str] = MappingProxyType({})
     """OpenRTM's word for a value -> ours, where they differ."""
     end: str = "both"
-    """The part of a connection that it is about: "writer", "reader", "both", "ports" or "services"."""
+    """The part of a connection that the option is about: "writer", "reader", "both", "ports" or "services"."""
     changes: bool = False
-    """Whether it may be changed while it is in force."""
+    """Whether the option may be changed while it is in force."""
     shown: bool = False
-    """Whether reports show it where it is as by default, too."""
+    """Whether reports show the option at its default, too."""
     endless: bool = False
-    """Whether a system file may say `inf`; it means None where that is a value."""
+    """Whether a system file may say `inf`; it means None where None is a value."""
     takes: Callable[[Any], Any] | None = None
-    """A function that reads a value which is no text, number or word; None: its type says how."""
+    """A function that reads a value which is no text, number or word; None: the type decides."""
     schema: Mapping[str, Any] = MappingProxyType({})
     """The JSON Schema of the contents of a table or a list."""
     flag: bool | str = False
     """Whether a service's setting is an option of `aiorts run`, and under which word (`aiorts.setting`)."""
 
     def __hash__(self) -> int:
-        return hash(self.doc)  # a union of types asks for it, and a mapping has none
+        return hash(self.doc)  # a union of types asks for a hash, and the mappings among the fields have none
 
     @property
     def described(self) -> str:
@@ -75,16 +75,16 @@ class Option(NamedTuple):
 def option(default: T, doc: str, **declared: Any) -> T:
     """A field that users set; `declared` are further fields of `Option`."""
     metadata = {"option": Option(doc, default, **declared)}
-    if isinstance(default, MappingProxyType):  # it can not be changed, which a dataclass does not know
+    if isinstance(default, MappingProxyType):  # immutable, but dataclasses refuse it as a default
         return field(default_factory=lambda: default, metadata=metadata)
     return field(default=default, metadata=metadata)
 
 
 @lru_cache
 def options_of(cls: type) -> Mapping[str, Option]:
-    """The declared options of a class, in the order of its fields; of one without fields, those that it is made of.
+    """The declared options of a class, in the order of its fields; without fields, those of its constructor.
 
-    A class is not written for it (see `late`).
+    The methods of a late class are not made by it (see `aiorts.late`).
     """
     if not (fields := _fields_of(cls)):
         return MappingProxyType(dict(_of_parameters(cls)))
@@ -175,7 +175,7 @@ def read_option(cls: type, name: str, value: Any, *, low: float | None = None) -
 
 
 def read_yes(name: str, value: object) -> bool:
-    """A truth value, also as OpenRTM writes it. OptionError: it is none."""
+    """Read a truth value, also as OpenRTM writes it. OptionError: the value is none."""
     return _yes(name, value, [])
 
 
@@ -191,8 +191,8 @@ def fault_of(cls: type, name: str, value: Any) -> str:
 def expected_of(cls: type, name: str, value: Any) -> str:
     """The expectation that a number or a word misses, in words; "" where the value fits, or the option has other types.
 
-    An option of words takes nothing else, one of numbers takes truth values at the most: those with other alternatives
-    are for their class to refuse.
+    Only options of words alone, or of numbers and at most truth values, are judged: values of options with other
+    alternatives are for their class to refuse.
     """
     one, kinds = options_of(cls).get(name), kinds_of(cls).get(name, ())
     if one is None or not kinds or (value is None and may_be_none(cls, name)):
@@ -203,7 +203,7 @@ def expected_of(cls: type, name: str, value: Any) -> str:
 
 
 def expected_number(one: Option, kinds: Collection[Any], value: Any) -> str:
-    """The same for an option of numbers, which may take truth values, too; "" for one of other types."""
+    """The expectation that a value misses at an option of numbers and at most truth values; "" for other types."""
     if not {int, float} & {*kinds} or {*kinds} - {bool, int, float} or (isinstance(value, bool) and bool in kinds):
         return ""
     is_number = isinstance(value, (int, float) if float in kinds else int) and not isinstance(value, bool)
@@ -243,14 +243,14 @@ def check_declared(made: Any) -> None:
 
 
 def check_values(cls: type, given: Mapping[str, Any], where: str = "") -> None:
-    """The same for values by name; `where` is what the message begins with."""
+    """Refuse numbers and words by name that are out of range; the message begins with `where`."""
     for name, value in given.items():
         if what := expected_of(cls, name, value):
             raise ConfigurationError(f"{where}{name} = {shown(value)}: {what}")
 
 
 def words_among(cls: type, name: str) -> list[str]:
-    """The words of an option that takes words alone; none of another."""
+    """The words of an option that takes words alone; [] for any other."""
     kinds = kinds_of(cls).get(name, ())
     words = [word for kind in kinds for word in words_of(kind)]
     are_all = all(map(words_of, kinds)) and all(isinstance(word, str) for word in words)
@@ -258,7 +258,7 @@ def words_among(cls: type, name: str) -> list[str]:
 
 
 def folded(value: Any) -> Any:
-    """A word as it is looked up; what is no text stays as it is."""
+    """A word in the form that is looked up; a value that is no text stays as it is."""
     return value.strip().lower() if isinstance(value, str) else value
 
 

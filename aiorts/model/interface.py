@@ -1,8 +1,8 @@
-"""Interfaces of services as values: what a Protocol asks for, what a provider has, and where the two differ.
+"""Interfaces of services as values: the methods that a Protocol asks for, those of a provider, and the differences.
 
 This file reads and compares; it calls nothing and waits for nothing. An interface consists of methods with named
-parameters: `async def`, which a caller awaits, or plain `def`, which never waits. What is `async def` in the interface
-may be either at the provider; what is plain has to be plain.
+parameters: `async def`, which a caller awaits, or plain `def`, which never waits. An `async def` of the interface
+may be either at the provider; a plain method has to be plain.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _VAR_POSITION: Final = inspect.Parameter.VAR_POSITIONAL
 _VAR_KEYWORD: Final = inspect.Parameter.VAR_KEYWORD
 _KINDS: Final[dict[Any, str]] = {_EITHER: "either", _POSITION: "position", _KEYWORD: "keyword"}
 IDEMPOTENT: Final = "_aiorts_idempotent"
-"""What marks a method that may be called again."""
+"""The attribute that marks a method that may be called again."""
 _CONTAINERS: Final = (list, dict, tuple, set, frozenset)
 
 
@@ -42,11 +42,11 @@ class Method:
     doc: str
     plain: bool
     idempotent: bool = False
-    """Whether a call may be made again where it is not known what became of it."""
+    """Whether a call of unknown outcome may be made again."""
 
     @property
     def profile(self) -> MethodProfile:
-        """As plain data."""
+        """The method as plain data."""
         parameters = tuple(
             ParameterProfile(
                 parameter.name,
@@ -60,7 +60,7 @@ class Method:
 
     @property
     def signature(self) -> inspect.Signature:
-        """What a caller may give."""
+        """The signature for a caller, without `self`."""
         return inspect.Signature(list(self.parameters))
 
 
@@ -77,7 +77,7 @@ def read_interface(protocol: object) -> Interface:
     """The methods that a Protocol asks for.
 
     Raises:
-        DeclarationError: it is no Protocol, or has something that is not a method with named parameters.
+        DeclarationError: `protocol` is no Protocol, or has something that is not a method with named parameters.
     """
     if not (isinstance(protocol, type) and getattr(protocol, "_is_protocol", False)):
         raise DeclarationError(f"{spelled(protocol)}: an interface is a typing.Protocol with methods")
@@ -109,10 +109,10 @@ def _checked(interface: str, method: Method) -> Method:
 
 
 def read_method(name: str, function: Callable[..., Any], *, bound: bool) -> Method:
-    """What a function is as a method; `bound` has no `self` any more.
+    """Read a function as a method; one that is `bound` has no `self` any more.
 
     Raises:
-        DeclarationError: it is a generator, or its parameters cannot be known.
+        DeclarationError: the function is a generator, or its parameters cannot be known.
     """
     if inspect.isgeneratorfunction(function) or inspect.isasyncgenfunction(function):
         raise DeclarationError(f"{name}: is a generator (it contains `yield`); a method of a service returns once")
@@ -132,7 +132,7 @@ def read_method(name: str, function: Callable[..., Any], *, bound: bool) -> Meth
 
 
 def _hints(function: Callable[..., Any]) -> dict[str, Any]:
-    """The annotations, resolved one by one: one of a name that is not known stays the text that it is."""
+    """The annotations, resolved one by one; an annotation with an unknown name stays text."""
     function = inspect.unwrap(getattr(function, "__func__", function))
     found: dict[str, Any] = {}
     for name, hint in getattr(function, "__annotations__", {}).items():
@@ -145,7 +145,7 @@ def _hints(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 def spelled(hint: Any) -> str:
-    """A type as one would write it."""
+    """A type as it is written in annotations."""
     if hint is _EMPTY:
         return ""
     if hint is None or hint is type(None):
@@ -170,7 +170,7 @@ def _generic(hint: Any) -> Any:
 
 
 def differences(wanted: Mapping[str, Method], given: Mapping[str, Method]) -> list[str]:
-    """Why what is `given` cannot answer every call that is `wanted`, a line for each; empty where it can."""
+    """The reasons why `given` cannot answer every call of the `wanted` methods, a line each; empty where it can."""
     found = []
     for name, method in wanted.items():
         other = given.get(name)
@@ -250,9 +250,9 @@ def fits(one: Any, other: Any) -> bool:
 
 
 def check_of(hint: Any) -> Check | None:
-    """Whether a value is of this type, in containers element by element.
+    """A check whether a value is of this type, in containers element by element.
 
-    None where that is not checked: Protocols, type variables, names not known.
+    None for types that are not checked: Protocols, type variables, unknown names.
     """
     return _CHECKS.of(hint)
 
@@ -286,7 +286,7 @@ class _Checks(ByAnnotation["Check | None"]):
             return self.other(hint)
         if item is None:
             return lambda value: isinstance(value, kind)
-        # Of ten thousand numbers of the very type none is looked at by itself.
+        # Ten thousand numbers of exactly this type are compared as one set, with no check of each.
         exact = {typing.get_args(hint)[0]}
         return lambda value: isinstance(value, kind) and (set(map(type, value)) <= exact or all(map(item, value)))
 
@@ -310,7 +310,7 @@ _CHECKS: Final = _Checks(
 
 
 def misfit(hint: Any, value: Any) -> tuple[str, Any]:
-    """What of a value is not of the type, the innermost: the way to it ("[3]", "['a'][0]"), and what stands there."""
+    """The innermost part of a value that is not of the type: its place ("[3]", "['a'][0]"), and the part itself."""
     for one in alternatives(hint):
         kind = typing.get_origin(one)
         if kind in _CONTAINERS and isinstance(value, kind):

@@ -1,4 +1,4 @@
-"""How late the cycles of a context began: counts over all of them, and the last ones themselves. It asks no clock."""
+"""The lateness of a context's cycles: statistics over all of them, and the last ones themselves. No clock is asked."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from typing import Final
 from aiorts.model.timing import percentile
 
 KEPT: Final = 1000
-"""The last cycles, over which percentiles are exact."""
+"""The number of last cycles that are kept, over which percentiles are exact."""
 
 
 class Lateness:
-    """Of the cycles added so far, in nanoseconds."""
+    """The lateness of the cycles added so far, in nanoseconds."""
 
     __slots__ = ("_buckets", "_count", "_last", "_squares", "max_ns", "total_ns")
 
@@ -28,7 +28,7 @@ class Lateness:
         self._buckets: Counter[int] = Counter()
 
     def add(self, cycles: array[int]) -> None:
-        """Of some more cycles. What is done for each of them is done outside Python code."""
+        """Add the lateness of further cycles. The work for each of them is done outside Python code."""
         if cycles:
             self._count += len(cycles)
             self.total_ns += sum(cycles)
@@ -39,7 +39,7 @@ class Lateness:
             del self._last[:-KEPT]
 
     def with_these(self, cycles: array[int]) -> Lateness:
-        """The same with some more; this one stays as it is."""
+        """A copy with further cycles; this one stays as it is."""
         made = copy(self)
         made._last, made._buckets = copy(self._last), copy(self._buckets)
         made.add(cycles)
@@ -47,16 +47,16 @@ class Lateness:
 
     @property
     def stdev_ns(self) -> float:
-        """The standard deviation over all."""
+        """The standard deviation over all cycles."""
         count = self._count
         return math.sqrt(count * self._squares - self.total_ns**2) / count if count else 0.0
 
     def percentiles(self, *percents: int) -> tuple[int, ...]:
-        """What so many percent of the last cycles were not later than; 0 where there was none."""
+        """The lateness that so many percent of the last cycles did not exceed; 0 without cycles."""
         ordered = sorted(self._last) or [0]
         return tuple(percentile(ordered, percent) for percent in percents)
 
     @property
     def histogram(self) -> Mapping[int, int]:
-        """Cycles by the power of two that their lateness is below, the smallest such."""
+        """The number of cycles by the smallest power of two above their lateness."""
         return {1 << bits: self._buckets[bits] for bits in sorted(self._buckets)}

@@ -1,9 +1,9 @@
-"""The lifecycle states: which follows which, and how a component's state is put in words. Pure.
+"""The lifecycle states, their transitions, and the text of a component's states. Pure.
 
 The machine exists once for each pair of component and execution context (OMG RTC 1.1, section 5.2.2). `TRANSITIONS`
-is the whole truth: what may be asked for in which state, which hooks run on the way, in which order, and where the pair
-then is. `ON_FAILURE` says what a hook that raises leads to. Two decisions differ from a literal reading of the
-OMG text and are taken from what OpenRTM-aist settled on: leaving *active* through a failure runs `on_deactivated`
+is the whole truth: the events that a state allows, the hooks that run on the way, in their order, and the state that
+follows. `ON_FAILURE` has the consequence of a hook that raises. Two decisions differ from a literal reading of the
+OMG text and follow OpenRTM-aist: leaving *active* through a failure runs `on_deactivated`
 before `on_aborting`, and an `on_activated` that raises goes the same way (it may have acquired half of its
 resources).
 """
@@ -26,7 +26,7 @@ class LifecycleState(StrEnum):
 
 
 def joint(states: Iterable[LifecycleState]) -> LifecycleState | None:
-    """The one state of a component that has these states in its contexts; None without any."""
+    """One state for a component that has these in its contexts: error before active before inactive; None for none."""
     return max(states, key=_WEIGHT.__getitem__, default=None)
 
 
@@ -35,15 +35,15 @@ class OverdueHook:
     """A hook that runs longer than its deadline, at one moment."""
 
     hook: str
-    """Its name; "" where it is not known which it is."""
+    """The hook's name; "" where it is not known."""
     running_ns: int
-    """For so long, on the kernel's clock."""
+    """The time for which the hook has run, on the kernel's clock."""
     deadline_ns: int
-    """Nanoseconds that the hook may take."""
+    """The time that the hook may take."""
 
 
 def state_text(states: Mapping[str, str], overdue: Mapping[str, Mapping[str, Any]]) -> str:
-    """The states of a component in all contexts in one line, each said once, with the hook that is late there.
+    """The states of a component in all contexts in one line, without repetitions, each with its overdue hook.
 
     Args:
         states: lifecycle states by context.
@@ -64,7 +64,7 @@ _WEIGHT: Final = {LifecycleState.INACTIVE: 0, LifecycleState.ACTIVE: 1, Lifecycl
 
 
 class Event(StrEnum):
-    """What may happen to a component in one execution context."""
+    """An event for a component in one execution context."""
 
     ACTIVATE = "activate"
     DEACTIVATE = "deactivate"
@@ -73,7 +73,7 @@ class Event(StrEnum):
 
 
 class Failure(StrEnum):
-    """What a hook that raises leads to."""
+    """The consequence of a hook that raises."""
 
     REFUSE = "refuse"
     """The component is not created; the caller gets the error."""
@@ -136,5 +136,5 @@ ADVICE: dict[tuple[LifecycleState, Event], str] = {
 
 
 def transition(state: LifecycleState, event: Event) -> Transition | None:
-    """The way that `event` leads out of `state`, or None where it is refused (`ADVICE` says why)."""
+    """The transition by which `event` leads out of `state`, or None where it is refused (`ADVICE` says why)."""
     return TRANSITIONS.get((state, event))

@@ -1,4 +1,4 @@
-"""Names and paths: this file decides what something may be called and how a path is read; it looks nothing up.
+"""Names and paths: this file decides which names are allowed and how a path is read; it looks nothing up.
 
 The grammar, the same for kernels, components, component types, ports, parameters and contexts:
 
@@ -34,7 +34,7 @@ _SHOWN_LENGTH = 60
 def check_name(name: object, what: str) -> str:
     """The name itself when it is allowed.
 
-    `what` says in the message what was to be named ("port", "component"). Raises InvalidNameError that lists the
+    `what` is the kind of the named thing in the message ("port", "component"). Raises InvalidNameError that lists the
     refused characters and the allowed set.
     """
     if isinstance(name, str) and _NAME.fullmatch(name):
@@ -51,7 +51,7 @@ def check_host(host: object) -> str:
 
 
 class PathParts(NamedTuple):
-    """What stands where in a path; None for a part that is left out."""
+    """The parts of a path; None for a part that is left out."""
 
     host: str | None
     kernel: str | None
@@ -77,7 +77,7 @@ def split_path(text: object) -> PathParts:
 
 @dataclass(frozen=True, slots=True, order=True)
 class Path:
-    """Where a component or a port is: `str(Path.parse(text)) == text` for every text that `parse` accepts.
+    """The path of a component or a port: `str(Path.parse(text)) == text` for every text that `parse` accepts.
 
     Raises InvalidNameError for a part that is no name, and for a host without a kernel.
     """
@@ -117,7 +117,7 @@ class Path:
                 check_host(host)
             return cls(component, port or "", kernel or "", host or "")
         except InvalidNameError as error:
-            # A recorded port `lidar.scan` is replayed as `lidar_scan`, and other dots are no better here.
+            # A recorded port `lidar.scan` is replayed as `lidar_scan`; other dots are refused here, too.
             port = port or ""
             flat = port.replace(".", "_")
             meant = "." in port and _NAME.fullmatch(flat) and _NAME.fullmatch(component)
@@ -130,7 +130,7 @@ class Path:
 
 
 def names_kernel(path: str) -> bool:
-    """Whether a path says in which kernel the port or component is: in a system file, another one than this."""
+    """Whether a path names the kernel of the port or component: in a system file, another kernel than this."""
     return "/" in path
 
 

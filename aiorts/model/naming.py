@@ -1,11 +1,11 @@
-"""The name of a new instance when none is given: reads the pattern and makes names; it does not reserve them.
+"""Names of new instances for which none is given: reads the pattern and makes names; it does not reserve them.
 
-The number of a name is the lowest that is free behind its stem. Ten thousand "event0", "event1", ... must not be
-counted through for each new one, and a number that became free is used again. So all numbers below `_Stem.top` are in
+The number of a name is the lowest that is free for its stem. Ten thousand "event0", "event1", ... must not be
+counted through for each new name, and a number that became free is used again. So all numbers below `_Stem.top` are in
 use or stand in a heap of those that were given up.
 
-A pattern is text with fields: {type} the type's name in lower case, {number} the lowest number that makes a name nobody
-has, {kernel}, {host} and {pid}. Nothing else in it means anything: no environment variable is read.
+A pattern is text with fields: {type} the type's name in lower case, {number} the lowest number that makes a free
+name, {kernel}, {host} and {pid}. Nothing else in a pattern has a meaning: no environment variable is read.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ _REFUSED: Final = re.compile(r"[^A-Za-z0-9_-]")
 
 @dataclass(frozen=True, slots=True)
 class NamePolicy:
-    """How instances without a name are named; put in force by `Kernel.naming`.
+    """The rule that names instances without a name; put in force by `Kernel.naming`.
 
     Args:
         pattern: fields in braces and the characters of names; {number} must be in it once. "{type}{number}" gives
             "pid0", "pid1".
-        scope: whose names count as taken: "kernel", or "process": those of all open kernels of this process, as in
-            OpenRTM, where a name says which instance it is in every log of the process.
+        scope: the names that count as taken: those of the "kernel", or of all open kernels of the "process", as in
+            OpenRTM, where a name identifies its instance in every log of the process.
         first: the lowest number.
 
     Raises:
@@ -65,7 +65,7 @@ class NamePolicy:
 
     @property
     def plain(self) -> bool:
-        """Whether it is the one that every kernel has from the beginning."""
+        """Whether this is the policy that every kernel has from the beginning."""
         return (self.pattern, self.scope, self.first) == ("{type}{number}", "kernel", 0)
 
     def lowest(self, values: Mapping[str, object], taken: Callable[[str], bool]) -> str:
@@ -83,20 +83,20 @@ class NamePolicy:
 
 
 class _Stem:
-    """The numbers behind one stem that are in use, and those that were given up."""
+    """The numbers of one stem that are in use, and those that were given up."""
 
     __slots__ = ("first", "free", "heap", "top")
 
     def __init__(self, first: int) -> None:
         self.first = self.top = first
         self.free: set[int] = set()
-        """Numbers below `top` that were given up; who took one since by its very name is not known here."""
+        """Numbers below `top` that were given up; some may be in use again, by a name that was given in full."""
         self.heap: list[int] = []
         """The numbers of `free`, lowest first, and some that were taken since."""
 
 
 class Numbering:
-    """The lowest free number behind each stem, in about constant time.
+    """The lowest free number of each stem, in about constant time.
 
     `taken` says whether a name is in use; a name that is given up is told to `free`.
     """

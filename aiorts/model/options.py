@@ -1,10 +1,10 @@
-"""From what a user writes at `connect` (or OpenRTM's keys) to the options in force; it connects nothing.
+"""Turns the options of `connect` (or OpenRTM's keys) into the options in force; it connects nothing.
 
 aiorts' own keys are those of `Kernel.connect`. OpenRTM's keys, with or without the prefix `dataport.`, are aliases;
 the side-specific ones win: `inport.buffer.*` is the reader's buffer, `outport.buffer.*` the backlog, which only has a
-length here. Words stand in any case, with blanks round them. A key with a dot that is unknown is kept, and `doubts`
-reports it; one without is a typing mistake and refused. What OpenRTM says of its transports is kept, and
-`without_effect` finds it.
+length here. Words stand in any case, with blanks round them. An unknown key with a dot is kept, and `doubts`
+reports it; an unknown one without a dot is a typing mistake and refused. Keys of OpenRTM's transports are kept, and
+`without_effect` finds them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from aiorts.model.profile import ConnectorProfile
 from aiorts.spelling import suggestion
 
 MEASURED_SENDS: Final = 1000
-"""Sends over which OpenRTM's keys time a publisher where they do not say how many."""
+"""The number of sends over which OpenRTM's keys time a publisher where they give none."""
 
 _NO_EXTRA: Final[Mapping[str, str]] = MappingProxyType({})
 
@@ -84,7 +84,7 @@ _AT_A_RENDEZVOUS: Final[Mapping[str, Any]] = {
     "lifespan": None,
     "keep_last": False,
 }
-"""What the options say where a write waits until the reader has taken its sample."""
+"""The options where a write waits until the reader has taken its sample."""
 
 _ON_LOSS: Final = ("full", "length", "push")
 
@@ -130,16 +130,16 @@ class ServiceOptions:
 
 
 SERVICE_KEYS: Final = tuple(options_of(ServiceOptions))
-"""Options of service ports; for data ports they mean nothing, and connecting those reports it."""
+"""Options of service ports; for data ports they mean nothing, and are reported when these are connected."""
 
 
 def without_identity(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of a connector that is there: without its name, by which it was found, and `AGAIN`."""
+    """The options of an existing connector without its name, by which it was found, and without `AGAIN`."""
     return {key: value for key, value in options.items() if key != "name" and key not in AGAIN}
 
 
 OPENRTM: Final = "openrtm"
-"""The keyword of `connect` whose value is a mapping of OpenRTM's keys: with their dots they are no keywords."""
+"""The keyword of `connect` whose value is a mapping of OpenRTM's keys, which have dots and so cannot be keywords."""
 
 _OF_CONNECTORS: Final = options_of(ConnectorProfile)
 _OF_PORTS: Final = options_of(PortLimits)
@@ -147,14 +147,14 @@ OWN_OPTIONS: Final[Mapping[str, Option]] = MappingProxyType({**_OF_CONNECTORS, *
 """The options for data ports."""
 OWN_KEYS: Final = tuple(OWN_OPTIONS)
 AGAIN: Final[Mapping[str, Any]] = MappingProxyType({"allow_duplicate": True})
-"""The options of a connector between two ports that have one."""
+"""The options of a second connector between two ports."""
 
 
 def with_openrtm(options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The options and, in their place, those that travel in `openrtm`.
+    """The options with those of `openrtm` among them.
 
     Raises:
-        WiringError: it is no mapping of texts, or a key is given beside it with another value.
+        WiringError: `openrtm` is no mapping with texts as keys, or a key is also given outside it with another value.
     """
     if OPENRTM not in options:
         return options
@@ -170,7 +170,7 @@ def with_openrtm(options: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 class _Asked(NamedTuple):
-    """The facts that a default may follow from, apart from the options before it."""
+    """The facts that a default may follow from, besides the options before it."""
 
     where: str
     own: Mapping[str, Any]
@@ -198,7 +198,7 @@ _USUAL: Final[Mapping[str, Callable[[Mapping[str, Any], _Asked], Any]]] = Mappin
 def connector_profile(
     where: str, options: Mapping[str, Any], name: str, ports: tuple[str, ...], usual_length: int = DEFAULT_LENGTH
 ) -> tuple[ConnectorProfile, PortLimits]:
-    """The options in force of a connector, and those about its ports; `usual_length` where they do not say a length.
+    """The options in force of a connector, and those about its ports; `usual_length` where they give none.
 
     Raises:
         WiringError: names the option, what is allowed and what was given.
@@ -222,7 +222,7 @@ def connector_profile(
 
 
 def _value(where: str, cls: type, own: Mapping[str, Any], key: str, usual: Any, low: float | None = None) -> Any:
-    """The value of an option; `usual` where it is not said."""
+    """The value of an option; `usual` where it is not given."""
     value = own.get(key)
     if value is None:
         return None if key in own and may_be_none(cls, key) else usual
@@ -235,7 +235,7 @@ def _value(where: str, cls: type, own: Mapping[str, Any], key: str, usual: Any, 
 _AT_THE_WRITER: Final[Mapping[str, StrEnum]] = MappingProxyType(
     {"subscription": Subscription.PERIODIC, "push": Push.SKIP, "stamp": Stamp.SEND}
 )
-"""What the writer's end does alone."""
+"""The values of options that the writer's end alone carries out."""
 
 
 USUAL_APART: Final[Mapping[str, Any]] = MappingProxyType({"subscription": Subscription.NEW, "push": Push.ALL})
@@ -245,13 +245,13 @@ USUAL_APART: Final[Mapping[str, Any]] = MappingProxyType({"subscription": Subscr
 def link_options(
     where: str, options: Mapping[str, Any], *, from_reader: bool = False, through: bool = False
 ) -> dict[str, Any]:
-    """The options of a connector to another kernel, with what is usual there where they do not say it.
+    """The options of a connector to another kernel, completed by the defaults of links.
 
-    Without a subscription it is new/all: a flush waits for a round trip at each write, which a hook does not expect.
+    The default subscription is new/all: a flush waits for a round trip at each write, which a hook does not expect.
 
     Args:
-        from_reader: the kernel of the reader connects it: what both ends would do, each for itself, is refused.
-        through: both ends are in other kernels, and the samples go through this one: what asks the writer is refused.
+        from_reader: the reader's kernel connects it: the values that the writer's end alone carries out are refused.
+        through: both ends are in other kernels, and the samples go through this one: pulling is refused.
 
     Raises:
         WiringError: an option that a link does not have, or as `connector_profile`.
@@ -280,24 +280,24 @@ def link_options(
 
 
 _CHOSEN: Final = tuple(key for key in _OF_CONNECTORS if key not in ("name", "convert"))
-"""Options that are chosen, each after those that its default follows from."""
+"""Options that are chosen, each after the options that its default follows from."""
 
 
 def chosen_options(profile: ConnectorProfile, usual_length: int | None = None) -> dict[str, Any]:
-    """The fewest options of ours that make this profile, but for its name and `convert`.
+    """The fewest options of aiorts that make this profile, except its name and `convert`.
 
     Args:
-        usual_length: what the in-port says of its length, if it does.
+        usual_length: the length that the in-port declares, if it does.
     """
     usual = DEFAULT_LENGTH if usual_length is None else usual_length
     options = dict(_chosen(tuple(getattr(profile, key) for key in _CHOSEN), usual))
     if profile.on_link_lost is not None and profile.dataflow is Dataflow.PUSH and "subscription" not in options:
-        options["subscription"] = str(profile.subscription)  # a link that does not say it is new/all
+        options["subscription"] = str(profile.subscription)  # the default of a link is new/all
     return options
 
 
 def said_options(profile: ConnectorProfile, usual_length: int | None = None) -> dict[str, Any]:
-    """The options that `chosen_options` has of a connector to another process, without the defaults of such a one."""
+    """The options of `chosen_options` for a connector to another process, without the defaults of such connectors."""
     options = chosen_options(profile, usual_length)
     usual = USUAL_APART if all(options.get(key) == value for key, value in USUAL_APART.items()) else {}
     return {key: value for key, value in options.items() if key not in (*usual, "on_link_lost")}
@@ -325,15 +325,15 @@ CHANGEABLE: Final = tuple(key for key, one in _OF_CONNECTORS.items() if one.chan
 
 
 def what_stays(profile: ConnectorProfile) -> dict[str, Any]:
-    """The options in force that one is checked with that may be changed."""
+    """The options in force, together with which a changed one is checked."""
     return {key: getattr(profile, key) for key in _CHOSEN}
 
 
 def changed_profile(where: str, profile: ConnectorProfile, options: Mapping[str, Any]) -> ConnectorProfile:
-    """The options in force after a change of these.
+    """The options in force after these are changed.
 
     Raises:
-        WiringError: as `connector_profile`; or none is given; or one cannot be changed.
+        WiringError: as `connector_profile`; or no option is given; or one cannot be changed.
     """
     can = f"{', '.join(CHANGEABLE[:-1])} and {CHANGEABLE[-1]} can be changed while connected"
     if not options:
@@ -383,7 +383,7 @@ def _rendezvous_by(where: str, own: Mapping[str, Any]) -> str:
 
 
 def _check_rendezvous(where: str, options: Mapping[str, Any], profile: ConnectorProfile, by: str) -> None:
-    """Refuse what cannot be where a write waits until the reader has taken its sample."""
+    """Refuse options that do not go with a write that waits until the reader has taken its sample."""
     for key, value in _AT_A_RENDEZVOUS.items():
         if getattr(profile, key) != value:
             raise WiringError(
@@ -394,7 +394,7 @@ def _check_rendezvous(where: str, options: Mapping[str, Any], profile: Connector
 
 
 def _as_given(options: Mapping[str, Any], key: str) -> str:
-    """An option as the user wrote it; of several spellings the one that is in force."""
+    """An option in the user's spelling; of several spellings, the one in force."""
     plain = {given.removeprefix("dataport."): given for given in options}
     spelled = [key, *(alias for alias, known in reversed(ALIASES) if known == key)]
     given = next((plain[alias] for alias in spelled if alias in plain), "")
@@ -402,7 +402,7 @@ def _as_given(options: Mapping[str, Any], key: str) -> str:
 
 
 def _measured(where: str, own: Mapping[str, Any]) -> int:
-    """Sends to time over, where our key does not say it: the larger of what OpenRTM's two measurements ask for."""
+    """The default number of sends to time: the larger one of OpenRTM's two measurements."""
     counts = {what: own.get(f"measure_{what}_count", MEASURED_SENDS) for what in ("exec", "period")}
     return max(
         int(_value(where, ConnectorProfile, {"measure": count}, "measure", 0, 1))
@@ -412,7 +412,7 @@ def _measured(where: str, own: Mapping[str, Any]) -> int:
 
 
 def is_yes(where: str, key: str, value: object) -> bool:
-    """A truth value, also as OpenRTM writes it. WiringError: it is none."""
+    """Read a truth value, also as OpenRTM writes it. WiringError: the value is none."""
     try:
         return read_yes(key, value)
     except OptionError as error:
@@ -425,7 +425,7 @@ def how_to_adapt(where: str, value: object) -> bool | Literal["text"]:
 
 
 def _check_once(where: str, options: Mapping[str, Any], plain: Mapping[str, Any]) -> None:
-    """Refuse one option in two spellings with two values. What is about one side may differ from what is about both."""
+    """Refuse one option in two spellings with two values. A key of one side may differ from that of both."""
     given_as: dict[str, tuple[str, Any]] = {}
     for given, value in options.items():
         alias = given.removeprefix("dataport.")
@@ -435,7 +435,7 @@ def _check_once(where: str, options: Mapping[str, Any], plain: Mapping[str, Any]
     for alias, key in ALIASES:
         if alias != key and alias in plain and key in plain and not _same(key, plain[alias], plain[key]):
             if key == "out_length" and alias == "buffer.length":
-                continue  # of both sides, and more precisely of one
+                continue  # one key is for both sides, the other for the writer's
             raise WiringError(f"{where}: {alias} and {key} are one option with two values; take one of them away")
 
 
@@ -486,13 +486,13 @@ _KEPT_BEGINNINGS: Final = (
     "interface_option.",
     "port.",
 )
-"""Of OpenRTM's keys, those for its transports and tools."""
+"""The beginnings of OpenRTM's keys for its transports and tools."""
 
 _OF_TRANSPORT: Final = frozenset({"interface_type", "marshaling_type", "empty"}) | {
     *(alias for alias, key in _OF_THE_READER if key == "empty"),
     *(f"outport.{alias}" for alias, _ in _OF_THE_READER),
 }
-"""Keys by which OpenRTM chooses how samples travel, or what its backlog does: nothing here is done by them."""
+"""OpenRTM's keys for the way of samples, or the behaviour of its backlog; they have no effect here."""
 
 
 def without_effect(options: Mapping[str, Any]) -> list[str]:
@@ -507,7 +507,7 @@ def without_effect(options: Mapping[str, Any]) -> list[str]:
 
 
 def transport_notice(keys: Sequence[str]) -> str:
-    """What is to be said of keys that `without_effect` found."""
+    """The notice on keys that `without_effect` found."""
     those, are, them = ("keys", "they are", "them") if len(keys) > 1 else ("a key", "it is", "it")
     return (
         f"{', '.join(keys)}: {those} of OpenRTM's transports and backlogs; {are} kept and without effect here: leave "
@@ -516,7 +516,7 @@ def transport_notice(keys: Sequence[str]) -> str:
 
 
 def doubts(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Options that are taken and do nothing: the key as it was given, and what is to be said of it."""
+    """Options that are taken and do nothing: the key as it was given, and the remark on it."""
     known = {alias for alias, _ in ALIASES} | {*KEPT}
     for given in options:
         key = given.removeprefix("dataport.")
@@ -533,12 +533,12 @@ def doubts(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         try:
             check_name(name, "connector")
         except InvalidNameError as error:
-            # A program may call it what it likes; but no command finds it by this.
+            # A program may give any name, but no command finds a connector by this one.
             yield "name", f"{error}; choose another, or take it away"
 
 
 def _pushes_in_vain(profile: ConnectorProfile) -> bool:
-    """Whether the push policy is to choose among samples, and each is sent as it is written."""
+    """Whether the push policy would choose among samples, but each is sent as it is written."""
     chooses = profile.push in (Push.NEW, Push.SKIP)
     return chooses and profile.subscription is Subscription.FLUSH and profile.dataflow is Dataflow.PUSH
 
@@ -555,7 +555,7 @@ _IDLE: Final[tuple[tuple[str, Callable[[ConnectorProfile], bool], tuple[str, ...
         ("length", "full"),
     ),
 )
-"""What connectors do, which of them, and the options by which they choose nothing."""
+"""The behaviour of some connectors, a test for these, and the options that choose nothing there."""
 _AS_IT_IS: Final[Mapping[str, Any]] = {
     "length": 1,
     "out_length": 1,
@@ -564,7 +564,7 @@ _AS_IT_IS: Final[Mapping[str, Any]] = {
     "skip": 0,
     "full": FullPolicy.OVERWRITE,
 }
-"""The value with which such an option says what is so."""
+"""The value with which such an option agrees with the behaviour, and is not reported."""
 _ALONE: Final[tuple[tuple[str, Callable[[ConnectorProfile], bool], str], ...]] = (
     ("push", _pushes_in_vain, "every sample is sent: push takes subscription new or periodic"),
     (
@@ -585,15 +585,15 @@ _ALONE: Final[tuple[tuple[str, Callable[[ConnectorProfile], bool], str], ...]] =
         "every sample is sent: skip takes subscription new or periodic with push skip",
     ),
 )
-"""Options that choose nothing by themselves: by their own name alone, when, and why.
+"""Options that choose nothing by themselves, by aiorts' own names alone: the option, a test, and the reason.
 
-OpenRTM's own keys for them stand in the files of its tools, whatever the subscription: nothing is said of those.
+OpenRTM's keys for them stand in the files of its tools, whatever the subscription: they are not reported.
 """
 _KEY_OF: Final = {**dict(reversed(ALIASES)), **{key: key for key in OWN_KEYS}}
 
 
 def idle(options: Mapping[str, Any], profile: ConnectorProfile) -> Iterator[tuple[str, str]]:
-    """Options that choose nothing in the profile that they make: the key as it was given, and what is to be said."""
+    """Options that choose nothing in the profile that they make: the key as it was given, and the remark on it."""
     rows = [(what, keys) for what, applies, keys in _IDLE if applies(profile)]
     alone = {key: why for key, applies, why in _ALONE if applies(profile)}
     for given in options:

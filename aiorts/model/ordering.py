@@ -1,4 +1,4 @@
-"""Puts entries back into an order that they had before."""
+"""Puts entries back into a former order."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def ordered(there: Iterable[T], order: Iterable[T]) -> list[T]:
 
 
 def arrange(named: dict[str, Any], order: Iterable[str]) -> None:
-    """Put the entries of a dict in this order, in place; others come behind them."""
+    """Put the entries of a dict in this order, in place; the other entries follow."""
     before = list(named)
     line = ordered(before, order)
     if line != before:

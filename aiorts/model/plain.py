@@ -1,6 +1,6 @@
-"""Frozen values to what JSON can carry, and the JSON Schemas of these forms; it neither reads nor writes.
+"""Turns frozen values into forms that JSON can carry, and makes their JSON Schemas; it neither reads nor writes.
 
-Schema and text come from the same annotations, so one cannot forget what the other has.
+Schema and text come from the same annotations, so neither can lack a field that the other has.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ _EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 def empty() -> Mapping[str, Any]:
-    """A mapping of nothing, which cannot be changed: the default of a field."""
+    """An empty read-only mapping: the default of a field."""
     return _EMPTY
 
 
 def plain(value: object) -> Any:
-    """`value` as dicts, lists, text, numbers, booleans and None; what is none of these becomes its `str`."""
+    """`value` as dicts, lists, text, numbers, booleans and None; any other value becomes its `str`."""
     kind = value.__class__
     if kind is str or kind is int or value is None or kind is bool:
         return value
@@ -69,15 +69,16 @@ def plain(value: object) -> Any:
 
 
 class Schemas:
-    """The schemas of annotations; those of the dataclasses that they mention are gathered.
+    """Makes schemas of annotations, and gathers those of the dataclasses that they mention.
 
     Args:
-        place: where the gathered ones are to stand in the document, as references begin.
-        defaults: whether what has a default may be left out.
+        place: the place of the gathered schemas in the document, with which references begin.
+        defaults: whether fields with a default may be left out.
         simple: schemas of simple types that differ from the usual.
 
     Attributes:
-        definitions: the schemas of dataclasses by name; of two with the same name the second has its module's before.
+        definitions: the schemas of dataclasses by name; of two with the same name the second has its module's name
+            in front.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class Schemas:
         """The schema of an annotation.
 
         Raises:
-            TypeError: values of it have no form in JSON that is known.
+            TypeError: its values have no known form in JSON.
         """
         return self._forms.of(hint)
 
@@ -139,7 +140,7 @@ class SchemaForms(ByAnnotation[Schema]):
             if name in self.definitions:
                 name = f"{kind.__module__.rpartition('.')[2]}.{name}"
             self._names[kind] = name
-            self.definitions[name] = {}  # it may mention itself
+            self.definitions[name] = {}  # the class may mention itself
             self.definitions[name] = self._record(kind)
         return self._names[kind]
 

@@ -1,6 +1,6 @@
 """This file decides which samples a subscription sends; it never sends, waits or keeps time.
 
-Two moments exist. When a sample is written (`admits`): flush and new. When a period is over (`choose`): periodic.
+It decides when a sample is written (`admits`: flush and new), and when a period is over (`choose`: periodic).
 Both are functions of counts alone, so that any transport, thread or simulation applies the same rule.
 """
 
@@ -10,14 +10,14 @@ from enum import Enum, StrEnum
 
 
 class Dataflow(StrEnum):
-    """Who initiates a transfer."""
+    """The end that begins a transfer."""
 
     PUSH = "push"
     PULL = "pull"
 
 
 class Subscription(StrEnum):
-    """When an out-port sends."""
+    """The moment at which an out-port sends."""
 
     FLUSH = "flush"
     NEW = "new"
@@ -25,7 +25,7 @@ class Subscription(StrEnum):
 
 
 class Push(StrEnum):
-    """Which samples of the backlog are sent."""
+    """The samples of a backlog that are sent."""
 
     ALL = "all"
     FIFO = "fifo"
@@ -45,7 +45,7 @@ class ErrorPolicy(StrEnum):
 
 
 class Stamp(StrEnum):
-    """When a connector writes its clock into the sample's `tm`."""
+    """The moment at which a connector writes its clock into the sample's `tm`."""
 
     SEND = "send"
     RECEIVED = "received"
@@ -53,18 +53,18 @@ class Stamp(StrEnum):
 
 
 class OnLinkLost(StrEnum):
-    """What a connector to another kernel does when the link to it is lost."""
+    """The reaction of a connector to another kernel when the link to it is lost."""
 
     WAIT = "wait"
-    """Goes on when the link is back."""
+    """The connector goes on when the link is back."""
     ERROR = "error"
-    """Moves the component at this end to error, too."""
+    """The component at this end goes to error, too."""
     DISCONNECT = "disconnect"
-    """Ends."""
+    """The connector ends."""
 
 
 class Choice(Enum):
-    """What becomes of one sample of a backlog when a period is over."""
+    """The treatment of one sample of a backlog when a period is over."""
 
     SEND = "send"
     SKIP = "skipped"
@@ -87,10 +87,10 @@ def admits(push: Push, skip: int, number: int) -> bool:
 
 
 def choose(push: Push, skip: int, first: int, backlog: int) -> tuple[Choice, ...]:
-    """What becomes of the oldest samples of a backlog when a period is over.
+    """The choices for the oldest samples of a backlog when a period is over.
 
     `first` is the number since the connection (from 1) of the oldest of the `backlog` samples. The answer has one
-    choice for each sample that leaves the backlog, oldest first; what it does not reach stays.
+    choice for each sample that leaves the backlog, oldest first; the other samples stay.
     """
     if push is Push.ALL:
         return (Choice.SEND,) * backlog

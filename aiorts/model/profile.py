@@ -1,4 +1,4 @@
-"""Frozen descriptions and counters of what exists: the kernel cannot be edited through a report.
+"""Frozen descriptions and counters of a kernel's parts: the kernel cannot be edited through a report.
 
 Every class here is plain data (`dataclasses.asdict` gives something JSON can carry), and says what *is*, never what
 to do.
@@ -27,7 +27,7 @@ _NO_CYCLES: Final[Mapping[int, int]] = MappingProxyType({})
 
 
 def _converter(value: Converter | str) -> str:
-    """The converter that a function is, or that a text names. OptionError: it is none."""
+    """The converter of a function, or the one that a text names. OptionError: the value is neither."""
     from aiorts.model import converter  # late: few connectors have one
 
     if isinstance(value, converter.Converter):
@@ -169,7 +169,7 @@ class ConnectorProfile:
         "the component to error, or ends. None where both ends are in one kernel.",
     )
     far_end: str = ""
-    """Which end is in another kernel, "writer" or "reader"; "" where both are in this one."""
+    """The end that is in another kernel, "writer" or "reader"; "" where both are in this one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,28 +189,28 @@ class ConnectorStatistics(Counted):
     dropped: Mapping[str, int]
     """Samples that were lost, by reason."""
     missed_gaps: int = 0
-    """How often the writer was silent for longer than `max_gap`."""
+    """The number of times that the writer was silent for longer than `max_gap`."""
     silent: bool = False
-    """Whether it is."""
+    """Whether the writer is silent now."""
     at_ns: int = field(default=0, compare=False, repr=False)
-    """When, on the kernel's monotonic clock. Statistics with equal counts are equal, whenever they were taken."""
+    """The time of the statistics, on the kernel's monotonic clock; it does not count when statistics are compared."""
     mean_rate: float | None = field(default=None, compare=False, repr=False)
     """Samples written a second since the connector was made, or began to be measured; None without `measure`."""
     latency: Spans | None = field(default=None, compare=False, repr=False)
-    """From the write to the read, on the kernel's clock, of the last `measure` samples read; None without `measure`."""
+    """The times from write to read, on the kernel's clock, of the last `measure` reads; None without `measure`."""
     age: Spans | None = field(default=None, compare=False, repr=False)
-    """How old these were when they were read: the kernel's time less their stamp `tm`; a `tm` of 0 is none. None
+    """The ages of these samples at their read: the kernel's time less their stamp `tm`; a `tm` of 0 is none. None
     without `measure`, and for a type without `tm`."""
     age_within_ns: int | None = field(default=None, compare=False, repr=False)
-    """How far `age` may be off, where the stamps are of another machine: its clock's offset is estimated; else None."""
+    """The possible error of `age` where stamps are of another machine, whose clock offset is estimated; else None."""
     acknowledged: int | None = None
-    """At the writer's end of a link: samples that are in the reader's buffer, or were read, as far as it knows: what is
-    lost there is reported soon after the next acknowledgement. Else None."""
+    """At the writer's end of a link: samples that are in the reader's buffer, or were read, as far as it knows. Losses
+    there are reported soon after the next acknowledgement. None at other ends."""
     in_flight: int = 0
     """At the writer's end of a link: samples that were sent and are not acknowledged yet."""
     round_trip_ns: int | None = field(default=None, compare=False, repr=False)
     """At the writer's end of a link: from a sample's sending to its acknowledgement, smoothed over some ten; the
-    reader's end may keep that back for up to 50 ms. None where no trip has ended yet."""
+    reader's end may keep the acknowledgement back for up to 50 ms. None where no trip has ended yet."""
     counted: ClassVar[str] = "written"
 
     @property
@@ -226,7 +226,7 @@ class ConnectorStatistics(Counted):
 
 @dataclass(frozen=True, slots=True)
 class ThreadWriteStatistics(Counted):
-    """What became of `write_from_thread` at one out-port: accepted = written + waiting + sum(dropped.values())."""
+    """The counts of `write_from_thread` at one out-port: accepted = written + waiting + sum(dropped.values())."""
 
     accepted: int
     """Samples that were taken."""
@@ -238,9 +238,9 @@ class ThreadWriteStatistics(Counted):
     """Samples that were lost, by reason: "timeout" (a reader with full = block had no room in time; others have the
     sample), "closed" (the port or the kernel was closed first)."""
     refused: int
-    """Samples that were not accepted, since 1,024 waited."""
+    """Samples that were not accepted, because 1,024 waited."""
     at_ns: int = field(default=0, compare=False, repr=False)
-    """When, on the kernel's monotonic clock."""
+    """The time of the statistics, on the kernel's monotonic clock."""
     mean_rate: float = field(default=0.0, compare=False, repr=False)
     """Samples accepted a second since the first call."""
     counted: ClassVar[str] = "accepted"
@@ -255,11 +255,11 @@ class ParameterProfile:
 
     name: str
     type: str = ""
-    """As it is written; empty where it is not."""
+    """The annotation as it is written; empty without one."""
     default: str | None = None
-    """As it is written; None where a value has to be given."""
+    """The default as it is written; None where a value has to be given."""
     kind: str = "either"
-    """How it is given: "position", "keyword" or "either"."""
+    """The way in which it is given: "position", "keyword" or "either"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +271,7 @@ class MethodProfile:
     returns: str = ""
     doc: str = ""
     plain: bool = False
-    """Whether it is a plain `def`, which never waits."""
+    """Whether the method is a plain `def`, which never waits."""
 
     def __str__(self) -> str:
         parts: list[str] = []
@@ -291,7 +291,7 @@ class InterfaceProfile:
     """One interface of a service port."""
 
     name: str
-    """Of the instance: unique in its port."""
+    """The name of the instance, unique in its port."""
     polarity: str
     """ "provided" or "required"."""
     type: str
@@ -303,7 +303,7 @@ class InterfaceProfile:
 
 @dataclass(frozen=True, slots=True)
 class PortProfile:
-    """What a port is: direction "in", "out" or "service", type name, unit, shape, connectors by name."""
+    """A description of a port: direction "in", "out" or "service", type name, unit, shape, connectors by name."""
 
     name: str
     direction: str
@@ -313,12 +313,12 @@ class PortProfile:
     doc: str = ""
     connectors: tuple[str, ...] = ()
     interfaces: tuple[InterfaceProfile, ...] = ()
-    """Of a service port."""
+    """The interfaces of a service port."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComponentProfile:
-    """What a component is: its type, ports, parameters in force, and its state in each context."""
+    """A description of a component: its type, ports, parameters in force, and its state in each context."""
 
     name: str
     type: str
@@ -329,24 +329,24 @@ class ComponentProfile:
     """Lifecycle state by context."""
     last_error: str | None = None
     members: tuple[str, ...] = ()
-    """Of a composite, in order of execution."""
+    """The members of a composite, in order of execution."""
 
 
 @dataclass(frozen=True, slots=True)
 class HookStatistics:
-    """How often a hook ran and how long it took, in nanoseconds."""
+    """The number and the durations of a hook's runs; times in nanoseconds."""
 
     count: int
-    """Runs."""
+    """The number of runs."""
     total_ns: int
-    """All runs together."""
+    """The sum of all runs."""
     max_ns: int
     """The longest run."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContextStatistics(Counted):
-    """What an execution context has done so far; times in nanoseconds."""
+    """The counts of an execution context so far; times in nanoseconds."""
 
     cycles: int
     """Cycles that were run."""
@@ -355,39 +355,39 @@ class ContextStatistics(Counted):
     overruns: int = 0
     """Cycles that were not done when the next was due."""
     lateness_max_ns: int = 0
-    """The longest that a tick was due before a cycle began, be it that tick's own or, after a stall, a newer one's."""
+    """The longest time from a due tick to the start of a cycle: that tick's own or, after a stall, a newer one's."""
     lateness_total_ns: int = 0
-    """Sum over the cycles that were run of how long after its own tick each began."""
+    """The sum, over the cycles that were run, of the time from a cycle's own tick to its start."""
     hooks: Mapping[str, HookStatistics] = field(default_factory=lambda: _NOTHING)
-    """By "component.hook", where execution times are taken."""
+    """The statistics by "component.hook", where execution times are taken."""
     policy: str = ""
-    """What is done about missed ticks, "skip" or "catch_up"; empty for a context without a rate."""
+    """The policy for missed ticks, "skip" or "catch_up"; empty for a context without a rate."""
     missed: Mapping[str, int] = field(default_factory=lambda: _NOTHING)
-    """Overruns by who is to blame (`Blame.place`), at most 32 and "others"."""
+    """Overruns by the place that is to blame (`Blame.place`), at most 32 and "others"."""
     last_blame: Blame | None = None
-    """Who made the newest overrun late."""
+    """The cause of the newest overrun."""
     at_ns: int = field(default=0, compare=False, repr=False)
-    """When, on the kernel's monotonic clock. Statistics with equal counts are equal, whenever they were taken."""
+    """The time of the statistics, on the kernel's monotonic clock; it does not count when statistics are compared."""
     lateness_stdev_ns: float = 0.0
-    """Standard deviation over all cycles of how late each began, counted as in `lateness_max_ns`."""
+    """The standard deviation of all cycles' lateness, counted as in `lateness_max_ns`."""
     lateness_p50_ns: int = 0
-    """What half of the last 1,000 cycles were not later than."""
+    """The lateness that half of the last 1,000 cycles did not exceed."""
     lateness_p99_ns: int = 0
-    """What 99 % of the last 1,000 cycles were not later than."""
+    """The lateness that 99 % of the last 1,000 cycles did not exceed."""
     lateness_histogram: Mapping[int, int] = field(default_factory=lambda: _NO_CYCLES)
-    """All cycles by how late each began: each key is a power of two in nanoseconds, its count that of the cycles that
-    were less late and not in a smaller key; 1 is of those in time. Keys without cycles are left out."""
+    """All cycles by their lateness. Each key is a power of two in nanoseconds, its count the number of cycles that were
+    less late and are not in a smaller key; key 1 has those in time. Keys without cycles are left out."""
     counted: ClassVar[str] = "cycles"
 
 
 @dataclass(frozen=True, slots=True)
 class ContextProfile:
-    """What an execution context is: its kind, rate in Hz if it has one, and the members in order of execution."""
+    """A description of an execution context: its kind, rate in Hz if it has one, and members in order of execution."""
 
     name: str
     kind: str
     rate: float | None
-    """Hz; None for a context without a rate."""
+    """The rate in Hz; None for a context without one."""
     running: bool
     members: tuple[str, ...]
 
@@ -397,7 +397,7 @@ class LogLine:
     """One of the last lines that a component logged."""
 
     monotonic_ns: int
-    """When, on the kernel's clock; compare with `ClockReport.monotonic_ns`."""
+    """The time of the line, on the kernel's clock; compare with `ClockReport.monotonic_ns`."""
     level: str
     text: str
     """At most 500 characters."""

@@ -1,6 +1,6 @@
-"""Frozen values from what JSON or msgpack carried: the inverse of `plain`; it looks nothing up and waits for nothing.
+"""Makes frozen values of data from JSON or msgpack: the inverse of `plain`; it looks nothing up and never waits.
 
-Who wrote the data may be hostile: all that comes out is a value of the class asked for, RecordError or LimitError. The
+The data may be hostile: the outcome is a value of the requested class, RecordError or LimitError. The
 annotations of a class are read once.
 """
 
@@ -26,12 +26,12 @@ _SHOWN: Final = 80
 _DEEPEST: Final = 100
 _NUMBERS: Final = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 _WORDS: Final[Mapping[type, str]] = {**WORDS, dict: "an object", tuple: "a list", bytes: "bytes", NoneType: "null"}
-"""How messages call what JSON and msgpack know."""
+"""The words of messages for the types of JSON and msgpack."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlainLimits:
-    """How much is read: levels of nesting, values (each item of an object or list is one), the length of a text."""
+    """Limits of reading: levels of nesting, values (each item of an object or list is one), the length of a text."""
 
     depth: int = 32
     values: int = 4_000_000
@@ -61,7 +61,7 @@ class _Place:
 
 
 class _Reading:
-    """What one call of `from_plain` may still take, and what it found that nobody knows."""
+    """The state of one call of `from_plain`: the number of values that it may still take, and unknown keys."""
 
     __slots__ = ("depth", "left", "text", "unknown", "values")
 
@@ -76,7 +76,7 @@ class _Reading:
             raise LimitError(f"{_path(at, key)}: more than {self.values} values in all")
 
     def keep(self, at: _Place, key: Any, value: Any) -> None:
-        """Note what no field is for; the path of it costs as many values as it has parts."""
+        """Keep a value that no field takes; its path costs as many values as it has parts."""
         if self.unknown is not None:
             self.spend(at.depth, at, key)
             path = _path(at, key)
@@ -92,13 +92,13 @@ def from_plain(
 ) -> T:
     """The value of a frozen dataclass, or of another annotation of a field, of which `data` is the `plain` form.
 
-    A key that no field has is put into `unknown`, by its path, and otherwise left out; a field that is missing has its
-    default. Objects become read-only mappings (a dict where the annotation says so), lists tuples.
+    A key without a field is put into `unknown`, by its path, if that is given, and else left out; a missing field has
+    its default. Objects become read-only mappings (a dict where the annotation says so), lists tuples.
 
     Raises:
         RecordError: a value is missing or wrong; names its path, what was expected and what came.
-        LimitError: there is more than `limits` allow.
-        DeclarationError: a class has an annotation that is not read.
+        LimitError: the data exceeds `limits`.
+        DeclarationError: a class has an annotation that cannot be read.
     """
     read = _reader(cast("Any", kind))
     return cast("T", read(data, None, _name(kind), _Reading(limits, unknown)))
@@ -141,7 +141,7 @@ def _float(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
             float(value)
         except OverflowError:
             raise _wrong(at, key, "a number that a float holds", value) from None
-        return value  # it is one as it is, and is written again as it was
+        return value  # an int is a number as it is, and is written again as it was
     if kind is str and value in _NUMBERS:
         return _NUMBERS[value]
     raise _wrong(at, key, "a number", value)
@@ -180,14 +180,14 @@ _SIMPLE: Final[Mapping[Any, _Reader]] = {
 
 
 class _Readers(ByAnnotation[_Reader]):
-    """The readers of annotations; a class that mentions itself has one."""
+    """The readers of annotations, also of a class that mentions itself."""
 
     def __init__(self, simple: Mapping[Any, _Reader]) -> None:
         super().__init__(simple)
         self._made: dict[type, _Reader] = {}
 
     def union(self, hint: Any, arms: dict[Any, _Reader]) -> _Reader:
-        """Which arm it is follows from the kind of the value, among classes from the keys; nothing is tried twice."""
+        """The reader that chooses an arm by the type of the value, among classes by the keys; no arm is tried twice."""
         expected = " or ".join(dict.fromkeys(_name(one) for one in arms))
         by_kind = {kind: tuple(arms[one] for one in arms if kind in _taken(one)) for kind in _WORDS}
         records = [one for one in arms if is_dataclass(one)]
@@ -281,10 +281,10 @@ class _Readers(ByAnnotation[_Reader]):
                         raise RecordError(f"{_path(here, name)}: is missing")
             try:
                 return kind(**given)
-            except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # of its own check
+            except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # of the class's own check
                 raise RecordError(f"{_path(at, key)}: {error}") from error
 
-        self._made[kind] = read  # it may mention itself
+        self._made[kind] = read  # the class may mention itself
         try:
             hints = typing.get_type_hints(kind)
         except NameError as error:
@@ -303,7 +303,7 @@ class _Readers(ByAnnotation[_Reader]):
 
 
 def _one_of(words: Iterable[Any], members: Iterable[Any]) -> _Reader:
-    """Of an Enum or a Literal."""
+    """The reader of an Enum or a Literal."""
     table = {(type(word), word): member for word, member in zip(words, members, strict=True)}
     expected = ", ".join(shown(word) for _, word in table)
 
@@ -336,7 +336,7 @@ _KEYS: Final[Mapping[Any, Callable[[Any, _Place, _Reading], Any]]] = {str: _text
 
 
 def _taken(hint: Any) -> Iterable[type]:
-    """The kinds of values that are read as this."""
+    """The types of values that are read as this annotation."""
     if hint is Any or hint is object:
         return _WORDS
     if hint is float:
@@ -351,7 +351,7 @@ def _taken(hint: Any) -> Iterable[type]:
 
 
 def _fit(kind: Any, value: Mapping[Any, Any]) -> tuple[int, int]:
-    """How well keys go with a class: few that it requires are missing, then many that it knows."""
+    """A rank for how well keys fit a class: first by few missing required fields, then by many known ones."""
     known = fields(kind)
     missing = sum(not has_default(one) and one.name not in value for one in known)
     return -missing, sum(one.name in value for one in known)
@@ -374,7 +374,7 @@ def _got(value: Any) -> str:
 
 
 def _path(at: _Place | None, key: Any) -> str:
-    """Such as components.pid0.ports[2].shape; of the outermost value the name of its class."""
+    """The path of a value, such as components.pid0.ports[2].shape; for the outermost value the name of its class."""
     if at is None:
         return str(key)
     steps = []
@@ -388,7 +388,7 @@ def _path(at: _Place | None, key: Any) -> str:
 
 
 def _name(hint: Any) -> str:
-    """How messages call an annotation."""
+    """The name of an annotation in messages."""
     if isinstance(hint, type) and typing.get_origin(hint) is None:
         return _WORDS.get(hint) or hint.__name__
     return {tuple: "a list", Sequence: "a list", Mapping: "an object", dict: "an object"}.get(

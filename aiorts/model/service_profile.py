@@ -1,4 +1,4 @@
-"""What connections of service ports are, and what their calls have come to; frozen, plain data as in `profile.py`."""
+"""Descriptions of service ports' connectors, and the counts of their calls; frozen, plain data as in `profile.py`."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ class GoalStatistics:
     """The goals of one interface: offered = refused + accepted, accepted = succeeded + failed + cancelled + running."""
 
     offered: int = 0
-    """Calls of its methods that answer with a goal, as far as they have ended."""
+    """Ended calls of its methods that answer with a goal."""
     refused: int = 0
-    """Of these: without a goal. The method raised, was not reached, or did not answer in time."""
+    """Offered calls without a goal: the method raised, was not reached, or did not answer in time."""
     accepted: int = 0
-    """Of these: with a goal."""
+    """Offered calls with a goal."""
     succeeded: int = 0
     """Goals that ended with a result."""
     failed: Mapping[str, int] = field(default_factory=lambda: _NOTHING)
-    """Goals that ended without one, by reason: "provider" (it failed it), "cancel_timeout" (it was asked to cancel it
-    and did not end it in time), "deactivated", "error", "reloaded", "removed", "closed" (what became of the provider,
-    or of its kernel), "mismatch" (a result or feedback of a wrong type that came before the goal was accepted)."""
+    """Goals that ended without a result, by reason: "provider" (which failed it), "cancel_timeout" (the provider was
+    asked to cancel it and did not in time), "deactivated", "error", "reloaded", "removed", "closed" (the fate of the
+    provider, or of its kernel), "mismatch" (a result or feedback of a wrong type came before the goal was accepted)."""
     cancelled: int = 0
-    """Goals that the provider cancelled as it was asked to."""
+    """Goals that the provider cancelled on request."""
     running: int = 0
     """Goals that have not ended."""
     feedback: int = 0
     """Feedback that providers gave."""
     dropped: int = 0
-    """Of this: what the client did not read before eight newer ones had come."""
+    """Feedback that the client did not read before eight newer ones had come."""
 
     @property
     def balanced(self) -> bool:
@@ -63,19 +63,19 @@ class ServiceStatistics:
     calls: int = 0
     """Calls that have ended, in whatever way."""
     failures: int = 0
-    """Of these: the provider raised, or answered with a wrong type."""
+    """Calls whose provider raised, or answered with a wrong type."""
     timeouts: int = 0
-    """Of these: not answered within the deadline."""
+    """Calls that were not answered within the deadline."""
     refused: int = 0
-    """Of these: there was no provider, it was not active, or it would have waited for itself."""
+    """Calls for which there was no provider, it was not active, or it would have waited for itself."""
     cancelled: int = 0
-    """Of these: the caller was cancelled."""
+    """Calls whose caller was cancelled."""
     total_ns: int = 0
-    """All calls together."""
+    """The duration of all calls together."""
     max_ns: int = 0
     """The longest call."""
     goals: GoalStatistics | None = None
-    """What became of its goals; None where no method answers with one, or nothing was connected yet."""
+    """The counts of its goals; None where no method answers with one, or nothing was connected yet."""
 
     @property
     def mean_ns(self) -> float:

@@ -1,7 +1,7 @@
-"""Spans of time of the last n sends and reads of a connector, its counters, and how often something happened.
+"""Spans of time of the last n sends and reads of a connector, its counters, and rates of counted events.
 
-It asks no clock. A field that is added to a row (a NamedTuple, sent as its values in order) goes to its end and has a
-default, so kernels and clients of other releases read what both know.
+No clock is asked. A field that is added to a row (a NamedTuple, sent as its values in order) goes to its end and has a
+default, so kernels and clients of other releases read the fields that both know.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ class Size(NamedTuple):
     """The size of the sample that was written last, sent as a list of these values."""
 
     bytes: int | None
-    """Encoded; None where it is not known."""
+    """The size of the encoded sample; None where it is not known."""
     why: str
-    """The reason why it is not; "" where it is."""
+    """The reason why the size is not known; "" where it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class Spans:
     max_ns: int = 0
     mean_ns: float = 0.0
     stdev_ns: float = 0.0
-    """Of the population."""
+    """The standard deviation of the population."""
     p50_ns: int = 0
     """The smallest of these spans that at least half of them do not exceed."""
     p99_ns: int = 0
@@ -80,7 +80,7 @@ class Spans:
 
     @classmethod
     def of(cls, spans: Collection[int]) -> Self:
-        """What these spans have in common."""
+        """The figures of these spans."""
         if not spans:
             return cls()
         ordered = sorted(spans)
@@ -91,17 +91,17 @@ class Spans:
 
 
 def percentile(ordered: Sequence[int], percent: int) -> int:
-    """The smallest that at least so many percent of these do not exceed; they are in order and there is one."""
+    """The smallest value that at least so many percent of these do not exceed; they are sorted, and at least one."""
     return ordered[-(-percent * len(ordered) // 100) - 1]
 
 
 @dataclass(frozen=True, slots=True)
 class PublisherTiming:
-    """When a connector sent, over its last sends.
+    """The times of a connector's last sends.
 
     Attributes:
-        exec: how long a send took: handing samples to the reader's buffer and waking the reader.
-        period: from the beginning of one send to the beginning of the next.
+        exec: the duration of a send: handing samples to the reader's buffer and waking the reader.
+        period: the time from the beginning of one send to the beginning of the next.
     """
 
     exec: Spans
@@ -115,19 +115,19 @@ class ConnectorTimes:
 
     def __init__(self, length: int, since_ns: int = 0, before: int = 0) -> None:
         self.since_ns = since_ns
-        """When this began: when the connector was made, or later."""
+        """The time at which counting began: when the connector was made, or later."""
         self.before = before
-        """Samples that were written before."""
+        """Samples that were written before `since_ns`."""
         self.ages: deque[int] = deque(maxlen=length)
-        """Of samples as they were read, by their stamps."""
+        """The ages of samples at their read, by their stamps."""
         self.latencies: deque[int] = deque(maxlen=length)
-        """From write to read."""
+        """The times from write to read."""
         self._execs: deque[int] = deque(maxlen=length)
         self._periods: deque[int] = deque(maxlen=length)
         self._last_ns: int | None = None
 
     def add(self, began_ns: int, ended_ns: int) -> None:
-        """One more send; sends come in the order in which they began."""
+        """Add a send; sends come in the order in which they began."""
         self._execs.append(ended_ns - began_ns)
         if self._last_ns is not None:
             self._periods.append(began_ns - self._last_ns)
@@ -135,12 +135,12 @@ class ConnectorTimes:
 
     @property
     def timing(self) -> PublisherTiming:
-        """What they have in common."""
+        """The figures of the last sends."""
         return PublisherTiming(Spans.of(tuple(self._execs)), Spans.of(tuple(self._periods)))
 
 
 class Counted:
-    """Statistics with a count and the moment they were taken at. See `rate_since`."""
+    """Statistics with a count and the time at which they were taken. See `rate_since`."""
 
     __slots__ = ()
     counted: ClassVar[str]
@@ -148,7 +148,7 @@ class Counted:
     at_ns: int
 
     def rate_since(self, earlier: Self) -> float:
-        """How often a second it was counted since the earlier statistics of the same thing, by the kernel's clock.
+        """The count per second since the earlier statistics of the same thing, by the kernel's clock.
 
         Raises:
             ConfigurationError: the other statistics are not earlier, or are of something else.
@@ -172,5 +172,5 @@ class Counted:
 
 
 def mean_rate(count: int, since_ns: int, at_ns: int) -> float:
-    """How often a second from one moment to the other; 0 where there is no time between them."""
+    """The count per second from one moment to the other; 0 where there is no time between them."""
     return count * 1e9 / (at_ns - since_ns) if at_ns > since_ns else 0.0

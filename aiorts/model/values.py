@@ -1,4 +1,4 @@
-"""What a parameter's value may be and what text becomes: this file converts exactly or refuses, it never rounds.
+"""The values of parameters, and their conversion from text: this file converts exactly or refuses, it never rounds.
 
 Options and variables read texts by the same words and numbers. Files of other formats (YAML, XML, CSV) and samples that
 are converted go by the rules of their formats.
@@ -42,18 +42,18 @@ TRUTH: Final[Mapping[str, bool]] = types.MappingProxyType(
 WORDS: Final[Mapping[type, str]] = types.MappingProxyType(
     {bool: "true or false", int: "a whole number", float: "a number", str: "text", list: "a list"}
 )
-"""How messages call the types of plain values."""
+"""The names of the types of plain values in messages."""
 WHOLE: Final = r"[+-]?([0-9](_?[0-9])*|0[xX](_?[0-9a-fA-F])+|0[oO](_?[0-7])+|0[bB](_?[01])+)"
 """The pattern of a whole number, which JSON Schema has, too."""
 
 
 def truth_of(text: str) -> bool | None:
-    """The truth value of a text; None: it is none."""
+    """The truth value of a text; None: the text has none."""
     return TRUTH.get(text.strip().lower())
 
 
 def whole_of(text: str) -> int:
-    """The whole number of a text: decimal, or 0x, 0o or 0b. ValueError: it is none."""
+    """The whole number of a text: decimal, or 0x, 0o or 0b. ValueError: the text is none."""
     try:
         return int(text)
     except ValueError:
@@ -61,13 +61,13 @@ def whole_of(text: str) -> int:
 
 
 def shown(value: object) -> str:
-    """The value as it stands in a message: never longer than a line, but a path is whole."""
+    """The value as it stands in a message: cut to a line, but a path is whole."""
     longest = _SHOWN_LENGTH
     try:
         if issubclass(type(value), cast("type", os.PathLike)):
             longest = _LONGEST_PATH
         text = str.__str__(str(value) if issubclass(type(value), cast("type", os.PathLike)) else repr(value))
-    except ValueError:  # of a whole number with thousands of digits
+    except ValueError:  # a whole number with thousands of digits
         text = f"<{type(value).__name__} too long to be shown>"
     except BaseException:  # noqa: BLE001 - the border of a user's own `__repr__`
         text = f"<{type(value).__name__} that cannot be shown>"
@@ -75,7 +75,7 @@ def shown(value: object) -> str:
 
 
 def type_text(kind: Any) -> str:
-    """A parameter's type as one writes it."""
+    """A parameter's type as it is written in annotations."""
     inner, optional = _without_none(kind)
     if optional:
         return f"{type_text(inner)} | None"
@@ -88,7 +88,7 @@ def type_text(kind: Any) -> str:
 
 
 def infer_type(default: object) -> Any:
-    """The type a default stands for; raises TypeError when it says too little (None, an empty tuple)."""
+    """The type of a default; raises TypeError when the default does not show it (None, an empty tuple)."""
     if isinstance(default, enum.Enum):
         return type(default)
     if isinstance(default, os.PathLike):
@@ -123,7 +123,7 @@ def is_optional(kind: Any) -> bool:
 
 
 def parse_type(text: str) -> Any:
-    """The type that `type_text` writes so; ValueError for an Enum and for what is no parameter's type."""
+    """The type that `type_text` writes so; ValueError for an Enum and for text that is no parameter's type."""
     found = _parse_type(text.strip()) if len(text) <= _LONGEST_TYPE else None
     if found is None:
         raise ValueError(
@@ -155,7 +155,7 @@ def _parse_type(text: str) -> Any:
 
 
 def _split(text: str) -> list[str]:
-    """The parts between commas that stand in no brackets."""
+    """The parts between commas outside brackets."""
     parts, depth = [""], 0
     for character in text:
         depth += (character == "[") - (character == "]")
@@ -167,7 +167,7 @@ def _split(text: str) -> list[str]:
 
 
 def value_type(kind: Any) -> Any:
-    """X of Mapping[str, X], also where it is optional; None for another type."""
+    """X of Mapping[str, X], also of an optional mapping; None for another type."""
     inner, _ = _without_none(kind)
     if typing.get_origin(inner) not in (Mapping, dict):
         return None
@@ -176,7 +176,7 @@ def value_type(kind: Any) -> Any:
 
 
 def element_types(kind: Any, count: int) -> tuple[Any, ...] | None:
-    """The types of the elements of a tuple of `count`, also where it is optional; None where it cannot be one."""
+    """The element types of a tuple (or optional tuple) of length `count`; None for a type without such tuples."""
     inner, _ = _without_none(kind)
     parts = typing.get_args(inner)
     if typing.get_origin(inner) is not tuple:
@@ -219,7 +219,7 @@ def leaves(value: object) -> Iterator[object]:
 
 
 def convert_value(value: object, kind: Any) -> Any:
-    """The value as `kind`; raises ValueError or TypeError with a message that says what it must be."""
+    """Convert a value to `kind`; raises ValueError or TypeError with a message that says what it must be."""
     convert = _to_path if is_path(kind) else _SCALARS.get(kind)
     if convert is not None:
         return convert(_plain(value))
@@ -300,7 +300,7 @@ def _to_str(value: object) -> str:
 
 
 def is_path(kind: object) -> bool:
-    """Whether it is `pathlib.Path`, without importing that: it takes 4 ms, and few parameters are paths."""
+    """Whether `kind` is `pathlib.Path`, without importing that: it takes 4 ms, and few parameters are paths."""
     return getattr(kind, "__name__", "") == "Path" and kind is _path()
 
 

@@ -1,4 +1,4 @@
-"""A component's configuration as plain data: what a tool, a document or another process needs to show and change it.
+"""A component's configuration as plain data: all that tools, documents and other processes need to show or change it.
 
 `dataclasses.asdict` of a profile is JSON: an Enum is its name, a path its text, infinities and NaN are texts that the
 parameter reads back.
@@ -26,12 +26,12 @@ class ParameterProfile:
     name: str
     type: str
     value: Any
-    """In force."""
+    """The value in force."""
     default: Any
     unit: str = ""
     doc: str = ""
     constraint: str = ""
-    """What values are allowed, in the grammar of `aiorts.model.configuration.constraint_text`; empty: all."""
+    """The allowed values, in the grammar of `aiorts.model.configuration.constraint_text`; empty: all."""
     lower: float | str | None = None
     """The lower bound of a number, and whether it may be reached."""
     lower_included: bool = True
@@ -45,7 +45,7 @@ class ParameterProfile:
     declared: bool = True
     """Whether the class declares it; else it was added at run time."""
     remark: str = ""
-    """What is to be said of the name of one that was added: that it is no standard name, and which are near."""
+    """The remark on an added parameter: how it differs from a standard name, or which are near; else empty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class ConfigurationProfile:
 
     active: str
     sets: dict[str, dict[str, Any]]
-    """What each set holds; a set holds what it names, "default" holds everything."""
+    """The values of each set: "default" has all parameters, another set those that it names."""
     parameters: tuple[ParameterProfile, ...]
 
 

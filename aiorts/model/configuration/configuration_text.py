@@ -1,4 +1,4 @@
-"""The configuration of components as TOML, both ways: what is written is read back as the very same values.
+"""The configuration of components as TOML, both ways: written text is read back as the very same values.
 
     schema = 1
     [components.pid0]
@@ -7,12 +7,12 @@
     gain = 2.0
     [components.pid0.sets.stiff]
     gain = 5.0
-    [components.pid0.parameters.baud_rate]      # one that was added at run time
+    [components.pid0.parameters.baud_rate]      # a parameter that was added at run time
     type = "int"
     default = 9600
 
-A file is all there is to say of a component it names: sets it does not name go, and what its "default" does not name
-is as declared. None is written `{none = true}`. Pure: opens no file.
+A file replaces the whole configuration of a component that it names: sets that it does not name go, parameters that
+its "default" does not name are as declared. None is written `{none = true}`. Pure: opens no file.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from aiorts.model.values import element_types, is_optional, parse_type, type_tex
 from aiorts.spelling import suggestion
 
 LARGEST: Final = 4 * 1024 * 1024
-"""Bytes of a configuration file."""
+"""The most bytes of a configuration file."""
 _MOST_FAULTS: Final = 20
 _MOST_SETS: Final = 1000
 _KEYS: Final = ("active", "sets", "parameters")
@@ -45,47 +45,47 @@ _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class ComponentEntry:
-    """What a file says of one component."""
+    """The entry of one component in a file."""
 
     sets: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
     """Values as TOML has them, not yet checked."""
     active: str = DEFAULT
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
-    """Parameters that were added at run time: how they are declared."""
+    """The declarations of parameters that were added at run time."""
 
 
 class _Faults:
-    """What is wrong, the first twenty."""
+    """The first twenty faults of a file."""
 
     def __init__(self) -> None:
         self._found: list[str] = []
 
     def add(self, what: str) -> None:
-        """One more; raises ConfigurationError when it is enough."""
+        """Add a fault; raises ConfigurationError at the twentieth."""
         self._found.append(what)
         if len(self._found) == _MOST_FAULTS:
             self._found.append("and perhaps more")
             self.raise_any()
 
     def raise_any(self) -> None:
-        """Raise ConfigurationError when there is any."""
+        """Raise ConfigurationError when there is a fault."""
         if self._found:
             raise ConfigurationError("\n".join(self._found))
 
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A configuration file, read: the components in it, and where everything stands."""
+    """A configuration file that was read: the components in it, and the lines of its keys."""
 
     path: str
     components: Mapping[str, ComponentEntry]
     lines: Mapping[tuple[str, ...], int] = field(default_factory=dict, repr=False, compare=False)
 
     def state(self, name: str, present: ConfigurationState) -> ConfigurationState:
-        """What the file makes of the component `name`, whose configuration is `present`.
+        """The configuration that the file gives the component `name`, which has `present` now.
 
         Raises:
-            ConfigurationError: names everything that is wrong, each with its line.
+            ConfigurationError: names the faults, each with its line.
         """
         entry, faults = self.components[name], _Faults()
         wished = ConfigurationState.of(present.specs)
@@ -118,7 +118,7 @@ class Document:
         return wished
 
     def plain_sets(self, name: str, present: ConfigurationState) -> dict[str, dict[str, Any]]:
-        """The sets of a component in the file, each value as its parameter would hold it, or as it stands there."""
+        """The sets of a component of the file, each value as its parameter would hold it, or as it is written."""
         specs = dict(present.specs)
         found: dict[str, dict[str, Any]] = {DEFAULT: {key: spec.default for key, spec in specs.items()}}
         for set_name, values in self.components[name].sets.items():
@@ -128,7 +128,7 @@ class Document:
         return found
 
     def fail(self, place: Sequence[str], what: str) -> ConfigurationError:
-        """The error for something wrong at a place."""
+        """The error for a fault at a place."""
         return ConfigurationError(self._at(place, what))
 
     def _at(self, place: Sequence[str], what: str) -> str:
@@ -139,10 +139,10 @@ class Document:
 
 
 def parse_document(text: str, path: str) -> Document:
-    """The document that `text` is; `path` stands in messages.
+    """Parse the text of a document; `path` stands in messages.
 
     Raises:
-        ConfigurationError: says what is wrong, and on which line.
+        ConfigurationError: names the fault and its line.
     """
     if len(text.encode("utf-8", "surrogatepass")) > LARGEST:
         raise ConfigurationError(f"{path}: larger than {LARGEST} bytes; a configuration file is not")

@@ -8,8 +8,9 @@
     x<1, x<10, x>100                an array: one constraint for each element
     {k0: 100<x<200, k1: x>=100}     a hash: one constraint for each key
 
-Beyond OpenRTM's: a value may stand in double quotes, with JSON's escapes; `~"text"` is a regular expression that the
-whole value matches; `and` joins what must hold together; an element or key with a blank constraint takes anything.
+Additions to OpenRTM's: a value may stand in double quotes, with JSON's escapes; `~"text"` is a regular expression
+that the whole value matches; `and` joins constraints that must all hold; an element or key with a blank constraint
+takes anything.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from aiorts.errors import DeclarationError
 from aiorts.model.configuration.constraints import Constraint
 
 LONGEST: Final = 10_000
-"""Characters of a constraint."""
+"""The most characters of a constraint."""
 _TOKEN: Final = re.compile(
     r"""[ \t\r\n]*(?:
         (?P<quoted>~?"(?:[^"\\]|\\.)*")
@@ -45,7 +46,7 @@ def parse_constraint(text: str) -> Constraint:
     """The constraint that `text` describes; values stay texts until a parameter gives them its type.
 
     Raises:
-        DeclarationError: shows the place.
+        DeclarationError: the text is no constraint; shows the place.
     """
     if len(text) > LONGEST:
         raise DeclarationError(f"constraint of {len(text)} characters: at most {LONGEST}")
@@ -53,7 +54,7 @@ def parse_constraint(text: str) -> Constraint:
 
 
 class _Reader:
-    """Reads from the left, one token ahead."""
+    """A parser that reads from the left, one token ahead."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -62,7 +63,7 @@ class _Reader:
         self._advance()
 
     def whole(self) -> Constraint:
-        """The constraint, and nothing after it."""
+        """Read the constraint, which ends with the text."""
         if self._kind == "end":
             return Constraint()
         if self._now == "{" and self._kind == "mark":
@@ -92,7 +93,7 @@ class _Reader:
         return Constraint(keys=keys)
 
     def _all_of(self) -> Constraint:
-        """One constraint, or several joined with `and`."""
+        """Read one constraint, or several joined with `and`."""
         begin = self._at
         found = self._term()
         while self._kind == "word" and self._now == "and":

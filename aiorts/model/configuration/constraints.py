@@ -1,6 +1,6 @@
-"""What values a parameter may have: this file says what a value breaks; text is read and written in another.
+"""The values that a parameter may have, and the rule that a value breaks; `constraint_text` has the text of a rule.
 
-For a tuple a plain constraint holds for each element, for a mapping for each value.
+A plain constraint holds for each element of a tuple, and for each value of a mapping.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _BOUNDS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Constraint:
-    """What values are allowed. NaN is inside no bound.
+    """The values that are allowed. NaN is inside no bound.
 
-    Raises DeclarationError when nothing could ever satisfy it.
+    Raises DeclarationError when no value could satisfy it.
     """
 
     ge: float | None = None
@@ -39,9 +39,9 @@ class Constraint:
     pattern: str | None = None
     """A regular expression that the whole text (or path) has to match."""
     elements: tuple[Constraint, ...] | None = None
-    """One constraint for each element of a tuple, which has that many; then nothing else is said."""
+    """One constraint for each element of a tuple of that length; then no other field is set."""
     keys: Mapping[str, Constraint] | None = field(default=None, hash=False)
-    """One constraint for each key of a mapping, which has these and no others; then nothing else is said."""
+    """One constraint for each key of a mapping with just these keys; then no other field is set."""
 
     def __post_init__(self) -> None:
         if self.choices is not None:
@@ -95,7 +95,7 @@ class Constraint:
 
     @property
     def parts(self) -> tuple[Constraint, ...] | None:
-        """The constraints of elements or keys, where each has its own."""
+        """The constraints of elements or keys, where each has its own; else None."""
         return self.elements if self.keys is None else tuple(self.keys.values())
 
     @property
@@ -114,7 +114,7 @@ class Constraint:
         return self.lower is not None or self.upper is not None
 
     def fault(self, value: object) -> str | None:
-        """What the value breaks ("must be >= 0.0"), or None. `value` has the parameter's type already."""
+        """The rule that the value breaks ("must be >= 0.0"), or None. `value` has the parameter's type already."""
         if value is None:
             return None
         if self.elements is not None:

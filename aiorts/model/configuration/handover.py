@@ -1,4 +1,4 @@
-"""Which values a component keeps when its declarations are others: what still exists and is still allowed."""
+"""The values that a component keeps when its declarations change: those that still exist and are still allowed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def handed_over(
     is_free: Callable[[str], bool],
     owner: str,
 ) -> tuple[ConfigurationState, dict[str, str]]:
-    """The new declarations with the old sets, values and active set; and why which parameters have lost a value.
+    """The new declarations with the old sets, values and active set; and why values were lost, by parameter.
 
     Args:
         declared: parameters that the old class declared; others were added at run time and come along.

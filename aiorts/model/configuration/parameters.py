@@ -43,10 +43,10 @@ WIDGETS: Final = {
     "checkbox": "choices",
     "ordered_list": "choices",
 }
-"""What an editor can show, and what each needs to be declared. "slider.0.1" is a slider that moves in steps of 0.1."""
+"""Widgets of an editor, each with its needs: two bounds ("range") or choices. "slider.0.1" moves in steps of 0.1."""
 
 FILES: Final = ("read", "write")
-"""Words for what a component does with the file that a parameter names; who writes it may read it, too."""
+"""The uses that a component makes of the file that a parameter names; "write" allows reading, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +54,9 @@ class ParameterSpec:
     """One declared parameter.
 
     `type` is bool, int, float, str, pathlib.Path, an Enum, tuple[X, ...], tuple[X, Y],
-    Mapping[str, X] or X | None; when it is None it
+    Mapping[str, X] or X | None; when `type` is None, it
     comes from the default. `owner` (the component class) only stands in messages. Raises DeclarationError when the
-    default does not fit, and InvalidNameError for the name.
+    default does not fit, and InvalidNameError for a bad name.
     """
 
     name: str
@@ -67,9 +67,9 @@ class ParameterSpec:
     constraint: Constraint = field(default_factory=Constraint)
     widget: str = ""
     validator: Callable[[Any], object] | None = None
-    """Asked by the core before a value comes into force; raising ValueError refuses it."""
+    """Called by the core before a value comes into force; it raises ValueError to refuse the value."""
     file: str = ""
-    """"read" or "write" when its value names a file that the component reads, or writes too; see `names_file`."""
+    """"read" or "write" when its value names a file that the component only reads, or writes; see `names_file`."""
     owner: InitVar[str] = ""
 
     def __post_init__(self, owner: str) -> None:
@@ -101,12 +101,12 @@ class ParameterSpec:
 
     @property
     def names_file(self) -> str:
-        """ "read" or "write" when its value names a file, else "". A Path that does not say which counts as written."""
+        """ "read" or "write" when its value names a file, else "". A Path without either counts as written."""
         return self.file or ("write" if self.is_path else "")
 
     @property
     def is_path(self) -> bool:
-        """Whether its value is a Path, or has one in it."""
+        """Whether the parameter's value is a Path, or has one in it."""
         return any(map(is_path, leaf_types(self.type)))
 
     def check(self, value: object, *, owner: str = "", current: object = _NOTHING) -> Any:
@@ -139,7 +139,7 @@ def validate(
 ) -> dict[str, Any]:
     """All changes converted and checked, in their order; or one ConfigurationError that names every bad one.
 
-    An unknown name is answered with near ones. Nothing is half done: the caller puts the result in force or keeps all.
+    The error offers names near to an unknown one. Nothing is changed here: the caller puts the result in force.
     """
     check_mapping(changes, owner)
     checked: dict[str, Any] = {}
@@ -165,7 +165,7 @@ def validate(
 
 
 def check_mapping(given: object, owner: str, expected: str = "values by parameter") -> None:
-    """Raise ConfigurationError unless something is given by name."""
+    """Raise ConfigurationError unless `given` is a mapping."""
     if not isinstance(given, Mapping):
         raise ConfigurationError(f"{owner}: expected {expected}, such as {{...}}, got {shown(given)}")
 

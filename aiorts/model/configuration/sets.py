@@ -1,7 +1,7 @@
 """Configuration sets as one frozen value: every change makes another value, whole and checked, or raises.
 
-There is always the set "default", which has a value for every parameter. Every other set names some parameters; what
-it does not name is as in "default". So the values in force depend on the active set alone, never on which one was
+There is always the set "default", which has a value for every parameter. Every other set names some parameters; the
+others are as in "default". So the values in force depend on the active set alone, never on which one was
 active before.
 """
 
@@ -26,7 +26,7 @@ _NO_VALUES: Final[Values] = MappingProxyType({})
 
 
 def same(one: object, other: object) -> bool:
-    """Whether two values of a parameter are one and the same: 0.0 is not -0.0, and NaN is NaN."""
+    """Whether two values of a parameter are identical: 0.0 is not -0.0, and NaN is NaN."""
     if type(one) is not type(other):
         return False
     if isinstance(one, float):
@@ -52,13 +52,13 @@ def check_set_name(name: object) -> str:
 class ConfigurationState:
     """The parameters of one component, its sets, and which set is active.
 
-    The methods that change return another state; they raise ConfigurationError (or InvalidNameError) that names
-    `owner` and everything that was wrong, and then nothing is changed, because nothing ever is.
+    A method that makes a change returns another state; this one stays as it is. A refused change raises
+    ConfigurationError (or InvalidNameError), which names `owner` and every fault.
     """
 
     specs: Mapping[str, ParameterSpec]
     sets: Mapping[str, Values]
-    """"default" first; the others hold only what they name."""
+    """The sets by name, "default" first; the others hold only the parameters that they name."""
     active: str = DEFAULT
     values: Values = field(init=False, compare=False, repr=False)
     """The values in force."""
@@ -68,7 +68,7 @@ class ConfigurationState:
 
     @classmethod
     def of(cls, specs: Mapping[str, ParameterSpec]) -> ConfigurationState:
-        """What was declared and nothing else."""
+        """The state as declared: the set "default" alone, each parameter at its default."""
         return cls(specs, MappingProxyType({DEFAULT: _defaults(specs)}))
 
     # -- values ----------------------------------------------------------------------------------------------------
@@ -81,10 +81,10 @@ class ConfigurationState:
         *,
         kept: Mapping[str, object] | None = None,
     ) -> ConfigurationState:
-        """With these values in the set `name`; the active set by default.
+        """The state with these values in the set `name`; the active set by default.
 
         Args:
-            kept: values that a refusal calls kept; those of the set in this state by default.
+            kept: the values that the message of a refusal calls kept; those of the set in this state by default.
         """
         target = self.active if name is None else self._known(name, owner)
         check_mapping(changes, owner)
@@ -100,7 +100,7 @@ class ConfigurationState:
     def added(
         self, name: str, values: Mapping[str, object], owner: str = "", *, replace: bool = False
     ) -> ConfigurationState:
-        """With another set; with `replace` one of that name may be there and is gone then."""
+        """The state with another set; with `replace` it may take the place of a set of that name."""
         check_set_name(name)
         if name == DEFAULT:
             raise ConfigurationError(f"{owner}: the set {DEFAULT!r} is always there; change its values")
@@ -109,7 +109,7 @@ class ConfigurationState:
         return self._with(name, validate(self.specs, values, owner=f"{owner} (set {name})"))
 
     def removed(self, name: str, owner: str = "") -> ConfigurationState:
-        """Without a set; neither "default" nor the active one can go."""
+        """The state without a set; neither "default" nor the active set can be removed."""
         self._known(name, owner)
         if name == DEFAULT or name == self.active:
             why = "is always there" if name == DEFAULT else "is active; activate another first"
@@ -117,19 +117,19 @@ class ConfigurationState:
         return self._but(sets={other: values for other, values in self.sets.items() if other != name})
 
     def activated(self, name: str, owner: str = "") -> ConfigurationState:
-        """With another set in force."""
+        """The state with another set in force."""
         return self._but(active=self._known(name, owner))
 
     def replaced(
         self, sets: Mapping[str, Mapping[str, object]], active: str = DEFAULT, owner: str = ""
     ) -> ConfigurationState:
-        """With these sets and no others; what `sets["default"]` does not name is as declared."""
+        """The state with these sets alone; parameters that `sets["default"]` does not name are as declared."""
         return ConfigurationState.of(self.specs).merged(sets, active, owner)
 
     def merged(
         self, sets: Mapping[str, Mapping[str, object]], active: str | None = None, owner: str = ""
     ) -> ConfigurationState:
-        """With these values in "default", and these other sets in the place of those of the same name, or added."""
+        """The state with these values in "default"; each other set is added, or replaces the set of its name."""
         check_mapping(sets, owner, "sets by name")
         merged, faults = self, []
         for name, values in sets.items():
@@ -147,7 +147,7 @@ class ConfigurationState:
     # -- parameters ------------------------------------------------------------------------------------------------
 
     def with_parameter(self, spec: ParameterSpec, owner: str = "") -> ConfigurationState:
-        """With one parameter more, at its default."""
+        """The state with one parameter more, at its default."""
         if spec.name in self.specs:
             raise ConfigurationError(f"{owner}.{spec.name}: there is a parameter of that name already")
         sets = dict(self.sets)
@@ -157,7 +157,7 @@ class ConfigurationState:
         )
 
     def without_parameter(self, name: str, owner: str = "") -> ConfigurationState:
-        """With one parameter less, in every set."""
+        """The state with one parameter less, in every set."""
         if name not in self.specs:
             raise ConfigurationError(f"{owner}.{name}: no such parameter{_hint(name, self.specs)}")
         specs = {other: spec for other, spec in self.specs.items() if other != name}
@@ -200,7 +200,7 @@ def _hint(name: object, known: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One thing that differs between two configurations: `old` is None where it was added, `new` where it was removed.
+    """A difference of two configurations: `old` is None for an added thing, `new` for a removed one.
 
     `kind` is "added", "removed" or "changed"; `what` is "component", "set", "value" or "active".
     """
@@ -226,7 +226,7 @@ class Difference:
 def differences(
     component: str, old: Mapping[str, Values], new: Mapping[str, Values], active: tuple[str, str] = (DEFAULT, DEFAULT)
 ) -> tuple[Difference, ...]:
-    """What changes when the sets `new` take the place of `old`; `active` are the old and the new active set."""
+    """The differences when the sets `new` take the place of `old`; `active` are the old and the new active set."""
     found = []
     for name in {**old, **new}:
         before, after = old.get(name), new.get(name)

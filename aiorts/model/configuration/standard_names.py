@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class StandardName:
-    """What goes by a name: its type as one writes it, its unit, and what it is."""
+    """A standard name: its type as it is written in annotations, its unit, and its meaning."""
 
     name: str
     type: str
@@ -81,7 +81,7 @@ STANDARD_NAMES: Final[Mapping[str, StandardName]] = MappingProxyType({row[0]: St
 
 
 def remark_on(spec: ParameterSpec) -> str:
-    """What is to be said of a property's name, type and unit; empty when they are a standard name's."""
+    """A remark on a property's name, type and unit; empty when they are a standard name's."""
     standard = STANDARD_NAMES.get(spec.name)
     if standard is None:
         return f"no standard name{meant(spec.name.lower(), STANDARD_NAMES, str, most=3)}"

@@ -1,4 +1,4 @@
-"""On which line a key of a TOML text stands, and what in a text is more than a TOML reader should be given."""
+"""The lines of a TOML text's keys, and the things in a text that are too much for a TOML reader."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NO_STRUCTURE: Final = re.compile(
     r"""|"(?:[^"\\\n]|\\.)*+"?|'[^'\n]*+'?""",
     re.DOTALL,
 )
-"""Comments and texts, also those that do not end."""
+"""Comments and texts, also unterminated ones."""
 
 _BLANK: Final = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
 _PART: Final = re.compile(r"""[ \t]*(?:(?P<bare>[\w-]+)|(?P<basic>"(?:[^"\\\n]|\\.)*")|'(?P<literal>[^'\n]*)')[ \t]*""")
@@ -28,9 +28,10 @@ _IN_VALUE: Final = re.compile(
 
 
 def excess(text: str) -> tuple[int, str] | None:
-    """Where a key of very many parts begins, or very deep nesting, and what to say of it; None when neither is there.
+    """The start of a key of too many parts, or of too deep nesting, and a message on it; None when neither is there.
 
-    A TOML reader's time grows with the square of a key's parts, and its recursion ends the interpreter's patience.
+    A TOML reader's time grows with the square of a key's parts, and deep nesting meets the interpreter's limit of
+    recursion.
     """
     bare = _NO_STRUCTURE.sub(_filled, text)
     for pattern, what in ((_LONG_KEY, "a key of so many parts"), (_DEEP, "nesting so deep")):
@@ -40,9 +41,9 @@ def excess(text: str) -> tuple[int, str] | None:
 
 
 def huge_number(tables: Mapping[str, Any]) -> tuple[str | int, ...] | None:
-    """The way to the first whole number that is beyond what a float holds; None when there is none.
+    """The path to the first whole number beyond the range of a float; None when there is none.
 
-    Nobody means one, and whoever computes with it as seconds, Hz or metres, or shows it, would fail by it.
+    Such a number is a mistake, and code that computes with it as seconds, Hz or metres, or shows it, would fail.
     """
     waiting: list[tuple[tuple[str | int, ...], Any]] = [((), tables)]
     while waiting:
@@ -56,7 +57,7 @@ def huge_number(tables: Mapping[str, Any]) -> tuple[str | int, ...] | None:
 
 
 def _filled(found: re.Match[str]) -> str:
-    """As many characters, without dots and brackets: nothing for a comment, a word for a text."""
+    """A text of the same length without dots and brackets: blanks for a comment, a word for a text."""
     return (" " if found[0][0] == "#" else "_") * len(found[0])
 
 
@@ -89,7 +90,7 @@ def lines_of(text: str) -> dict[tuple[str, ...], int]:
 
 
 def line_of(lines: Mapping[tuple[str, ...], int], key: Sequence[str]) -> int:
-    """The line of a key, or of what holds it; 1 when nothing of it stands anywhere."""
+    """The line of a key, or of the nearest table that holds it; 1 when the text has neither."""
     for length in range(len(key), 0, -1):
         wanted = tuple(key[:length])
         if wanted in lines:

@@ -12,10 +12,10 @@ from aiorts.errors import ConfigurationError
 
 
 def value_text(where: str, value: Any) -> str:
-    """A value of a parameter; None is `{none = true}`.
+    """The text of a parameter's value; None is `{none = true}`.
 
     Raises:
-        ConfigurationError: it is text that UTF-8 does not have; `where` is in the message.
+        ConfigurationError: the value cannot be written, such as text that is no UTF-8; `where` is in the message.
     """
     if value is None:
         return "{none = true}"
@@ -40,7 +40,7 @@ def basic_string(text: str, where: str = "") -> str:
     """A basic string of TOML: as JSON writes it, which escapes everything that TOML wants escaped, but for DEL.
 
     Raises:
-        ConfigurationError: it is text that UTF-8 does not have; `where` is in the message.
+        ConfigurationError: the text is no UTF-8; `where` is in the message.
     """
     try:
         text.encode()

@@ -1,1 +1,1 @@
-"""How a system did in a window of time, as values, and whether it did worse in one window than in the one before."""
+"""The figures of a system in windows of time, and the decision whether one window is worse than the one before."""

@@ -1,13 +1,13 @@
-"""How late a context would be if the machine had run no other processes; pure, one number carried on."""
+"""Computes how late a context would be if the machine had run no other processes. Pure."""
 
 from __future__ import annotations
 
 
 class Backlog:
-    """Of one context, from one overrun to the next.
+    """The backlog of one context, from one overrun to the next.
 
-    A cycle that is late makes the next one late: where none was in time in between, the lateness grows by the time that
-    passed less a period for each tick, and without the machine it would have grown by so much less.
+    A late cycle makes the next one late. While none in between is in time, the lateness grows by the time that passed
+    less a period for each tick; without the machine it would have grown less by the time that the process was stalled.
     """
 
     __slots__ = ("_at_ns", "_late_ns", "_own_ns", "_stalled_ns")
@@ -18,13 +18,13 @@ class Backlog:
     def late_by_itself(
         self, at_ns: float, late_ns: float, left_out: int, period_ns: float, stalled_ns: float, since_ns: float
     ) -> bool:
-        """Whether a cycle that begins so late would have been late all the same.
+        """Whether a cycle that begins `late_ns` late would have been late without the machine, too.
 
         Args:
-            at_ns: when it begins.
-            left_out: ticks that are left out for it.
-            stalled_ns: how long the process has been stalled by then.
-            since_ns: and how long since the tick before the one that is late was due.
+            at_ns: the start of the cycle.
+            left_out: ticks that are left out because of it.
+            stalled_ns: the time for which the process has been stalled by then.
+            since_ns: the part of it since the tick before the late one was due.
         """
         own = max(0.0, late_ns - since_ns)
         if at_ns - late_ns - period_ns <= self._at_ns:

@@ -1,13 +1,14 @@
 """Whether a system does worse after a change than before it: pure, from the window before and the window after.
 
-What a change is meant to do is no fault of it. Where it has lowered the rate of a context, or taken away what an
-in-port was fed by, less is expected of all that is downstream; and nothing of a component that is not active, or that
-it has taken out of its contexts. Samples that such a component would have read are no losses.
+The intended effects of a change are no faults. Where it has lowered the rate of a context, or removed connectors of
+an in-port, less is expected of all components downstream. Nothing is expected of a component that is not active, or
+that the change has taken out of its contexts. Samples that such a component would have read are no losses.
 
-What the machine does to a system is no fault of a change either. Overruns that it is to blame for do not count. Where
-it took more of the time than before, backlogs follow, and what is late by them cannot be told from what is late by
-itself: that part of the ticks may overrun besides, and of the samples be dropped, or a tenth of all that it took where
-that is more, or where the writer leaves out ticks that it missed; how far rates fall then says nothing.
+The effects of the machine are no faults of a change either. Overruns that it is to blame for do not count. Where it
+took more of the time than before, backlogs follow, and their lateness cannot be separated from other lateness: as
+great a part of the ticks may overrun in addition, or a tenth of all the time that it took, if that is more. The same
+holds for dropped samples, but only the tenth where their writer leaves out ticks that it missed. Where the machine
+took much (`BUSY`, `BUSIEST`), rates decide nothing.
 """
 
 from __future__ import annotations
@@ -20,29 +21,29 @@ from aiorts.late import dataclass
 from aiorts.model.health.windows import ContextCounts, EdgeCounts, Window
 
 SAMPLES: Final = 50
-"""Fewer samples, or ticks, decide nothing."""
+"""The fewest samples, or ticks, that decide anything."""
 MORE: Final = 2
-"""So many times as many overruns, or drops, as before are healthy,"""
+"""The factor by which overruns, or drops, may grow and be healthy."""
 PERCENT: Final = 1
-"""and so many of 100 ticks, or samples written, beside them."""
+"""The percentage of ticks that may overrun in addition, or of written samples that may be dropped."""
 SLOWEST: Final = 80
-"""So many percent of the rate before are healthy."""
+"""The percentage of the rate before that is still healthy."""
 NOISE: Final = 0.1
-"""So much of the time that the machine took may be seen in figures that it should not change."""
+"""The part of the time taken by the machine that may show in figures that it should not change."""
 BUSY: Final = 0.1
-"""Where the machine took more of the time than this beside what it took before, rates decide nothing,"""
+"""Rates decide nothing where the part of the time that the machine took grew by more than this."""
 BUSIEST: Final = 0.5
-"""nor where it took more than this."""
+"""Rates decide nothing where the machine took a greater part of the time than this."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unhealthy:
-    """The figure that says that a system does worse than before; `str` gives it as one sentence."""
+    """The figure by which a system does worse than before; `str` gives it as one sentence."""
 
     what: str
     """ "error", "overruns", "drops" or "rate"."""
     name: str
-    """Of the component, the context or the connector."""
+    """The name of the component, the context or the connector."""
     text: str
     """The figure, with that of the window before."""
 
@@ -51,11 +52,11 @@ class Unhealthy:
 
 
 def verdict(before: Window, after: Window, new: Collection[str] = (), ended: Collection[str] = ()) -> Unhealthy | None:
-    """What is worse in the window after a change than in the one before it; None: nothing, or too little was counted.
+    """The figure that is worse in the window after a change than in the one before it; None for none or too few counts.
 
     Args:
-        new: components that the change has made or replaced: for any other, to be in error as before is no worse.
-        ended: components that contexts ran before the change, and that it has taken out of all of them.
+        new: components that the change has made or replaced; another one that is in error as before is no worse.
+        ended: components that the change has taken out of all contexts that ran them.
     """
     for name, why in after.errors.items():
         if name in new or name not in before.errors:
@@ -77,7 +78,7 @@ def verdict(before: Window, after: Window, new: Collection[str] = (), ended: Col
         if _component(one.target) in ended:
             continue
         had = before.edges.get(name, _NO_SAMPLES)
-        # Its reader did not get those either that an option left out before, and leaves out no longer.
+        # Samples that an option left out before, and leaves out no longer, did not reach the reader either.
         lost_before = had.dropped + max(0, had.left_out - one.left_out * before.length_ns // after.length_ns)
         if _too_many(one.dropped, one.written, lost_before, *lengths, 0.0) and (
             not after.stalled or _too_many(one.dropped, one.written, lost_before, *lengths, _at_once(one, after, taken))
@@ -110,13 +111,13 @@ def _at_once(edge: EdgeCounts, window: Window, taken: float) -> float:
 
 
 def _slower(before: Window, after: Window, ended: Collection[str], now_ns: int, then_ns: int) -> Unhealthy | None:
-    """The first edge that is too slow."""
+    """The figure of the first edge that is too slow; None for none."""
     expected: Mapping[str, float] | None = None
     for name, one in after.edges.items():
         had = before.edges.get(name)
         if had is None or had.written < SAMPLES or 100 * one.written * then_ns >= SLOWEST * had.written * now_ns:
             continue
-        if expected is None:  # for few, since most systems are healthy
+        if expected is None:  # at the first slow edge: most systems have none
             expected = _expected(before, after, ended)
         due = had.written * now_ns / then_ns * expected.get(_component(one.source), 1.0)
         if due >= SAMPLES and 100 * one.written < SLOWEST * due:
@@ -126,7 +127,7 @@ def _slower(before: Window, after: Window, ended: Collection[str], now_ns: int, 
 
 
 def _expected(before: Window, after: Window, ended: Collection[str]) -> dict[str, float]:
-    """For components of which less is expected, the part of what they wrote before: from 0 to 1."""
+    """The expected part (0 to 1) of a component's former output, by each component of which less is expected."""
     found = dict.fromkeys((*after.idle, *ended), 0.0)
     rates, without = _rates(before)
     rates_now, without_now = _rates(after)
@@ -147,7 +148,7 @@ def _expected(before: Window, after: Window, ended: Collection[str]) -> dict[str
 
 
 def _rates(window: Window) -> tuple[dict[str, float], Counter[str]]:
-    """By component: the sum of the rates of its contexts, and the number of its contexts that have no rate."""
+    """The sum of the rates of a component's contexts, and the number of its contexts without a rate, by component."""
     rates: dict[str, float] = {}
     without: Counter[str] = Counter()
     for one in window.contexts.values():
@@ -169,7 +170,7 @@ def _starved(before: Window, after: Window) -> list[str]:
 
 
 def _pass_on(expected: dict[str, float], window: Window) -> None:
-    """Of no component is more expected than of any that it reads from."""
+    """Lower the expectation of each component to the lowest of those that it reads from."""
     readers: dict[str, set[str]] = {}
     for edge in window.edges.values():
         readers.setdefault(_component(edge.source), set()).add(_component(edge.target))

@@ -1,7 +1,7 @@
-"""The protocol of a link, without time, sockets or tasks: what its two ends say to each other, and what they keep.
+"""The protocol of a link, without time, sockets or tasks: the frames between its ends, and the samples that they keep.
 
-The writer's end numbers the samples, keeps each until the reader's end has acknowledged it, and sends again what was
-lost on the way. The reader's end gives the samples out in order, each once, and says what became of each. A transport
+The writer's end numbers the samples, keeps each until the reader's end has acknowledged it, and sends lost
+samples again. The reader's end gives the samples out in order, each once, and reports the fate of each. A transport
 may lose, double, reorder and delay frames. Time comes as `now`, in nanoseconds of any clock that never goes back.
 """
 

@@ -4,9 +4,9 @@ The table has a list of patterns for each right and name:
 
     write: {station: ["drive.velocity", "lamp.*"], "*": ["display.text"]}
 
-A right that is not in the table everybody has. Of one that is there, a name has the ports of its own list, else those
-of the list of "*". The first pattern of the list that matches `component.port` decides; one that begins with "!"
-denies. Where none matches, the port is denied.
+Every kernel has a right that is not in the table. For a right in the table, a name has the ports of its own list,
+else those of the list of "*". The first pattern of the list that matches `component.port` decides; one that begins
+with "!" denies. Where none matches, the port is denied.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ WRITE: Final = "write"
 CALL: Final = "call"
 RIGHTS: Final = (READ, WRITE, CALL)
 OTHERS: Final = "*"
-"""In the place of a name: all that have no list of their own."""
+"""The entry for all names that have no list of their own."""
 _DENIES: Final = "!"
 _PATTERN: Final = re.compile(r"!?[A-Za-z0-9_*-]+\.[A-Za-z0-9_*-]+")
 
 
 class Allowed:
-    """Rights of other kernels to the ports of this one; without a table all have all.
+    """Rights of other kernels to the ports of this one; without a table every kernel has every right.
 
     Args:
         table: patterns by right and name, checked.
@@ -41,7 +41,7 @@ class Allowed:
 
     @classmethod
     def of_table(cls, table: Any, where: str = "allow") -> Allowed:
-        """Rights of a table: lists of patterns by name by right. ConfigurationError: it is no such table."""
+        """Rights of a table: lists of patterns by name by right. ConfigurationError: `table` is no such table."""
         rights = _mapping("allow", table, "a table by right")
         if unknown := next((right for right in rights if right not in RIGHTS), None):
             raise ConfigurationError(f"allow: expected {', '.join(RIGHTS)}, got {unknown!r:.80}")
@@ -57,7 +57,7 @@ class Allowed:
         return frozenset(name for lists in self._table.values() for name in lists) - {OTHERS}
 
     def refusal(self, name: str, right: str, port: str) -> str:
-        """Why a name has not this right to a port, `component.port`, with the rule; "" where it has."""
+        """The reason why a name lacks this right to a port, `component.port`, with the rule; "" where it has it."""
         if (lists := self._table.get(right)) is None:
             return ""
         entry = name if name in lists else OTHERS

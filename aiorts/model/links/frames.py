@@ -1,4 +1,4 @@
-"""The frames of a link: a head of 8 bytes (kind, flags, count, number of the link), and what belongs to its kind.
+"""The frames of a link: a head of 8 bytes (kind, flags, count, number of the link), and the contents of its kind.
 
 All numbers are little-endian. A frame with another link's number, of an unknown kind or of another length than its head
 says is no frame: `BadFrame`.
@@ -14,7 +14,7 @@ from typing import Final, TypeAlias
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Send: TypeAlias = Callable[[bytes, Sequence[memoryview]], bool]
-"""Gives a frame to a channel, with buffers that travel beside it; False: it was not taken."""
+"""Gives a frame to a channel, with buffers that travel next to it; False: the channel did not take the frame."""
 
 HELLO: Final = 1
 DATA: Final = 2
@@ -26,48 +26,48 @@ LOST: Final = 7
 CONFIRM: Final = 1
 """Flag of data: acknowledge at once."""
 AGED: Final = 2
-"""Flag of data: before the samples stands how old each is, in nanoseconds."""
+"""Flag of data: the age of each sample, in nanoseconds, stands before the samples."""
 WAIT: Final = 1
-"""Flag of want: where there is no sample, the next one. Of none: that one will be sent."""
+"""Flag of want: where there is no sample, the next one is wanted. Flag of none: the next one will be sent."""
 BATCH: Final = 512
-"""Samples of one frame at the most."""
+"""The most samples of one frame."""
 BATCH_BYTES: Final = 32_768
-"""Bytes of the samples of one frame at the most, if it is more than one sample."""
+"""The most bytes of the samples of one frame with more than one."""
 FATES: Final = ("rejected", "undecodable")
-"""Why samples are not in the reader's buffer."""
+"""The fates of samples that are not in the reader's buffer."""
 LOSSES: Final = ("overwritten", "superseded", "inactive", "expired", "unconverted", "disconnected")
 """Reasons for which the reader's buffer loses samples."""
 REFUSED: Final = "refused"
-"""The reason that stands for any other one of an acknowledgement: the other end could name a new one each time."""
+"""The fate that replaces an unknown one of an acknowledgement: the other end could name a new one each time."""
 
 _WIDEST: Final = 0xFFFF
 _HEAD: Final = struct.Struct("<BBHI")
 _NUMBERED: Final = struct.Struct("<BBHIQQ")
 SOLE: Final = _NUMBERED.size
-"""The place of the sample in a frame that has one alone."""
+"""The place of the sample in a frame that has just one."""
 numbered: Final = _NUMBERED.pack
 """Makes a frame, or its head, of kind, flags, count, number of the link, and two numbers."""
 numbers_of: Final[Callable[[Buffer], tuple[int, int, int, int, int, int]]] = _NUMBERED.unpack_from
-"""These six of a frame that is as long as that at least."""
+"""Reads these six numbers of a frame that is long enough."""
 _FATE: Final = struct.Struct("<QB")
 
 
 class Turn(enum.Enum):
-    """When a message to another kernel is sent."""
+    """The turn of a message to another kernel among the samples that wait."""
 
     CONTROL = enum.auto()
     """Before all samples that wait."""
     SAMPLE = enum.auto()
     """After the samples that wait."""
     LAST = enum.auto()
-    """After the samples that wait, though so much waits that no sample is taken any more."""
+    """After the samples that wait, even where so much waits that no sample is taken any more."""
 
 
 _TURNS: Final[Mapping[int, Turn]] = {
     **dict.fromkeys((HELLO, ACK, WANT, LOST), Turn.CONTROL),
     **dict.fromkeys((BYE, NONE), Turn.LAST),
 }
-"""Bye and none speak of the samples before them, and are said once. What is not known has the bound of samples."""
+"""Bye and none refer to the samples before them, and are sent once. Unknown kinds have the turn of samples."""
 
 
 class BadFrame(ValueError):
@@ -75,27 +75,27 @@ class BadFrame(ValueError):
 
 
 def check_window(window: int) -> None:
-    """ValueError: an acknowledgement cannot say what became of so many samples."""
+    """Raise ValueError unless one acknowledgement can report on so many samples."""
     if not 1 <= window <= _WIDEST:
         raise ValueError(f"window = {window}: expected 1 to {_WIDEST:,} samples")
 
 
 def turn_of(frame: Buffer) -> Turn:
-    """When a frame is sent."""
+    """The turn of a frame."""
     return _TURNS.get(frame[0], Turn.SAMPLE)
 
 
 def hello(link: int, epoch: int, received: int) -> bytes:
-    """Says which end this is, and up to which number it has received."""
+    """The frame that names this end, and the number up to which it has received."""
     return numbered(HELLO, 0, 0, link, epoch, received)
 
 
 def data(
     link: int, first: int, oldest: int, samples: Sequence[bytes], *, confirm: bool, ages: Sequence[int] = ()
 ) -> bytes:
-    """Samples from number `first` on, with the ages that are known; the writer keeps those from `oldest` on.
+    """The frame of samples from number `first` on, with any known ages; the writer keeps samples from `oldest` on.
 
-    One sample is the rest of its frame: a length for each is needed of several alone.
+    One sample is the rest of its frame; only several samples need a length each.
     """
     if ages:
         frame = data(link, first, oldest, samples, confirm=confirm)
@@ -108,7 +108,7 @@ def data(
 
 
 def acknowledgement(link: int, done: int, received: int, fates: Mapping[int, str]) -> bytes:
-    """All up to `done` are in the reader's buffer but those of `fates`; all up to `received` have come."""
+    """The frame of: all up to `done` are in the reader's buffer except `fates`; all up to `received` have come."""
     head = numbered(ACK, 0, len(fates), link, done, received)
     if not fates:
         return head
@@ -120,7 +120,7 @@ def acknowledgement(link: int, done: int, received: int, fates: Mapping[int, str
 
 
 def lost(link: int, epoch: int, losses: Mapping[str, int]) -> bytes:
-    """Says what this reader's end has lost of what was in its buffer: how many samples by reason, in all."""
+    """The frame that says how many samples of its buffer this reader's end has lost in all, by reason."""
     frame = [numbered(LOST, 0, len(losses), link, epoch, 0)]
     for reason, count in losses.items():
         frame += (_FATE.pack(count, len(reason)), reason.encode())
@@ -128,25 +128,26 @@ def lost(link: int, epoch: int, losses: Mapping[str, int]) -> bytes:
 
 
 def bye(link: int) -> bytes:
-    """Says that this end was disconnected."""
+    """The frame that says that this end was disconnected."""
     return _HEAD.pack(BYE, 0, 0, link)
 
 
 def want(link: int, number: int, *, wait: bool) -> bytes:
-    """Asks for the sample that will have this number."""
+    """The frame that asks for the sample with this number."""
     return numbered(WANT, wait, 0, link, number, 0)
 
 
 def none(link: int, number: int, *, wait: bool) -> bytes:
-    """There is no sample that could have this number."""
+    """The frame that says that there is no sample to have this number."""
     return numbered(NONE, wait, 0, link, number, 0)
 
 
 def head_of(frame: Buffer, link: int) -> tuple[int, int, int, int, int]:
-    """Kind, flags and count of a frame, and two numbers: of hello the epoch and received, of data first and oldest, of
-    an acknowledgement done and received, of want and none the number and zero, of lost the epoch and zero, of bye
-    zeros.
-    BadFrame: it is too short, or of another link."""
+    """Kind, flags and count of a frame, and two numbers. BadFrame: it is too short, or of another link.
+
+    The numbers are epoch and received (hello), first and oldest (data), done and received (acknowledgement), the
+    number and zero (want and none), epoch and zero (lost), zeros (bye).
+    """
     if len(frame) >= SOLE:
         kind, flags, count, number, one, two = numbers_of(frame)
     elif len(frame) == _HEAD.size and frame[0] == BYE:
@@ -166,7 +167,7 @@ def ages_of(frame: Buffer, count: int) -> tuple[int, ...]:
 
 
 def samples_of(frame: Buffer, count: int, ages: int = 0) -> list[memoryview]:
-    """The bytes of each sample of a data frame with so many ages, not copied."""
+    """The bytes of each sample of a data frame that has so many ages; not copied."""
     view = memoryview(frame)
     if ages:
         view = view[8 * ages :]
@@ -184,12 +185,12 @@ def samples_of(frame: Buffer, count: int, ages: int = 0) -> list[memoryview]:
 
 
 def fates_of(frame: Buffer, count: int) -> dict[int, str]:
-    """What became of the samples of an acknowledgement that are not in the reader's buffer, by number."""
+    """The fates in an acknowledgement, by number, of the samples that are not in the reader's buffer."""
     return dict(_pairs_of(frame, count))
 
 
 def losses_of(frame: Buffer, count: int) -> dict[str, int]:
-    """How many samples the reader's end has lost, by reason; those that are not known together."""
+    """The number of samples that the reader's end has lost, by reason; unknown reasons count together."""
     if count > 2 * len(LOSSES):
         raise BadFrame("of too many reasons")
     found: dict[str, int] = {}
@@ -200,7 +201,7 @@ def losses_of(frame: Buffer, count: int) -> dict[str, int]:
 
 
 def _pairs_of(frame: Buffer, count: int) -> Iterator[tuple[int, str]]:
-    """The pairs of a number and a word behind the head of a frame."""
+    """The pairs of a number and a word after the head of a frame."""
     place = SOLE
     for _ in range(count):
         if len(frame) < place + _FATE.size:

@@ -1,4 +1,4 @@
-"""The ledgers of both ends of a link as one: what was written, and where each sample is."""
+"""The ledgers of both ends of a link as one: the number of written samples, and where they are."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Joined:
     def unexplained(self) -> int:
         """Samples that neither ledger accounts for; 0 unless there is a fault in the protocol."""
         lost = self.offered - self.acknowledged - self.dropped - self.in_flight
-        # What was acknowledged was delivered; what was delivered is acknowledged, in flight or of unknown fate.
+        # Acknowledged samples were delivered; delivered samples are acknowledged, in flight or of unknown fate.
         too_few = max(0, self.acknowledged - self.delivered)
         too_many = max(0, self.delivered - self.acknowledged - self.in_flight - self.dropped)
         return abs(lost) + too_few + too_many

@@ -1,8 +1,8 @@
-"""How one end of a link comes to its channel: a table of states and events, without time, sockets or tasks.
+"""The way of one end of a link to its channel: a table of states and events, without time, sockets or tasks.
 
-The writer's end offers. The reader's end takes the offer that comes; one that its own kernel has connected asks the
-writer's kernel for it first. So an end has one of three roles, and each role has a table. A cell says what an event
-does: which state follows, and what is to be carried out. `-` is ignored, and `!` cannot happen.
+The writer's end offers. The reader's end takes the offer; where its own kernel has connected, it first asks the
+writer's kernel for one. So an end has one of three roles, and each role has a table. A cell has the effect of
+an event: the state that follows, and the actions. `-` is ignored, and `!` cannot happen.
 """
 
 from __future__ import annotations
@@ -13,12 +13,11 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 PAUSES: Final = (0.2, 0.4, 0.8, 1.0)
-"""Seconds until a question without an answer is asked again: less than the 2 s in which a link is up once both can
-talk."""
+"""Seconds until an unanswered question is asked again: less than the 2 s in which a link is up once both can talk."""
 EXPECT: Final = 1.5
-"""Seconds until an offer that was promised is asked for again: the promise may be of a kernel that is no more."""
+"""Seconds until a promised offer is asked for again: the kernel that promised it may have ended."""
 LINGER: Final = 10.0
-"""Seconds until it is asked again for a component that was not there: its coming is told, and that may be lost."""
+"""Seconds until a component that was not there is asked for again: the message that it has come may be lost."""
 
 
 class LinkRole(StrEnum):
@@ -33,16 +32,16 @@ class LinkRole(StrEnum):
 
 
 class NegotiationState(StrEnum):
-    """How far the negotiation of one end is."""
+    """The progress of one end's negotiation."""
 
     ABSENT = "absent"
-    """There is no such kernel."""
+    """There is no kernel of the other end's name."""
     ASKING = "asking"
     """A question to the other kernel is under way: an offer, or a request for one."""
     OFFERED = "offered"
     """An offer is agreed on, and the channel is being made."""
     WAITING = "waiting"
-    """There is such a kernel: it is asked when that is due, or makes its offer."""
+    """There is a kernel of the other end's name: it is asked when that is due, or makes its offer."""
     UP = "up"
     """There is a channel."""
     REFUSED = "refused"
@@ -67,11 +66,11 @@ class LinkEvent(StrEnum):
     DUE = "due"
     """The pause is over."""
     AGREED = "agreed"
-    """The other kernel takes the offer."""
+    """The offer is taken by the other kernel."""
     PROMISED = "promised"
-    """The other kernel will make the offer that was requested."""
+    """The requested offer will be made by the other kernel."""
     LACKING = "lacking"
-    """The other kernel answers that the component is not there yet."""
+    """The component is not there yet, as its kernel answers."""
     REFUSED = "refused"
     """Either kernel refuses the link for good."""
     UNANSWERED = "unanswered"
@@ -118,7 +117,7 @@ class Move(NamedTuple):
     """A cell: the effect of an event in one state."""
 
     state: NegotiationState | None
-    """The state that follows; None: the same."""
+    """The state that follows; None: no change."""
     actions: tuple[LinkAction, ...]
 
 
@@ -247,23 +246,23 @@ class Negotiation:
     """
 
     state = NegotiationState.ABSENT
-    """How far it is."""
+    """The progress of the negotiation."""
 
     def __init__(self, role: LinkRole) -> None:
         self.role = role
         self.step = 0
         """Counts the moves."""
         self.tried = 0
-        """How often it was asked in vain since the link was up last."""
+        """The number of failed attempts since the link was up last."""
         self.pause: float | None = None
-        """Seconds after which DUE happens, unless there is another move before; None: never."""
+        """Seconds after which DUE happens, unless another move comes before; None: never."""
         self._heard = (0, 0)
 
     def on(self, event: LinkEvent) -> tuple[LinkAction, ...]:
         """Take an event, and return the actions that are to be carried out now.
 
         Raises:
-            ImpossibleEvent: it cannot happen in this state.
+            ImpossibleEvent: the event cannot happen in this state.
         """
         word = TABLE[self.role][self.state, event]
         if word == IMPOSSIBLE:
@@ -303,7 +302,7 @@ class Negotiation:
         """Whether a later offer of the same kernel has come; if not, this one is the latest from now on.
 
         Args:
-            number: of the offer; 0 is given by a kernel that does not number its offers.
+            number: the number of the offer; 0 is given by a kernel that does not number its offers.
         """
         if epoch == self._heard[0] and 0 < number < self._heard[1]:
             return True

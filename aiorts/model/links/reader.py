@@ -1,4 +1,4 @@
-"""The reader's end of a link: gives samples out in order, each once, and says what became of them."""
+"""The reader's end of a link: gives samples out in order, each once, and reports their fates."""
 
 from __future__ import annotations
 
@@ -14,40 +14,40 @@ from aiorts.model.links.frames import CONFIRM, DATA, SOLE, BadFrame, Buffer, Sen
 from aiorts.model.links.state import LinkState
 
 _HEAD, _PARTS = itemgetter(1), itemgetter(2)
-"""The items of a sample that has come."""
+"""Getters of the items of a received sample."""
 _ERA: Final = 1 << 64
 ACK_NS: Final = 50_000_000
-"""How long an acknowledgement may be kept back."""
+"""The longest time for which an acknowledgement is kept back."""
 _TELL_NS: Final = 50_000_000
-"""How soon after an acknowledgement the writer's end is told of losses."""
+"""The time after an acknowledgement at which the writer's end is notified of losses."""
 _ACK_BYTES: Final = 1 << 19
-"""After so many bytes it is not: until then the writer keeps large samples, and its memory for the next is fresh, which
-the system clears page by page."""
+"""After so many bytes no acknowledgement is kept back: until it the writer keeps large samples, and needs fresh memory
+for the next ones, which the system clears page by page."""
 _AGAIN_NS: Final = 200_000_000
-"""After this time without an answer a sample is asked for again; each time it doubles, up to the next."""
+"""The time without an answer after which a sample is asked for again; it doubles each time, up to `_LONGEST_NS`."""
 _LONGEST_NS: Final = 2_000_000_000
 
 Received: TypeAlias = tuple[int, Buffer, Sequence[Buffer]]
-"""A sample that has come: its ticket (the number, with which writer's end it is of in the upper bits), head, parts."""
+"""A received sample: its ticket (its number, with the count of its writer's end in the upper bits), head, parts."""
 
 
 @dataclass(slots=True)
 class ReaderLedger:
-    """What the reader's end received, and what became of it: received = delivered + dropped + held."""
+    """The counts of samples at the reader's end: received = delivered + dropped + held."""
 
     received: int = 0
     delivered: int = 0
-    """Given to the reader's buffer."""
+    """Samples given to the reader's buffer."""
     dropped: int = 0
     duplicates: int = 0
     """Samples that came again."""
     ahead: int = 0
-    """Samples that came before one that is missing: they come again."""
+    """Samples that came ahead of a missing one: they come again."""
     bad_frames: int = 0
 
     @property
     def held(self) -> int:
-        """Neither given to the reader's buffer yet nor dropped."""
+        """Samples neither given to the reader's buffer yet nor dropped."""
         return self.received - self.delivered - self.dropped
 
 
@@ -55,9 +55,9 @@ class ReaderEnd:
     """The reader's end of one link. See `aiorts.model.links`.
 
     Args:
-        number: that frames carry (`renumber`). epoch: of this end.
+        number: the number that frames carry (`renumber`). epoch: the epoch of this end.
         window: samples that the writer's end may have unacknowledged, 1 to 65,535.
-        window_bytes: the same in bytes. What is far beyond that is not taken: it comes again.
+        window_bytes: the same in bytes. Samples far beyond it are not taken: they come again.
     """
 
     def __init__(self, number: int, epoch: int, *, window: int = 256, window_bytes: int = 8 << 20) -> None:
@@ -67,45 +67,45 @@ class ReaderEnd:
         self.peer_ended = False
         """Whether the writer's end was disconnected."""
         self.date: int | None = None
-        """When the sample that was taken last was written, by this end's clock, less its time on the way; None: it is
-        of a link whose samples do not expire."""
+        """The time at which the sample taken last was written, by this end's clock and without its time on the way;
+        None: samples of this link do not expire."""
         self._dates: dict[int, int] = {}
-        """Of what is held, by ticket."""
+        """The dates of the held samples, by ticket."""
         self._window, self._window_bytes = window, window_bytes
         self._bytes = 0
-        """Bytes of what is held."""
+        """The bytes of the held samples."""
         self._unacknowledged, self._most_unacknowledged = 0, min(window_bytes // 2, _ACK_BYTES)
-        """Bytes of what has come since the last acknowledgement."""
+        """The bytes that have come since the last acknowledgement, and how many of them make the next one due."""
         self._peer_epoch = 0
         self._era = 0
-        """Counts the writer's ends: what one sent that is no more is given out and never acknowledged."""
+        """Counts the writer's ends. Samples of an earlier end are given out and never acknowledged."""
         self._received = 0
         self._done = 0
         self._held: deque[Received] = deque()
         self._fates: dict[int, str] = {}
-        """Of samples that are not in the buffer, until the writer's end has been told for certain."""
+        """The fates of samples that are not in the buffer, until the writer's end certainly knows them."""
         self._confirm = 0
-        """The sample of this number is to be acknowledged at once; 0: none."""
+        """The number of the sample that is to be acknowledged at once; 0: none."""
         self._ack_at = window // 2
-        """Acknowledge at once when this number is done: that one, or half a window after the last acknowledgement."""
+        """The number that is acknowledged once done: `_confirm`, or half a window after the last acknowledgement."""
         self._ack_ns: int | None = None
         self._wanted = 0
-        """Whether a sample is asked for: 1 one that is there, 2 else the next one."""
+        """0: no sample is asked for; 1: one that is there; 2: or else the next one."""
         self._want_ns: int | None = None
-        """When it is asked for (again); None: the writer's end knows of it."""
+        """The time at which the sample is asked for (again); None: the writer's end knows of it."""
         self._want_pause_ns = 0
         self._lost: Mapping[str, int] = {}
         """Samples that the reader's buffer has lost, by reason."""
         self.tell_ns = 0
-        """When `lost` is to be called; 0: nothing was acknowledged since."""
+        """The time at which `lost` is to be called; 0: nothing was acknowledged since."""
         self._up = self._was_up = self._hello = self._tells_lost = self._ended = False
 
     def renumber(self, number: int) -> None:
-        """Frames carry this number from now on."""
+        """Set the number that frames carry from now on."""
         self.number = number
 
     def channel_up(self, now: int, peer_epoch: int) -> None:
-        """There is a channel. With another writer's end than before numbers begin anew; what came before stays."""
+        """Use a new channel. With another writer's end than before, numbers begin again; received samples stay."""
         if peer_epoch != self._peer_epoch:
             self._received = self._done = self._confirm = 0
             self._ack_at = self._window // 2
@@ -118,11 +118,11 @@ class ReaderEnd:
             self._want_ns, self._want_pause_ns = now, _AGAIN_NS
 
     def channel_down(self, now: int) -> None:
-        """The channel is gone; all is kept."""
+        """Note that the channel is gone; all samples are kept."""
         self._up = False
 
     def state(self, now: int) -> LinkState:
-        """How far the link is."""
+        """The state of the link."""
         if self._ended or self.peer_ended:
             return LinkState.ENDED
         if self._up:
@@ -130,7 +130,7 @@ class ReaderEnd:
         return LinkState.DOWN if self._was_up else LinkState.CONNECTING
 
     def receive(self, now: int, head: Buffer, parts: Sequence[Buffer] = ()) -> None:
-        """Take a frame of the writer's end; what is none is counted."""
+        """Take a frame of the writer's end; a bad frame is counted."""
         try:
             kind, flags, count, one, oldest = frames.head_of(head, self.number)
             if kind == frames.DATA:
@@ -151,9 +151,9 @@ class ReaderEnd:
             self.ledger.bad_frames += 1
 
     def receive_alone(self, now: int, head: Buffer) -> int:
-        """`receive` and `take` of a frame that has the next sample alone, behind which nothing waits: its ticket.
+        """Do `receive` and `take` for a frame of just the next sample while nothing is held; returns the ticket.
 
-        The sample is what stands in the frame from `frames.SOLE` on. 0: it is no such frame, and was not received.
+        The sample is the rest of the frame from `frames.SOLE` on. 0: it is no such frame, and was not received.
         """
         size = len(head) - SOLE
         if size < 0 or self._held or self._fates or self._wanted or self._dates:
@@ -171,7 +171,7 @@ class ReaderEnd:
         return self._era + number
 
     def done_alone(self, now: int) -> int:
-        """`done` of the sample that `receive_alone` has taken last; when it is to be acknowledged: `now`, or later."""
+        """Do `done` for the last sample of `receive_alone`; returns when to acknowledge it: `now`, or later."""
         self.ledger.delivered += 1
         number = self._done = self._received
         due = self._ack_ns
@@ -230,15 +230,15 @@ class ReaderEnd:
             self._ack_ns = now + ACK_NS
 
     def want(self, now: int, *, wait: bool) -> bool:
-        """Ask for a sample, unless that is under way; `wait`: for the next one where there is none. Returns whether
-        there is something to send."""
+        """Ask for a sample, unless one is asked for; `wait`: for the next one where there is none. Returns whether a
+        frame is to be sent."""
         if self._wanted >= 1 + wait:
             return False
         self._wanted, self._want_ns, self._want_pause_ns = 1 + wait, now, _AGAIN_NS
         return True
 
     def poll_query(self, now: int, send: Send) -> int | None:
-        """As `poll`, of what is asked for."""
+        """Send the request for a sample if it is due; returns the time of the next call, as `poll` does."""
         if not self._up or self._ended or self._want_ns is None or now < self._want_ns:
             return self._want_ns if self._up else None
         send(frames.want(self.number, self._received + 1, wait=self._wanted > 1), ())
@@ -248,13 +248,13 @@ class ReaderEnd:
 
     def _is_none(self, number: int, *, wait: bool) -> None:
         if number != self._received + 1 or 1 + wait < self._wanted:
-            return  # of an earlier query
+            return  # the answer to an earlier query
         self._want_ns = None
         if self._wanted == 1:
             self._wanted = 0
 
     def take(self) -> Received | None:
-        """The next sample in order; None where there is none. `done` and `failed` say what became of it, in order."""
+        """The next sample in order; None where there is none. Its fate is reported by `done` or `failed`, in order."""
         if not self._held:
             return None
         found = self._held.popleft()
@@ -265,15 +265,15 @@ class ReaderEnd:
         return found
 
     def heads(self, count: int) -> list[Buffer]:
-        """The heads of the next samples, as many as are held but at most so many: `take_all` takes them.
+        """The heads of the next held samples, at most `count`: `take_all` takes them.
 
-        None where one has parts, or they expire.
+        The list is empty where one has parts, or samples expire.
         """
         first = list(islice(self._held, max(count, 0)))
         return [] if self._dates or any(map(_PARTS, first)) else list(map(_HEAD, first))
 
     def take_all(self, count: int) -> int:
-        """Take so many samples that `heads` has given; the ticket of the last. `done` says that they are taken."""
+        """Take so many samples that `heads` has given; returns the ticket of the last, for `done`."""
         held = self._held
         taken = [held.popleft() for _ in repeat(None, count)]
         self._bytes -= sum(map(len, map(_HEAD, taken)))
@@ -281,32 +281,32 @@ class ReaderEnd:
 
     @property
     def held(self) -> int:
-        """Samples that have come and were not taken."""
+        """The number of samples that have come and were not taken."""
         return len(self._held)
 
     @property
     def newest(self) -> int:
-        """The ticket of the newest sample that has come and was not taken; 0: all were."""
+        """The ticket of the newest sample that has come and was not taken; 0: none."""
         return self._held[-1][0] if self._held else 0
 
     @property
     def received(self) -> int:
-        """All up to this number have come of the writer's end there is now."""
+        """The number up to which all samples of the present writer's end have come."""
         return self._received
 
     @property
     def peer_epoch(self) -> int:
-        """Of the writer's end; 0: there was none yet."""
+        """The epoch of the writer's end; 0: there was none yet."""
         return self._peer_epoch
 
     def done(self, now: int, ticket: int, count: int = 1) -> None:
-        """So many samples are in the reader's buffer, the last of them with this ticket."""
+        """Note that so many samples are in the reader's buffer; the last has this ticket."""
         if count:
             self.ledger.delivered += count
             self._through(now, ticket - self._era)
 
     def failed(self, now: int, ticket: int, why: str) -> None:
-        """A sample is not in the reader's buffer: "rejected", or another reason."""
+        """Note that a sample is not in the reader's buffer: "rejected", or another reason."""
         self.ledger.dropped += 1
         if (number := ticket - self._era) > 0:
             self._fates[number] = why
@@ -314,7 +314,7 @@ class ReaderEnd:
 
     def _through(self, now: int, number: int) -> None:
         if number <= 0:
-            return  # of an end that is no more
+            return  # a sample of an earlier writer's end
         self._done = number
         if number >= self._ack_at or self._unacknowledged >= self._most_unacknowledged:
             self._ack_ns = now
@@ -328,10 +328,10 @@ class ReaderEnd:
             self._lost, self._tells_lost = losses, True
 
     def on_room(self, now: int) -> None:
-        """The channel takes frames again: `poll` goes on."""
+        """Do nothing: the channel takes frames again, and `poll` goes on."""
 
     def poll(self, now: int, send: Send) -> int | None:
-        """Send what is due; returns when it is to be called at the latest, None: when something happens."""
+        """Send the frames that are due; returns the latest time of the next call, None: when something happens."""
         if not self._up or self._ended:
             return None
         if self._hello:
@@ -352,7 +352,7 @@ class ReaderEnd:
         return None
 
     def end(self, now: int, send: Send) -> None:
-        """This end was disconnected: say so."""
+        """Disconnect this end, and tell the other one."""
         if not self._ended and self._up:
             if self._ack_ns is not None:
                 self._ack_ns = now

@@ -6,14 +6,14 @@ from enum import StrEnum
 
 
 class LinkState(StrEnum):
-    """How far a link is."""
+    """The state of a link."""
 
     CONNECTING = "connecting"
-    """It has had no channel yet, or the other end has not answered on it."""
+    """The link has had no channel yet, or the other end has not answered on it."""
     UP = "up"
     """Samples travel."""
     STALLED = "stalled"
-    """There is a channel, and nothing was acknowledged for 2 s though something is on its way."""
+    """There is a channel, and nothing was acknowledged for 2 s though samples are on their way."""
     DOWN = "down"
     """The channel is gone; the link waits for another."""
     ENDED = "ended"

@@ -1,6 +1,6 @@
-"""Which version of the protocol two kernels speak with each other: the highest that both do.
+"""The version of the protocol that two kernels speak with each other: the highest that both speak.
 
-A later version may add fields at the end of what kernels say to each other: who does not know them reads the others.
+A later version may add fields at the end of messages: a kernel that does not know them reads the others.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ def agreed(peer: str, theirs: tuple[int, int]) -> int:
     """The version to speak with a kernel that speaks these.
 
     Raises:
-        WiringError: there is none.
+        WiringError: there is no such version.
     """
     highest = min(theirs[1], SPOKEN[1])
     if highest < max(theirs[0], SPOKEN[0]):

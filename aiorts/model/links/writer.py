@@ -13,37 +13,37 @@ from aiorts.model.links.frames import BATCH, BATCH_BYTES, DATA, BadFrame, Buffer
 from aiorts.model.links.state import LinkState
 
 _HEAD, _PARTS, _CONFIRM = map(itemgetter, range(3))
-"""The items of a sample that is kept."""
+"""Getters of the items of a kept sample."""
 _MS: Final = 1_000_000
 FIRST_NS: Final = 200 * _MS
-"""After this time without an answer a frame is sent again, as long as no round trip was measured."""
+"""The time without an answer after which a frame is sent again, as long as no round trip was measured."""
 LEAST_NS: Final = 100 * _MS
-"""The same at the least: the reader's end may keep an acknowledgement back for 50 ms."""
+"""The shortest such time: the reader's end may keep an acknowledgement back for 50 ms."""
 LONGEST_NS: Final = 2_000 * _MS
-"""Each time it doubles, up to this."""
+"""The longest such time: it doubles each time, up to this."""
 STALLED_NS: Final = 2_000 * _MS
 UNANSWERED_NS: Final = 10_000 * _MS
-"""A channel on which no hello was answered for so long leads nowhere."""
+"""The time after which a channel without an answer to hello counts as leading nowhere."""
 _KEPT_BACK_NS: Final = 50 * _MS
 _KEEPS_UP_NS: Final = 100 * _MS
-"""A reader in whose buffer a sample is within this time, and two round trips, keeps up."""
+"""The time, plus two round trips, within which a sample is in the buffer of a reader that keeps up."""
 
 
 @dataclass(slots=True)
 class WriterLedger:
-    """What the writer's end took, and what became of it: offered = acknowledged + dropped + in_flight."""
+    """The counts of samples at the writer's end: offered = acknowledged + dropped + in_flight."""
 
     offered: int = 0
     acknowledged: int = 0
     dropped: int = 0
-    """What the reader's end did not put into the buffer, with those of unknown fate and those withdrawn."""
+    """Samples that the reader's end did not put into the buffer, that were withdrawn, or of unknown fate."""
     sent_again: int = 0
-    """Samples that the channel took once more."""
+    """Samples that the channel took again."""
     bad_frames: int = 0
 
     @property
     def in_flight(self) -> int:
-        """Neither acknowledged nor dropped yet."""
+        """Samples neither acknowledged nor dropped yet."""
         return self.offered - self.acknowledged - self.dropped
 
 
@@ -51,8 +51,8 @@ class WriterEnd:
     """The writer's end of one link. See `aiorts.model.links`.
 
     Args:
-        number: that frames carry; the reader's end chooses it for each channel (`renumber`).
-        epoch: of this end.
+        number: the number that frames carry; the reader's end chooses it for each channel (`renumber`).
+        epoch: the epoch of this end.
         window: samples that may be unacknowledged, 1 to 65,535.
         window_bytes: the same in bytes; one larger sample goes alone.
         least: the window at the beginning, and while the reader does not keep up, so that the writer's buffer decides
@@ -68,57 +68,60 @@ class WriterEnd:
         self.peer_ended = False
         """Whether the reader's end was disconnected."""
         self.lost: Mapping[str, int] = {}
-        """Acknowledged samples that the reader's end has lost, by reason, as it has said last."""
+        """Acknowledged samples that the reader's end has lost, by reason, as it has reported last."""
         self._window, self._window_bytes = window, window_bytes
         self._least = self._open = window if least is None else min(least, window)
         """The smallest window, and the present one."""
         self._narrows = self._least < window
         self._judged, self._late_ns = 0, 0
-        """The number of the sample whose time into the reader's buffer is taken, 0: none; and when that is late."""
+        """The number of the sample whose time into the reader's buffer is taken (0: none), and when that is late."""
         self._fills = self._slow = False
         """Whether that sample has filled the window; whether the reader does not keep up."""
         self._peer_epoch = 0
         self._kept: dict[int, tuple[bytes, Sequence[memoryview], bool]] = {}
-        """What is not acknowledged, by number, without a gap."""
+        """The unacknowledged samples, by number, without a gap."""
         self.query = 0
-        """Whether the reader's end asks for a sample: 1 now, 2 for the next one; of links that pull."""
+        """The query of the reader's end, on links that pull: 1 for a sample now, 2 or else for the next; 0: none."""
         self._is_query_new = False
         self.date: int | None = None
-        """When the sample was written that is offered next, where samples expire: frames say how old each is."""
+        """The time at which the sample that is offered next was written, where samples expire: frames carry ages."""
         self._dates: dict[int, int] = {}
-        """Of what is kept, by number."""
+        """The dates of the kept samples, by number."""
         self._bytes = 0
         self._oldest = 1
-        """The number of the first that is kept, or of the next one."""
+        """The number of the first kept sample, or else of the next one."""
         self._next = 1
         self._sent = 0
-        """Sent on this channel up to this number."""
+        """The number up to which samples were sent on this channel."""
         self._highest = 0
-        """Ever sent up to this number."""
+        """The number up to which samples were ever sent."""
         self._received = 0
-        """The reader's end has received up to this number."""
+        """The number up to which the reader's end has received."""
         self._fates: list[tuple[int, int, str]] = []
         self._up = self._was_up = self._greeted = self._ended = False
         self._hello_ns = 0
-        """When hello is to be said (again)."""
+        """The time at which hello is sent (again)."""
         self._pause_ns = FIRST_NS
         self._again_ns = 0
-        """When what was not received is sent again."""
+        """The time at which samples that were not received are sent again."""
         self._heard_ns = 0
         self._trip_ns = 0
         """The round trip, smoothed; 0: not measured."""
         self._timed: tuple[int, int] = (0, 0)
-        """A number whose round trip is being measured, and when it was sent."""
+        """The number whose round trip is being measured, and the time at which it was sent."""
 
     # -- the channel -----------------------------------------------------------------------------------------------
 
     def renumber(self, number: int) -> None:
-        """Frames carry this number from now on."""
+        """Set the number that frames carry from now on."""
         self.number = number
 
     def channel_up(self, now: int, peer_epoch: int) -> bool:
-        """There is a channel. The same reader's end as before goes on where it was; what another one was sent before
-        is of unknown fate, and numbers begin anew. Returns whether there was another one before."""
+        """Use a new channel; returns whether it leads to another reader's end than before.
+
+        The former end goes on where it was. With another one, samples sent before are of unknown fate, and numbers
+        begin again.
+        """
         is_another = bool(self._peer_epoch) and peer_epoch != self._peer_epoch
         if is_another:
             self._begin_anew()
@@ -128,7 +131,7 @@ class WriterEnd:
         return is_another
 
     def channel_down(self, now: int) -> None:
-        """The channel is gone; all is kept."""
+        """Note that the channel is gone; all samples are kept."""
         self._up = self._greeted = False
 
     def _begin_anew(self) -> None:
@@ -141,7 +144,7 @@ class WriterEnd:
         self._open, self._slow = self._least, False
 
     def state(self, now: int) -> LinkState:
-        """How far the link is."""
+        """The state of the link."""
         if self._ended or self.peer_ended:
             return LinkState.ENDED
         if not self._up:
@@ -152,14 +155,14 @@ class WriterEnd:
         return LinkState.STALLED if waits else LinkState.UP
 
     def is_unanswered(self, now: int) -> bool:
-        """Whether no answer comes on this channel: another one may lead to the reader's end."""
+        """Whether no answer comes on this channel: another channel may lead to the reader's end."""
         return self._up and not self._greeted and now - self._heard_ns >= UNANSWERED_NS
 
     # -- samples ---------------------------------------------------------------------------------------------------
 
     @property
     def room(self) -> int:
-        """Samples that `offer` takes now, as far as their bytes allow."""
+        """The number of samples that `offer` takes now, as far as their bytes allow."""
         kept = len(self._kept)
         if not self._up or (kept and self._bytes >= self._window_bytes):
             return 0
@@ -167,7 +170,7 @@ class WriterEnd:
 
     @property
     def room_for_all(self) -> int:
-        """Samples that `offer_all` takes now; 0 where each may change how many more there is room for."""
+        """The number of samples that `offer_all` takes now; 0 where each sample may change the room for the next."""
         return 0 if self._narrows or self.date is not None else self.room
 
     @property
@@ -182,11 +185,11 @@ class WriterEnd:
 
     @property
     def peer_epoch(self) -> int:
-        """Of the reader's end; 0: there was none yet."""
+        """The epoch of the reader's end; 0: there was none yet."""
         return self._peer_epoch
 
     def offer(self, now: int, head: bytes, parts: Sequence[memoryview] = (), *, confirm: bool = False) -> int:
-        """Take one sample; returns its number. There is room. `confirm`: have it acknowledged at once."""
+        """Take one sample, for which there is room; returns its number. `confirm` asks for acknowledgement at once."""
         number = self._next
         self._next += 1
         if self._narrows:
@@ -201,7 +204,7 @@ class WriterEnd:
         return number
 
     def offer_all(self, heads: Sequence[bytes], *, confirm: bool) -> None:
-        """`offer` of several samples without parts. `room_for_all` is not less than their number."""
+        """Take several samples without parts, at most `room_for_all`."""
         number, count = self._next, len(heads)
         self._next = number + count
         self._kept.update(enumerate(zip(heads, repeat(()), repeat(confirm)), number))
@@ -213,7 +216,7 @@ class WriterEnd:
         """Whether `send_alone` takes a sample: there is room, and all that was offered before was sent."""
         kept = self._kept
         return (
-            self._greeted  # which it is not while the channel is down
+            self._greeted  # False while the channel is down
             and self._highest == self._sent == self._next - 1
             and not self._narrows
             and len(kept) < self._window
@@ -221,9 +224,9 @@ class WriterEnd:
         )
 
     def send_alone(self, now: int, head: bytes, confirm: bool, send: Send) -> int:
-        """`offer` and `poll`, for a sample without parts that does not expire; when `poll` is to be called.
+        """Do `offer` and `poll` for a sample without parts that does not expire; returns when to call `poll`.
 
-        What is to be sent again is left to that.
+        Only `poll` sends samples again.
         """
         number = self._next
         self._next = number + 1
@@ -241,7 +244,7 @@ class WriterEnd:
         return self._again_ns
 
     def answer_none(self, send: Send) -> None:
-        """There is no sample to answer the query with; one for the next sample stays."""
+        """Answer a new query: there is no sample. A query for the next sample stays."""
         if self._is_query_new:
             self._is_query_new = False
             send(frames.none(self.number, self._next, wait=self.query > 1), ())
@@ -249,15 +252,15 @@ class WriterEnd:
             self.query = 0
 
     def fates(self) -> list[tuple[int, int, str]]:
-        """What became of samples since the last call: first and last number, and "acknowledged", "unknown_fate" or
-        why it is not in the reader's buffer ("rejected" and others)."""
+        """The fates of samples since the last call: first and last number, and "acknowledged", "unknown_fate" or why
+        they are not in the reader's buffer ("rejected" and others)."""
         found, self._fates = self._fates, []
         return found
 
     # -- frames ----------------------------------------------------------------------------------------------------
 
     def receive(self, now: int, head: Buffer) -> None:
-        """Take a frame of the reader's end; what is none is counted."""
+        """Take a frame of the reader's end; a bad frame is counted."""
         try:
             kind, flags, count, one, received = frames.head_of(head, self.number)
             if kind == frames.ACK:
@@ -310,7 +313,7 @@ class WriterEnd:
             fate = fates[number]
             self._settle(number, number, fate if fate in frames.FATES else frames.REFUSED)
         self._settle(self._oldest, done, "acknowledged")
-        if self._slow:  # one for two that were read: its writer does not stop until the window is narrow
+        if self._slow:  # narrower by one for two samples read: the writer goes on meanwhile
             self._open = max(self._least, self._open - done // 2 + (first - 1) // 2)
         if 0 < self._judged <= done:
             self._judged, self._slow = 0, now > self._late_ns
@@ -318,7 +321,7 @@ class WriterEnd:
                 self._open = min(2 * self._open, self._window)
 
     def _judge(self, now: int, number: int, fills: bool) -> bool:
-        """Look whether the reader keeps up. Returns whether this sample is to be acknowledged at once: it `fills` a
+        """Judge whether the reader keeps up. Returns whether this sample is to be acknowledged at once: it `fills` a
         window that is not whole."""
         if not self._judged or (fills and not self._fills):
             self._judged, self._fills = number, fills
@@ -354,10 +357,10 @@ class WriterEnd:
         return min(max(3 * self._trip_ns + _KEPT_BACK_NS, LEAST_NS), LONGEST_NS) if self._trip_ns else FIRST_NS
 
     def on_room(self, now: int) -> None:
-        """The channel takes frames again: `poll` goes on."""
+        """Do nothing: the channel takes frames again, and `poll` goes on."""
 
     def poll(self, now: int, send: Send) -> int | None:
-        """Send what is due; returns when it is to be called at the latest, None: when something happens."""
+        """Send the frames that are due; returns the latest time of the next call, None: when something happens."""
         if not self._up or self._ended:
             return None
         if not self._greeted:
@@ -373,7 +376,7 @@ class WriterEnd:
             if self._sent > self._received:
                 self._sent = max(self._received, self._oldest - 1)
             else:
-                # All has come, and the reader has no room, or its acknowledgement was lost: hello asks for another.
+                # All samples came, and the reader has no room, or its acknowledgement was lost: hello asks for one.
                 send(frames.hello(self.number, self.epoch, 0), ())
         if self._sent + 1 < self._next:
             self._send(now, send)
@@ -390,7 +393,7 @@ class WriterEnd:
             head, parts, confirm = kept[first]
             heads, size, number = [head], len(head), first
             if first < last and last - first < BATCH and self._bytes <= BATCH_BYTES:
-                # All that is kept has room in one frame: nothing is to be asked of each.
+                # All kept samples fit into one frame: no size is to be added up.
                 rest = [kept[number] for number in range(first, last + 1)]
                 if not any(map(_PARTS, rest)):
                     heads, confirm, number = list(map(_HEAD, rest)), any(map(_CONFIRM, rest)), last
@@ -419,8 +422,8 @@ class WriterEnd:
         return [max(0, now - dates.get(number, now)) for number in range(first, last + 1)]
 
     def end(self, now: int, send: Send) -> None:
-        """This end was disconnected: say so. What was sent and is not acknowledged is of unknown fate, the rest is
-        dropped as disconnected."""
+        """Disconnect this end, and tell the other one. Samples sent and not acknowledged are of unknown fate, the rest
+        is dropped as disconnected."""
         if self._ended:
             return
         self._ended = True

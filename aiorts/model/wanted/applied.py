@@ -1,4 +1,4 @@
-"""What has become of a plan."""
+"""The outcome of a plan."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from aiorts.model.wanted.plan import Plan
 
 @dataclass(frozen=True, slots=True)
 class Applied:
-    """What has become of a plan that was carried out, or would have been.
+    """The outcome of a plan that was carried out, or would have been.
 
     Attributes:
         plan: the steps, in order.
         done: whether the system is the wanted one now; False for a dry run, and when it was rolled back.
-        rolled_back: the figure that the system was rolled back for, and of which edge, component or context; "" when it
-            was kept.
-        notes: what could not be as the plan, or its reverse, says.
+        rolled_back: the figure that the system was rolled back for, and its edge, component or context; "" when the
+            change was kept.
+        notes: deviations from the plan, or from its reverse.
     """
 
     plan: Plan
@@ -26,7 +26,7 @@ class Applied:
     notes: tuple[str, ...] = ()
 
     def to_plain(self) -> dict[str, Any]:
-        """The same as JSON has it."""
+        """The outcome as JSON has it."""
         return {
             **self.plan.to_plain(),
             "done": self.done,

@@ -1,4 +1,4 @@
-"""A wanted system as text that another process reads: what is so by default is left out."""
+"""A wanted system as text that another process reads: defaults are left out."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from aiorts.model.wanted.entries import (
 )
 
 _PATH: Final = "$path"
-"""The only key of an object that is a path, and no text."""
+"""The only key of an object that stands for a path, not a text."""
 _LIMITS: Final = PlainLimits(values=1_000_000)
 
 
@@ -54,10 +54,10 @@ def carried(wanted: Wanted) -> str:
 
 
 def received(text: str) -> Wanted:
-    """The system that `carried` has made into this text.
+    """The system of a text that `carried` has made.
 
     Raises:
-        RecordError, LimitError, ConfigurationError: it is no such text, or a value in it is wrong.
+        RecordError, LimitError, ConfigurationError: the text is no such one, or a value in it is wrong.
     """
     try:
         data = json.loads(text)
@@ -102,7 +102,7 @@ def _sent(value: Any) -> Any:
 
 
 def _chosen(value: Any) -> Iterator[tuple[str, Any]]:
-    """The fields that are not as by default."""
+    """The fields whose values are not the default."""
     for one in fields(value):
         usual = one.default_factory() if one.default_factory is not MISSING else one.default
         found = getattr(value, one.name)

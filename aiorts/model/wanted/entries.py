@@ -1,4 +1,4 @@
-"""What a system is to be, as frozen values; nothing here reads, checks or runs anything."""
+"""The parts of a wanted system as frozen values; nothing here reads, checks or runs anything."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class ComponentEntry:
     """`FILE.py:Class` below the system file's folder, `package.module:Class`, or the name of an installed type."""
     params: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     options: tuple[str, ...] = ()
-    """Parameters as its command line has them: "-i", "TimedDouble"."""
+    """Parameters as the component's command line has them: "-i", "TimedDouble"."""
     sets: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
-    """Configuration sets: what each holds, by name."""
+    """Configuration sets: the values of each, by name."""
     active: str = ""
     """The active set; "" is the default one."""
     supervision: Supervision | None = option(
@@ -64,7 +64,7 @@ CHANGED_BY_RULE: Final = tuple(key for key, one in options_of(ComponentEntry).it
 
 
 def said_keys(entry: ComponentEntry | CompositeEntry | Supervision | StartRule) -> dict[str, Any]:
-    """The declared keys of an entry, or of a table in one, that are not as by default."""
+    """The declared keys of an entry, or of a table in one, whose values are not the default."""
     cls: type = type(entry)
     keys = options_of(cls).items()
     return {key: value for key, one in keys if (value := getattr(entry, key)) != one.default}
@@ -97,7 +97,7 @@ class CompositeEntry:
 
 
 def with_option(entry: CompositeEntry, key: str, value: Any) -> CompositeEntry:
-    """The composite with an option as plain data has it. ConfigurationError: there is no such one, or no such value."""
+    """The composite with an option given as plain data. ConfigurationError: there is no such option or value."""
     known = options_of(CompositeEntry)
     if key not in known:
         raise ConfigurationError(f"{key:.60}: no option of a composite; {suggestion(key, known)}")
@@ -126,7 +126,7 @@ _PLAIN: Final[Mapping[str, tuple[Callable[[Any], bool], str]]] = MappingProxyTyp
         ),
     }
 )
-"""What plain data has for options that are neither numbers nor words: how that is told, and in words."""
+"""The test of a plain value, and its form in words, of the options that are neither numbers nor words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,11 +137,11 @@ class ConnectionEntry:
     """Paths such as "pid0.command": the one under `from`, then those under `to`."""
     options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     number: int = 1
-    """Its place in the file, counted from 1; for messages."""
+    """The connection's place in the file, counted from 1; for messages."""
 
     @property
     def place(self) -> str:
-        """How messages call it."""
+        """The name of the connection in messages."""
         return f"connections[{self.number}] ({self.ports[0]} to {', '.join(self.ports[1:])})"
 
 
@@ -158,12 +158,12 @@ class ContextEntry:
         "with a rate has had its first cycle by then, at t0: a member's first on_execute is at t0 + 1/rate.",
     )
     options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
-    """What the context's class takes: rate, overrun, deadline, ..."""
+    """The options that the context's class takes: rate, overrun, deadline, ..."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockEntry:
-    """`[clock]`: how time passes, unless the command line says otherwise."""
+    """`[clock]`: the passing of time, unless the command line sets another one."""
 
     kind: Literal["system", "scaled", "simulated"] = option(
         "system", "system, scaled (`speed` times as fast) or simulated."
@@ -173,12 +173,12 @@ class ClockEntry:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A whole system as it is to be.
+    """A whole wanted system.
 
-    Of a system file it is what stands there; of a kernel, what would have to stand there. Then all is in one form: a
-    type is the name that an installed package offers it by, "package.module:Class", or "FILE.py:Class" with the whole
-    path of the file; parameters and options that are as declared are left out; a path is a whole `Path`; a connection
-    has two ports, of components and not of composites.
+    For a system file it has the file's contents; for a kernel, those of a file that would make it. The latter has one
+    form: a type is the name by which an installed package offers it, "package.module:Class", or "FILE.py:Class" with
+    the whole path of the file; parameters and options that are as declared are left out; a path is a whole `Path`; a
+    connection has two ports, of components and not of composites.
     """
 
     components: Mapping[str, ComponentEntry] = field(default_factory=lambda: _NOTHING)
@@ -187,6 +187,6 @@ class Wanted:
     clock: ClockEntry = ClockEntry()
     composites: Mapping[str, CompositeEntry] = field(default_factory=lambda: _NOTHING)
     services: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
-    """The tables that services bring."""
+    """The tables of services, by name."""
     plugin_paths: tuple[Path, ...] = ()
-    """Folders with plugins, and those that a system file's relative FILE.py is looked for in."""
+    """Folders with plugins, and folders in which a system file's relative FILE.py is looked for."""

@@ -1,8 +1,8 @@
 """The difference between two systems, as the steps that make one of the other; pure.
 
-What is new is made and connected first, then all that changes is switched over, then what is not wanted any more goes.
-So no sample is lost for want of a reader, and the reverse steps in reverse order are right, too. What is equal is
-touched by no step. The order of components, connections and contexts means nothing; that of members does.
+New parts are made and connected first, then all changes are switched over, then parts that are not wanted go. So no
+sample is lost for want of a reader, and the reverse steps in reverse order are right, too. No step touches equal
+parts. The order of components, connections and contexts means nothing; the order of members does.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ E = TypeVar("E", ContextEntry, CompositeEntry)
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is to be done, in order."""
+    """The steps that make one system of another, in order."""
 
     steps: tuple[Step, ...] = ()
     refused: tuple[str, ...] = ()
-    """What differs and cannot be changed while a system runs."""
+    """Differences that cannot be changed while a system runs."""
 
     @property
     def empty(self) -> bool:
@@ -78,11 +78,11 @@ class Plan:
 def plan(
     now: Wanted, wanted: Wanted, *, limited: Collection[str] = frozenset(), exclusive: Collection[str] = frozenset()
 ) -> Plan:
-    """The steps that make the wanted system of the one that there is; both in the one form (see `Wanted`).
+    """The steps that make the wanted system of the present one; both in the one form (see `Wanted`).
 
     Args:
-        limited: paths of ports that take a limited number of connectors: one goes there before another comes.
-        exclusive: names of components that hold what their replacement needs: they go before anything is made.
+        limited: paths of ports that take a limited number of connectors: there one goes before another comes.
+        exclusive: names of components that hold a device that their replacement needs: they go before anything is made.
     """
     return finished(planning(now, wanted, limited, exclusive))
 
@@ -90,7 +90,7 @@ def plan(
 def planning(
     now: Wanted, wanted: Wanted, limited: Collection[str], exclusive: Collection[str]
 ) -> Generator[None, None, Plan]:
-    """The same, a little at a time."""
+    """Do `plan` stepwise: a generator that pauses between parts of the work."""
     first = {
         name
         for name in exclusive
@@ -118,7 +118,7 @@ def planning(
 
 
 def _kept(now: Wanted, wanted: Wanted, moved: Set[str]) -> Iterator[str]:
-    """Why components cannot be moved to another process."""
+    """The reasons why components cannot be moved to another process."""
     for name in sorted(moved):
         if now.components[name].type != wanted.components[name].type:
             yield f"{name}: its type and its isolation change; apply one after the other"
@@ -131,7 +131,7 @@ def _kept(now: Wanted, wanted: Wanted, moved: Set[str]) -> Iterator[str]:
 def _isolating(now: Wanted, wanted: Wanted, moved: Set[str]) -> Iterator[Wanted]:
     """The system with these components in no context, and then with each in the process in which it is wanted.
 
-    A context runs where its members are, so one whose members are in another process than before is in neither.
+    A context runs where its members are, so neither system has a context whose members change their process.
     """
     contexts = {
         name: _less(one, moved)
@@ -161,7 +161,7 @@ def _code(one: ComponentEntry) -> tuple[str, str]:
 
 
 def without(system: Wanted, names: Collection[str]) -> Wanted:
-    """The system without these components, and without what hangs on them."""
+    """The system without these components, their connections and their memberships."""
     return replace(
         system,
         components=MappingProxyType({name: one for name, one in system.components.items() if name not in names}),
@@ -200,7 +200,7 @@ class _Planner:
         """Components that may have other ports afterwards."""
 
     def plan(self) -> Generator[None, None, Plan]:
-        """The steps."""
+        """Compare the systems, stepwise; returns the steps."""
         self._before = connections_by_name(self._now)
         yield
         self._after = connections_by_name(self._wanted)
@@ -271,7 +271,7 @@ class _Planner:
                     yield f"{name}: becomes a {what} of the same name; give it another one"
 
     def _adds_rules(self) -> bool:
-        """Whether all rules that there are stay, and others come behind them."""
+        """Whether all present rules stay, in front of any new ones."""
         before, after = rules_of(self._now), rules_of(self._wanted)
         return after[: len(before)] == before
 
@@ -319,7 +319,7 @@ class _Planner:
         return connecting, changing, [Disconnect(name, one) for name, one in left.items()]
 
     def _is_linked(self, connection: ConnectionEntry) -> bool:
-        """Whether an end of it is in another kernel or process."""
+        """Whether an end of the connection is in another kernel or process."""
         there = self._wanted.components
         apart = any(name in there and bool(there[name].isolation) for name in _components_of(connection))
         return apart or any(map(names_kernel, connection.ports))
@@ -368,22 +368,22 @@ def rules_of(system: Wanted) -> tuple[Mapping[str, Any], ...]:
 
 
 def _shape(one: ComponentEntry) -> tuple[Any, ...]:
-    """What the ports of a component may follow from."""
+    """The entries of a component that its ports may depend on."""
     return one.type, one.params, one.sets, one.active
 
 
 def _components_of(connection: ConnectionEntry) -> list[str]:
-    """The components at its ends."""
+    """The components at the ends of a connection."""
     return [path.partition(".")[0] for path in connection.ports]
 
 
 def _in_place(before: ConnectionEntry, after: ConnectionEntry) -> bool:
-    """Whether a connector can be changed so: one without a buffer is of another kind."""
+    """Whether a connector can be changed in place: one without a buffer is of another kind."""
     return (before.options.get("length") == 0) is (after.options.get("length") == 0)
 
 
 def _is_rate_alone(before: ContextEntry, after: ContextEntry) -> bool:
-    """Whether the rate alone is another; one without a rate is another kind of context."""
+    """Whether only the rate differs; a context without a rate is of another kind."""
     rates = before.options.get("rate"), after.options.get("rate")
     others = [{**one.options, "rate": None} for one in (before, after)]
     return before.kind == after.kind and None not in rates and others[0] == others[1]

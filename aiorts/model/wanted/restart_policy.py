@@ -1,4 +1,4 @@
-"""Decides what to do about a component that fails, and how often. Pure.
+"""Decides when a failed component is recovered, and how often. Pure.
 
 A component in error is recovered after a delay. The delay doubles with each failure, and is back at `backoff` once the
 component has run for a whole `window` after a recovery. After `budget` recoveries within `window` seconds it stays in
@@ -20,20 +20,20 @@ from aiorts.model.lifecycle import CYCLE_HOOKS
 _MOST: Final = 1_000_000
 _FACTOR: Final = 2.0
 _AGES: Final = 1e9
-"""Seconds; what is longer never comes, and more than that is no whole number of nanoseconds."""
+"""The longest time in seconds: a longer one never comes, and its nanoseconds could exceed a float."""
 ACTING: Final = ("restart", "deadline", "deadlines")
-"""The options of which one is given at least: without them nothing is done."""
+"""The options of which at least one is given: without them nothing is done."""
 
 
 @dataclass(frozen=True, slots=True)
 class Supervision:
     """The options of `Kernel.supervise`; the keys of a system file's table have the same names.
 
-    A deadline of its own comes before that of the context. In a thread nothing can be cancelled: a hook over its
+    A deadline of the component comes before that of the context. In a thread nothing can be cancelled: a hook over its
     deadline is reported while it runs, and is an error when it returns.
 
     Raises:
-        ConfigurationError: a value is out of range; it is named.
+        ConfigurationError: a value is out of range; names it.
     """
 
     restart: Literal["never", "reset", "restart"] = option(
@@ -79,9 +79,9 @@ class Attempts:
         """Times of the recoveries, within the window."""
         self._level = 0
         self.total = 0
-        """Number of recoveries since the beginning."""
+        """The number of recoveries since the beginning."""
         self.exhausted = False
-        """Whether it was given up."""
+        """Whether the component was given up."""
 
     def failed(self, now_ns: int) -> float | None:
         """Record a failure at `now_ns`; returns seconds until the recovery, or None when there is none (any more)."""
@@ -96,7 +96,7 @@ class Attempts:
         if len(given) >= policy.budget:
             self.exhausted = True
             return None
-        # Not `2 ** level`: after a day of failures that would be no float any more.
+        # Not `2 ** level`: after a day of failures the number would exceed a float.
         delay = policy.backoff
         for _ in range(self._level):
             if delay >= policy.backoff_max:

@@ -23,7 +23,7 @@ _STATES: Final = (ADDED, *(state.value for state in LifecycleState))
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """A component has a state in every context it is in; "added": it exists."""
+    """A condition: a component has a state in every context it is in; "added": it exists."""
 
     component: str
     state: str
@@ -33,8 +33,8 @@ class Condition:
         """Read "camera active"; "camera" alone means active.
 
         Raises:
-            ConfigurationError: not such a text.
-            InvalidNameError: not a name.
+            ConfigurationError: the text is no condition.
+            InvalidNameError: the component's name is none.
         """
         words = text.split() if isinstance(text, str) else []
         if len(words) not in (1, 2) or words[1:2] not in ([], *([state] for state in _STATES)):
@@ -49,14 +49,14 @@ class Condition:
 
 @dataclass(frozen=True, slots=True)
 class StartRule:
-    """When a component is activated by `Kernel.start_in_order`.
+    """The rule by which `Kernel.start_in_order` activates a component.
 
     Attributes:
-        component: its name.
+        component: the component's name.
 
     Raises:
-        ConfigurationError: a value is wrong; it is named.
-        InvalidNameError: not a name.
+        ConfigurationError: a value is wrong; names it.
+        InvalidNameError: `component` is no name.
     """
 
     component: str
@@ -90,7 +90,7 @@ def in_order(rules: Sequence[StartRule]) -> tuple[StartRule, ...]:
     """The rules in an order where each comes after those it waits for, and otherwise as they were given.
 
     Raises:
-        ConfigurationError: no rules, two for one component, or rules that wait for each other; names them.
+        ConfigurationError: these are no rules, two are for one component, or some wait for each other; names them.
     """
     by_name: dict[str, StartRule] = {}
     if not isinstance(rules, Sequence) or not all(isinstance(rule, StartRule) for rule in rules):
@@ -118,7 +118,7 @@ def in_order(rules: Sequence[StartRule]) -> tuple[StartRule, ...]:
 
 
 def _cycle(waits: Mapping[str, set[str]]) -> list[str]:
-    """One cycle of components that wait for each other, with its first name once more at the end."""
+    """One cycle of components that wait for each other, with its first name repeated at the end."""
     name = next(iter(waits))
     way: list[str] = []
     while name not in way:

@@ -1,6 +1,6 @@
 """The steps by which one system becomes another: frozen values that can be reversed, each one line of text.
 
-A step says what there is before it and what there is after it, so its reverse needs to know nothing else.
+A step has the part of the system before it and after it, so it can be reversed without other knowledge.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Step:
     """One change of a system."""
 
     sign: ClassVar[str] = "~"
-    """+ for what comes, - for what goes, ~ for what is changed."""
+    """+ for a part that comes, - for one that goes, ~ for one that is changed."""
 
     def reverse(self) -> Step:
         """The step that takes this one back."""
@@ -150,7 +150,7 @@ class StopContext(Step):
 
 @dataclass(frozen=True, slots=True)
 class _Change(Step):
-    """Something there is becomes something else, and back."""
+    """A step that changes a part of the system from `before` to `after`."""
 
     def reverse(self) -> Self:
         given = {one.name: getattr(self, one.name) for one in fields(self)}
@@ -159,7 +159,7 @@ class _Change(Step):
 
 @dataclass(frozen=True, slots=True)
 class _ComponentChange(_Change):
-    """A component becomes another one of its name, and back."""
+    """A step that changes a component from one entry to another of the same name."""
 
     before: ComponentEntry
     after: ComponentEntry
@@ -189,7 +189,7 @@ class Isolate(_ComponentChange):
     """Put a component that is in no context into a process of its own, or back into that of its kernel."""
 
     connectors: tuple[str, ...] = ()
-    """The names of its connectors, which are made anew."""
+    """The names of its connectors, which are made again."""
 
     @property
     def text(self) -> str:
@@ -202,7 +202,7 @@ class Isolate(_ComponentChange):
 
 @dataclass(frozen=True, slots=True)
 class Supervise(_ComponentChange):
-    """Change what is done when a component fails, is started, is replaced, or loses its operator."""
+    """Change the rules for a component's failure, start, replacement, or loss of its operator."""
 
     @property
     def text(self) -> str:
@@ -211,7 +211,7 @@ class Supervise(_ComponentChange):
 
 @dataclass(frozen=True, slots=True)
 class AddRules(_Change):
-    """Add rules of `[[rules]]` behind those that there are."""
+    """Add rules of `[[rules]]` after the present ones."""
 
     before: tuple[Mapping[str, Any], ...]
     after: tuple[Mapping[str, Any], ...]
@@ -225,13 +225,13 @@ class AddRules(_Change):
 
 @dataclass(frozen=True, slots=True)
 class _ConnectorChange(_Change):
-    """A connector gets other options, and back."""
+    """A step that changes the options of a connector."""
 
     name: str
     before: ConnectionEntry
     after: ConnectionEntry
     usual: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
-    """The defaults of a connector to another kernel or process, where it is one."""
+    """The defaults of connectors to another kernel or process, if this is one; else nothing."""
 
     @property
     def _options(self) -> str:
@@ -251,12 +251,12 @@ class Change(_ConnectorChange):
 class Renew(_ConnectorChange):
     """Replace a connector by one with other options; waiting writes and unread samples go over, in order.
 
-    Where only the newest counts afterwards, what is older is superseded.
+    Where only the newest sample counts afterwards, older ones are superseded.
     """
 
     @property
     def text(self) -> str:
-        # Both kernels agree anew on a link, whose connector is another one.
+        # Both kernels negotiate a new link, and its connector is a new one.
         anew = "; counts begin at 0" if self.usual else ""
         return f"renew {_ends(self.after)}: {self._options}{anew}"
 
@@ -302,17 +302,17 @@ class Activate(_Change):
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """Who runs where, as far as a step is about it."""
+    """The members of contexts and composites, as far as a step is about them."""
 
     contexts: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
     """The members of contexts."""
     composites: Mapping[str, CompositeEntry | None] = field(default_factory=lambda: _NOTHING)
-    """Composites; None for one that there is not."""
+    """The composites by name; None for one that does not exist."""
 
 
 @dataclass(frozen=True, slots=True)
 class Move(_Change):
-    """Change who runs where, and in which order: all contexts and composites concerned between the same two cycles."""
+    """Change the members of contexts and composites, and their order: in all of them between the same two cycles."""
 
     before: Places
     after: Places

@@ -1,4 +1,4 @@
-"""Work that is written as a generator, so that who does it may pause between its steps."""
+"""Work that is written as a generator, so that its driver may pause between its steps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 def finished(steps: Generator[None, None, T]) -> T:
-    """What the work returns, done in one go."""
+    """Do all of the work at once; returns its result."""
     while True:
         try:
             next(steps)

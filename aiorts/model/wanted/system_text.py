@@ -1,4 +1,4 @@
-"""A wanted system as the text of a system file, without what is so by default."""
+"""A wanted system as the text of a system file, without defaults."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from aiorts.model.wanted.start_rules import StartRule
 
 _BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
 _LONGEST: Final = 100
-"""Characters of a line, beyond which a list has a line for each of its items."""
+"""The most characters of a line; a longer list has a line for each of its items."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,14 +32,14 @@ class Saved:
 
     text: str
     notes: tuple[str, ...] = ()
-    """What of the system no system file can say, and is not in the text."""
+    """The parts of the system that no system file can express, and that are not in the text."""
 
 
 def system_text(wanted: Wanted, folder: Path, notes: list[str] | None = None) -> str:
-    """The text of a system file in `folder`; paths below it are counted from there.
+    """The text of a system file in `folder`; paths below the folder are relative to it.
 
     Args:
-        notes: gets what is in no folder below, and therefore left out.
+        notes: receives the plugin folders that are not below `folder`, and so are left out.
 
     Raises:
         SystemFileError: names each component whose file is not below the folder.
@@ -86,7 +86,7 @@ class _Writer:
         for path in wanted.plugin_paths:
             if path not in inside:
                 self._notes.append(f"plugins in {path}, which is not below {self._folder}: run it with --plugins")
-        # The folder itself comes first: a relative FILE.py is counted from the first of these that has it.
+        # The folder itself comes first: a relative FILE.py is taken from the first of these folders that has it.
         if places := [path for path in inside if path != self._folder]:
             yield from ("", "[plugins]", self._pair("plugins", "path", (".", *map(self._relative, places))))
 
@@ -127,7 +127,7 @@ class _Writer:
     # -- values ----------------------------------------------------------------------------------------------------
 
     def _type(self, where: str, text: str) -> str:
-        """A text that names a class or function; with the whole path of a file, as the path from the folder."""
+        """A text that names a class or function; the whole path of a file becomes the path from the folder."""
         home, _, name = text.rpartition(":")
         path = Path(home)
         if not (home.endswith(".py") and path.is_absolute()):
@@ -166,7 +166,7 @@ class _Writer:
 
 
 def is_list_of_tables(value: Any) -> bool:
-    """Whether a system file has it as `[[NAME]]`."""
+    """Whether a system file has the value as `[[NAME]]`."""
     return isinstance(value, list | tuple) and bool(value) and all(isinstance(one, Mapping) for one in value)
 
 
@@ -175,7 +175,7 @@ def _key(name: str) -> str:
 
 
 def literal(value: Any) -> Any:
-    """The value as it is to be written: a `${` in a text of a system file would be a variable, `$${` is none."""
+    """The value as it is to be written: in a system file `${` begins a variable, and `$${` is a literal `${`."""
     if isinstance(value, str):
         return value.replace("${", "$${")
     if isinstance(value, tuple | list):
