@@ -1,6 +1,6 @@
 """Makes the system of a system file in a kernel; types, parameters, contexts and options are all checked before.
 
-Only what depends on ports is found out later, because a component may make its ports when it is created.
+Only faults that depend on ports are found later, because a component may make its ports when it is created.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ class Blueprint:
     catalogue: Catalogue
     services: Mapping[str, ServicePlan]
     converters: Mapping[int, str]
-    """By the number of the connection."""
+    """The converters by the number of their connection."""
 
     @property
     def params(self) -> Mapping[str, Mapping[str, Any]]:
-        """Of each component, what the set "default" has other than declared."""
+        """The values of each component's set "default" that differ from the declared ones."""
         return {name: setting.params for name, setting in self.settings.items()}
 
 
@@ -66,11 +66,11 @@ def prepare(
     """Load the types and check all that can be checked before anything is created.
 
     Args:
-        catalogue: where types come from; the default one and the file's plugin folders by default.
-        services: settings by the name of a service; they win over those of its table, and it need not have one.
+        catalogue: the source of types; the default catalogue and the file's plugin folders by default.
+        services: settings by the name of a service; they win over those of its table, which need not be there.
 
     Raises:
-        SystemFileError, PluginError, ConfigurationError, WiringError: says where in the file, and what is wrong.
+        SystemFileError, PluginError, ConfigurationError, WiringError: names the place in the file, and the fault.
     """
     found = survey(system, catalogue, services)
     _check_declared(found)
@@ -92,7 +92,7 @@ def _refused(system: SystemFile, fault: Fault) -> AiortsError:
         return type(fault.error)(f"{where}: {fault.error}").like(fault.error)
     where = f"{system.at(*fault.key, of_key=fault.of_key)}: {fault.where}"
     error = type(fault.error)(f"{where}: {fault.error}").like(fault.error)
-    if error.typed is None and not isinstance(error, PluginError):  # that is wrong in another file
+    if error.typed is None and not isinstance(error, PluginError):  # else the fault is in another file
         system.origins.spot(fault.key, of_key=fault.of_key).mark(error)
     return error
 
@@ -100,14 +100,14 @@ def _refused(system: SystemFile, fault: Fault) -> AiortsError:
 async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     """Attach the services, create the components, connect them, start the contexts and activate their members.
 
-    What the file's plugin folders offer the kernel has from then on, too: for components that are made later by name.
+    The kernel keeps the catalogue of the file's plugin folders, for components that are made later by name.
 
     A component whose `on_activated` raises is in error, as it would be later on; the others go on.
 
     Raises:
-        AiortsError: what `prepare` raises.
+        AiortsError: an error of `prepare`.
         WiringError: a port does not exist, or does not fit the other.
-        BaseException: what `on_initialize` of a component raises, with the component's name as a note.
+        BaseException: an error of a component's `on_initialize`, with the component's name as a note.
     """
     plan = prepare(system) if isinstance(system, SystemFile) else system
     folders = (*kernel.plugins.folders, *plan.catalogue.folders)
@@ -171,7 +171,7 @@ async def _start(kernel: Kernel, plan: Blueprint) -> None:
                 async with patience.activating(name, *(part.name for part in flattened((component,)))):
                     await _activate(started[context.name], component)
     for rule in in_order(rules):
-        # One that fails is in error; whoever waits for it says so, unless it is helped in time.
+        # A component that fails is in error; a rule that waits for it says so, unless it is helped in time.
         with contextlib.suppress(ComponentError):
             await kernel.service(Supervising).start_in_order([rule], patience)
 
@@ -183,7 +183,7 @@ def _options(plan: Blueprint, connection: ConnectionEntry) -> Mapping[str, Any]:
 
 
 async def _create(kernel: Kernel, plan: Blueprint, name: str) -> None:
-    """A component with its sets in force before its first hook, and supervised before it can fail."""
+    """Create a component with its sets in force before its first hook, and supervised before it can fail."""
     cls, setting, entry = plan.types[name], plan.settings[name], plan.system.components[name]
     for service in kernel.services:
         if (other := service.in_place_of(name, cls, partial(setting.make, cls, name))) is not None:
@@ -207,7 +207,7 @@ async def _compose(kernel: Kernel, system: SystemFile, entry: CompositeEntry) ->
 
 
 def _check_members(kernel: Kernel, plan: Blueprint) -> None:
-    """Refuse members that their context cannot run, before any context runs: it is the file that is wrong."""
+    """Refuse members that their context cannot run, before any context runs: the fault is the file's."""
     for entry in plan.system.contexts.values():
         for name in entry.members:
             try:
@@ -220,10 +220,10 @@ def _check_members(kernel: Kernel, plan: Blueprint) -> None:
 
 async def _activate(context: Context, component: Component) -> None:
     if component.states.get(context.name) is LifecycleState.ERROR:
-        return  # on_startup failed, which is logged and on the bus: its own affair, as below
+        return  # on_startup failed, which is logged and on the bus; the others go on, as below
     with contextlib.suppress(ComponentError):
         if isinstance(component, Composite):
-            await component.activate()  # all of it or nothing, as its errors = "..." says
+            await component.activate()  # the whole composite or nothing, according to its errors = "..."
         else:
             await context.activate(component)
 
@@ -244,7 +244,7 @@ def _port(system: SystemFile, kernel: Kernel, connection: ConnectionEntry, numbe
 
 
 def _place_of(system: SystemFile, name: str, error: AiortsError) -> str:
-    """The component that could not be made, and where in the file it is said what it is to be."""
+    """The name of a component that could not be made, with the place of its entry in the file."""
     if not system.text:
         return name
     said = of_draft(system, name, error)
@@ -252,7 +252,7 @@ def _place_of(system: SystemFile, name: str, error: AiortsError) -> str:
 
 
 def _blamed(connection: ConnectionEntry, why: str) -> Key:
-    """Where the end stands that an error speaks of: the first in-port that it names, else the first there is."""
+    """The place of the end that an error is about: the first in-port that it names, else the first in-port."""
     named = (number for number, path in enumerate(connection.ports) if number and f"{path}:" in why)
     return end_key(connection, next(named, 1))
 

@@ -1,9 +1,9 @@
-"""When a system has ended of itself: all its sources are done, and nothing they sent is still on its way.
+"""Finds out when a system has ended of itself: its sources are done, and none of their samples is still on its way.
 
 A source is a component that produces of itself: it has an out-port and none of its in-ports was ever connected. It is
 done when it has finished, or is in error and supervision does not help it, or was removed, or its contexts have stopped
-or were ended by a fault. One that is merely not active is not: it waits for its start, or somebody has switched it off
-and may switch it on again. Who means that for good removes it, stops its context, or asks for the end.
+or were ended by a fault. A source that is merely not active is not done: it waits for its start, or was deactivated and
+may be activated again. To end it for good, remove it, stop its context, or ask for the end.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from aiorts.supervision import ComponentRecovered, RestartLimitReached
 
 _LOOK_AGAIN: Final = 0.005
 _PATIENCE: Final = 1.0
-"""Seconds without any movement after which unread samples are taken for samples that nobody wants."""
+"""Seconds without any movement after which unread samples are taken for unwanted ones."""
 _TOLD: Final = 1.0
-"""Seconds of waiting for unread samples after which that is told."""
+"""Seconds of waiting for unread samples after which the waiting is reported."""
 Slow: TypeAlias = Callable[[Sequence[Connector]], float | None]
-"""Called once readers have been slow to read their last samples, with the connectors that have these. Returns for how
-many seconds more it is waited for them at the most; None: for as long as they read."""
+"""Called once readers have been slow to read their last samples, with the connectors that have these. Returns the
+longest further waiting for them, in seconds; None: as long as they read."""
 _NOTED: Final = (StateChanged, ComponentRemoved, ContextStopped, ComponentRecovered, RestartLimitReached)
 
 
@@ -42,7 +42,7 @@ def is_source(component: Component) -> bool:
 
 
 def ended_in_error(kernel: Kernel) -> dict[str, BaseException | None]:
-    """The components in error, by name, each with its exception; of a composite the members."""
+    """The components in error, by name, each with its exception; for a composite its members."""
     parts = [one for one in kernel.components.values() if as_group(one) is None]
     gone = [one for name, one in kernel.supervised.items() if name not in kernel.components]
     failed = {one.name: one.last_error for one in parts if LifecycleState.ERROR in one.states.values()}
@@ -52,10 +52,10 @@ def ended_in_error(kernel: Kernel) -> dict[str, BaseException | None]:
 async def wait_finished(kernel: Kernel) -> tuple[Connector, ...]:
     """Wait until every source is done, no recovery is due, the queues are empty and no hook runs.
 
-    Where there is no source, every component has to be done. One with in-ports and no connection at all counts as a
-    source only where there is no other. Returns the connectors with samples that their readers left alone: when nothing
-    has moved for a second, it is not waited for them any longer. What nobody can read, since the reader's contexts have
-    stopped, does not count. What was removed or stopped before the call is not known: `Ending` hears of it.
+    Without a source, every component has to be done. A component with in-ports and no connection at all counts as a
+    source only where there is no other. Returns the connectors with samples that their readers left alone: the waiting
+    for them ends when nothing has moved for a second. Samples whose readers' contexts have stopped do not count.
+    Components and contexts that were removed or stopped before the call are not known: `Ending` observes them.
     """
     ending = Ending(kernel)
     try:
@@ -65,7 +65,7 @@ async def wait_finished(kernel: Kernel) -> tuple[Connector, ...]:
 
 
 class Ending:
-    """Observes from now on which components are removed and what stops; `wait` uses it later."""
+    """Observes from now on the components that are removed and the contexts that stop; `wait` uses it later."""
 
     def __init__(self, kernel: Kernel, slow: Slow = lambda _: None) -> None:
         self._kernel = kernel
@@ -75,17 +75,17 @@ class Ending:
         self._removers = [kernel.bus.subscribe(kind, self._note) for kind in _NOTED]
 
     async def wait(self) -> tuple[Connector, ...]:
-        """As `wait_finished`, and for slow readers no longer than `slow` says."""
+        """Wait as `wait_finished` does, and for slow readers no longer than `slow` says."""
         while True:
             while not self._look.ended():
                 await self._changed.wait()
                 self._changed.clear()
             unread = await _settled(self._kernel, self._look, self._slow)
-            if self._look.ended():  # nobody was switched on again meanwhile
+            if self._look.ended():  # no component was activated again meanwhile
                 return unread
 
     def close(self) -> None:
-        """Hear of nothing any more."""
+        """Stop observing."""
         for remove in self._removers:
             remove()
 
@@ -95,21 +95,21 @@ class Ending:
 
 
 class _Look:
-    """What is known of the components of a kernel, from one look to the next."""
+    """The knowledge about the components of a kernel, from one look to the next."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel
         self._fed: set[str] = set()
-        """Who was ever connected to a writer: it produces nothing of itself when that has gone."""
+        """Components that were ever connected to a writer: they produce nothing of themselves when it has gone."""
         self._finished: set[str] = set()
-        """Kept by name: who leaves a context, or gets other code, forgets it."""
+        """Finished components, by name: a component that leaves a context, or gets other code, forgets it."""
         self._sources: set[str] = set()
-        """Who was a source, also when it is there no more."""
+        """Components that were sources, also removed ones."""
         self._contexts: dict[str, set[str]] = {}
-        """Of each component that ran, the contexts it was seen in last that have not stopped."""
+        """The contexts in which each component that ran was seen last, without those that have stopped."""
 
     def note(self, event: Event) -> None:
-        """Something happened to a component, or to a context and all its members."""
+        """Take note of an event of a component, or of a context and all its members."""
         if isinstance(event, ContextStopped):
             for contexts in self._contexts.values():
                 contexts.discard(event.context)
@@ -124,9 +124,9 @@ class _Look:
             self._finished.add(name)
 
     def ended(self) -> bool:
-        """Whether nobody produces any more, and nobody is about to be helped who might."""
+        """Whether no component produces any more, and none that might is about to be recovered."""
         kernel = self._kernel
-        # A composite is its members, and no source beside them.
+        # A composite is its members, and no source in addition to them.
         runs = [one for one in kernel.components.values() if one.contexts and as_group(one) is None]
         for one in runs:
             self._see(one)
@@ -137,19 +137,19 @@ class _Look:
         given_up = [one.component for name, one in supervised if name not in kernel.components]
         lost = (off & self._sources | {one.name for one in given_up if is_source(one)}) - self._fed
         sources = [one for one in runs if one.name in self._sources]
-        # One that was to be fed and that nothing is connected to is not waited for, if there is anybody else.
+        # A source that has in-ports and no connection at all is not waited for, if there is another source.
         sources = [one for one in sources if self._done(one) or not _left_alone(one)] or sources
         if sources or lost:
             return all(map(self._done, sources))
         return all(map(self._done, runs)) if runs else bool(off) and len(off) == len(self._contexts)
 
     def is_off(self, name: str) -> bool:
-        """Whether it ran and never will again: it was removed, or each context it was in has stopped."""
+        """Whether a component ran and never will again: it was removed, or each context it was in has stopped."""
         component = self._kernel.components.get(name)
         return component is None or (not component.contexts and self._contexts.get(name) == set())
 
     def _see(self, component: Component) -> None:
-        """It is in a context."""
+        """Take note of a component that is in a context."""
         name = component.name
         self._contexts[name] = {context.name for context in component.contexts}
         if _is_fed(component):
@@ -160,13 +160,13 @@ class _Look:
             self._sources.discard(name)
 
     def _done(self, component: Component) -> bool:
-        """Whether it will not go on; nobody is about to be helped."""
+        """Whether a component will not go on; no recovery is due."""
         states = component.states.values()
         if LifecycleState.ACTIVE in states:
             return False
         if LifecycleState.ERROR in states or component.name in self._finished or component.has_finished:
             return True
-        # It was stopped with a member of its composite, and comes back when that is helped.
+        # It was stopped with a member of its composite, and comes back when that member is recovered.
         return any(self._is_dead(name) for member in cell(component).members for name in member.stopped_for)
 
     def _is_dead(self, name: str) -> bool:
@@ -185,7 +185,7 @@ def _left_alone(component: Component) -> bool:
 
 
 async def _settled(kernel: Kernel, look: _Look, slow: Slow) -> tuple[Connector, ...]:
-    # Periods are in the kernel's time, and it is looked again in real time.
+    # Periods are in the kernel's time, and this loop looks again in real time.
     longest = max((2.0 / context.rate for context in kernel.contexts.values() if context.rate), default=0.0)
     patience = _PATIENCE + longest / kernel.clock.speed
     seen, still = -1, 0.0
@@ -214,13 +214,13 @@ async def _settled(kernel: Kernel, look: _Look, slow: Slow) -> tuple[Connector, 
 
 
 def _is_under_way(connector: Connector) -> bool:
-    """Whether samples wait in it, or are on their way to another kernel."""
+    """Whether samples wait in a connector, or are on their way to another kernel."""
     counts = connector.statistics
     return counts.buffered > 0 or counts.in_flight > 0
 
 
 def _repeats(context: Context) -> bool:
-    """Whether its members run with nothing to do, too: a cycle that began since the last sample is no work left."""
+    """Whether a context runs its members without work, too: a cycle begun after the last sample is no work left."""
     return isinstance(context, EventContext) and context.every is not None
 
 
@@ -237,5 +237,5 @@ def _is_cancelled(kernel: Kernel) -> bool:
 
 
 def _is_busy(context: Context) -> bool:
-    """Whether a hook runs, or what follows from one is still to be done: a failure, say."""
+    """Whether a hook runs, or an effect of one, such as a failure, is still to be handled."""
     return context.running and (context.runner.current is not None or context.runner.pending)

@@ -1,4 +1,4 @@
-"""What a system file wants, in the form in which a kernel is read; components are constructed, and no hook runs."""
+"""The wanted system of a system file, in the form in which a kernel is read; components are made, and no hook runs."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def wanted(system: SystemFile | Blueprint, notes: list[str] | None = None) -> Wa
     """The system that a file describes.
 
     Args:
-        notes: gets what no file can say.
+        notes: gets the parts that no file can have.
 
     Raises:
-        AiortsError: what `prepare` raises.
+        AiortsError: an error of `prepare`.
         SystemFileError: a port of a component cannot be known without running it.
         WiringError: two ports are connected twice.
     """
@@ -40,7 +40,7 @@ def wanted(system: SystemFile | Blueprint, notes: list[str] | None = None) -> Wa
 
 
 class _Reader:
-    """Reads one file that was prepared."""
+    """Reads one prepared file."""
 
     def __init__(self, plan: Blueprint, notes: list[str]) -> None:
         self._plan = plan
@@ -83,7 +83,7 @@ class _Reader:
         return replace(entry, options=self._canon.context_options(self._plan.contexts[entry.name]))
 
     def _connections(self) -> Iterator[ConnectionEntry]:
-        """Those of data ports first, as a kernel has them."""
+        """The connections, those of data ports first, as a kernel has them."""
         services: list[ConnectionEntry] = []
         joined = ConnectedPairs()
         number = 0
@@ -117,7 +117,7 @@ class _Reader:
 
 
 def _pairs(paths: Sequence[str], ports: Sequence[Any]) -> Iterator[tuple[str, str, int | None]]:
-    """Each out-port with each in-port; of one that is not known its place says which it is."""
+    """Each out-port with each in-port; an unknown port is an out-port in the first place, and an in-port elsewhere."""
     outs, ins = [], []
     for number, (path, port) in enumerate(zip(paths, ports, strict=True)):
         if isinstance(port, OutPort) or (port is None and number == 0):

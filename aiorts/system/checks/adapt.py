@@ -14,14 +14,14 @@ from aiorts.system.file.survey import Survey
 
 @dataclass(frozen=True, slots=True)
 class Adaptation:
-    """What would join the two ports: one line to read, and text for the file."""
+    """The FlexiFilter that would join the two ports: one line to read, and text for the file."""
 
     remedy: str
     text: str
 
 
 def adaptation(found: Survey, connection: ConnectionEntry, out: OutPort[Any], in_: InPort[Any]) -> Adaptation | None:
-    """The entry of a FlexiFilter between these two; None where none is known that does it."""
+    """The entry of a FlexiFilter between these two ports; None where no known one joins them."""
     proposed = between(out, in_)
     if proposed is None or not proposed.entries or not is_accepted(found.catalogue, proposed):
         return None

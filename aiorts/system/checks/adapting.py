@@ -26,22 +26,22 @@ from aiorts.system.text.places import Key
 
 @dataclass(frozen=True, slots=True)
 class Adapted:
-    """What was put between."""
+    """The FlexiFilters that adapting inserted."""
 
     drafts: Mapping[str, Draft]
-    """The new components."""
+    """The inserted components."""
     said: tuple[Said, ...]
-    """What was put where."""
+    """The findings: which filter was put where."""
 
 
 _NONE = Adapted(MappingProxyType({}), ())
 
 
 def adapted(found: Survey, drafts: Mapping[str, Draft] | None = None) -> Adapted:
-    """Have the survey be of the system with its filters; where there can be none is a fault of it.
+    """Add the filters to the system of the survey; a place where there can be none is a fault of the survey.
 
     Args:
-        drafts: those of its components and composites; made where they are not given, and there is something to adapt.
+        drafts: the drafts of its components and composites; made where they are needed and not given.
     """
     wanting = {one.number for one in found.system.connections if _wants(found, one)}
     if not wanting:
@@ -71,7 +71,7 @@ class _Work:
         self.said: list[Said] = []
 
     def connection(self, entry: ConnectionEntry) -> Iterator[ConnectionEntry]:
-        """What stands in its place."""
+        """The connections that take the place of one."""
         options = {word: value for word, value in entry.options.items() if word != "adapt"}
         plain = replace(entry, options=MappingProxyType(options))
         try:
@@ -107,7 +107,7 @@ class _Work:
         self._found.say(self._key(entry), type(error)(text), of_key=True)
 
     def _pairs(self, entry: ConnectionEntry) -> list[tuple[tuple[str, OutPort[Any]], tuple[str, InPort[Any]]]]:
-        """Each out-port with each in-port; none where something of them has been said already."""
+        """Each out-port with each in-port; none where a fault of these ports has been reported already."""
         if entry.options.get("convert"):
             raise WiringError("convert makes them fit already; take one of the two away")
         ports = {path: self._port(path) for path in entry.ports}
@@ -123,7 +123,7 @@ class _Work:
         raise WiringError(f"the ports of {name} are known only when it runs; put a {FILTER} of your own between them")
 
     def _filter(self, out: OutPort[Any], in_: InPort[Any], adapt: bool | Literal["text"]) -> Between | None:
-        """What is to be put between two ports; None where they fit, or nothing is known that does it."""
+        """The filter to put between two ports; None where they fit, or no known filter joins them."""
         if next(pair_faults(out, in_), None) is None:
             return None
         if FILTER not in self._found.catalogue.extensions("components"):

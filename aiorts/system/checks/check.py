@@ -56,7 +56,7 @@ def check_text(
     plugins: Iterable[Path] = (),
     choices: Choices = AS_WRITTEN,
 ) -> tuple[Finding, ...]:
-    """`check` of a text, such as an editor has; `path` is where it would be saved."""
+    """Check a text, such as an editor has; `path` is the file into which it would be saved."""
     try:
         system, mistakes = read(text, path, overrides, choices)
     except SystemFileError as error:
@@ -70,7 +70,7 @@ def check_text(
         for one in system.notes
     ]
     found = survey(system, Catalogue(dict.fromkeys((*system.plugin_paths, *plugins))))
-    # Of a component that the file says too little of, ports are not asked for: that would be said twice.
+    # A component with a mistake in its entry gets no draft: its fault would be reported twice.
     drafts = drafts_of(found, _marred(mistakes, "components"))
     composed = compositions(system, drafts, _marred(mistakes, "composites"))
     said += composed.said
@@ -85,11 +85,11 @@ def check_text(
     drafts |= between.drafts
     every |= between.drafts
     said += joint_findings(found, every)
-    # What is said of the whole is said of who runs, in the place of whom it is a part of.
+    # Findings about the whole name the parts that run, in the place of their composites.
     found.system = with_parts(leaf_paths(found.system, every))
     said += _of_members(found, drafts)
     said += feature_findings(found)
-    # Of a composite whose ports are not known it is not known either which of its members' ports are connected.
+    # Where the ports of a composite are not known, the connections of its members' ports are not known either.
     vague = {part for name, one in composed.drafts.items() if one.error for part in parts(system.composites, name)}
     known = {name: one for name, one in drafts.items() if name not in vague}
     said += whole_findings(found, known, whole=not mistakes and found.services.keys() >= system.services.keys())
@@ -97,7 +97,7 @@ def check_text(
 
 
 def _marred(mistakes: Iterable[Mistake], table: str) -> set[str]:
-    """The names in a table of tables that something is wrong with; of the table itself that has been said."""
+    """The names of a table's entries that have mistakes; mistakes of the table itself have been reported."""
     return {str(mistake.key[1]) for mistake in mistakes if mistake.key[:1] == (table,) and mistake.key[1:]}
 
 
@@ -131,7 +131,7 @@ def of_draft(system: SystemFile, name: str, error: AiortsError) -> Said:
 
 
 def _typed(error: AiortsError) -> tuple[str, str, int]:
-    """What was typed, where an error says so: its name, the text, and the character that is wrong."""
+    """The typed text that an error is about, if any: its name, the text, and the place of the wrong character."""
     known: Any = error
     if isinstance(getattr(known, "place", None), int):
         return str(getattr(known, "what", "")), str(known.text), int(known.place)
@@ -139,7 +139,7 @@ def _typed(error: AiortsError) -> tuple[str, str, int]:
 
 
 def _keys(entry: ComponentEntry, what: str, message: str) -> Iterable[Key]:
-    """Where the text may stand, most likely first; () is nowhere."""
+    """The keys under which the text may stand, the most likely first."""
     base: Key = ("components", entry.name)
     numbered = _NUMBERED.fullmatch(what)
     named = [param for param in entry.params if param == what or re.search(rf"\b{re.escape(param)}\b", message)]

@@ -1,6 +1,7 @@
 """Circles of components that run on events: those that keep themselves busy forever, or wait for themselves. Pure.
 
-A circle has one finding: with a sample in it, it never rests (W-LOOP); where none begins, it stands still (N-CIRCLE).
+A circle has one finding: with a sample in it, it never rests (W-LOOP); where no component begins, it stands still
+(N-CIRCLE).
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def circle_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) 
 
 
 def _doubts(hooks: Iterable[tuple[str, str]]) -> str:
-    """The clause about components that may begin a circle all the same, those with the same hook together."""
+    """The clause about components that may begin a circle all the same, grouped by hook."""
     names: dict[str, list[str]] = {}
     for name, hook in hooks:
         names.setdefault(hook, []).append(name)
@@ -86,19 +87,19 @@ def _loops(found: Survey, drafts: Mapping[str, Draft], without: Collection[str])
 
 
 def _sleeps_itself(component: Component | None) -> bool:
-    """Whether its on_execute awaits a sleep, which paces the circle that it is in."""
+    """Whether the component's on_execute awaits a sleep, which paces its circle."""
     if component is None or cell(component).hook_kinds[_ON_EXECUTE] != HookKind.ASYNC:
         return False
     return not _SLEEPS.isdisjoint(names_of(type(component), _ON_EXECUTE))
 
 
 class _Waiting:
-    """Components that wait for a sample of one another, and none is sent to them."""
+    """Components that wait for a sample of one another, while none is sent to them."""
 
     def __init__(self, edges: Edges, early: Mapping[str, str], hooks: Mapping[str, str] | None = None) -> None:
         self.edges = edges
         self.early = early
-        """How the first sample of a component is lost, by its name."""
+        """The way in which the first sample of a component is lost, by its name."""
         self._hooks = hooks or {}
 
     def doubts(self, members: Collection[str]) -> Iterator[tuple[str, str]]:
@@ -107,7 +108,7 @@ class _Waiting:
 
 
 class _Beginning:
-    """Finds the components that nothing begins: neither they themselves nor a sample from outside."""
+    """Finds the components that neither begin by themselves nor get a sample from outside."""
 
     def __init__(self, found: Survey, drafts: Mapping[str, Draft]) -> None:
         self._found, self._drafts = found, drafts
@@ -117,7 +118,7 @@ class _Beginning:
         self._early: dict[str, str] = {}
 
     def waiting(self) -> _Waiting:
-        """The components that wait."""
+        """Find the components that wait."""
         system, drafts = self._found.system, self._drafts
         comes = connected_later(self._found)
         asleep = [name for name in system.components if name in drafts and self._sleeps(name, drafts[name], comes)]
@@ -142,7 +143,7 @@ class _Beginning:
         return _Waiting(left, self._early, hooks)
 
     def _sleeps(self, name: str, one: Draft, comes: Callable[[str, Port[Any]], bool]) -> bool:
-        """Whether it runs only because a sample came, or in a hook that runs once."""
+        """Whether a component runs only because a sample came, or in a hook that runs once."""
         fed = any(isinstance(port, ServicePort) or _is_fed(name, port, comes) for port in one.ports.values())
         contexts = self._contexts.get(name, [])
         sleeps = all(isinstance(context, EventContext) and context.every is None for context in contexts)
@@ -157,12 +158,12 @@ class _Beginning:
         return component is not None and cell(component).hook_kinds[hook] != HookKind.ABSENT
 
     def _does(self, name: str, hook: str) -> bool:
-        """Whether it has the hook, and that does anything: one of `pass` or a docstring alone uses no name."""
+        """Whether a component has the hook, and its code uses any name, unlike `pass` or a docstring alone."""
         component = self._drafts[name].component
         return component is not None and self._has(name, hook) and bool(names_of(type(component), hook))
 
     def _begins(self, writer: str, reader: str, out: str, connection: ConnectionEntry) -> bool:
-        """Whether a hook of the writer that runs by itself may write there, and the reader gets it."""
+        """Whether a hook of the writer that runs by itself may write to this port, and the reader gets it."""
         component, port = self._drafts[writer].component, out.partition(".")[2]
         for hook in _BY_THEMSELVES:
             if component is None or not self._has(writer, hook) or not may_write(component, hook, port):

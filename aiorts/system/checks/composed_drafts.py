@@ -22,15 +22,15 @@ from aiorts.system.text.places import Key
 
 @dataclass(frozen=True, slots=True)
 class Composition:
-    """What is known of the composites of a system."""
+    """The drafts of a system's composites, and the findings about them."""
 
     drafts: Mapping[str, Draft]
-    """Each with its exported ports, which are its members' very ports."""
+    """The composites by name, with their exported ports, which are the members' own ports."""
     said: tuple[Said, ...]
 
 
 def compositions(system: SystemFile, drafts: Mapping[str, Draft], broken: Collection[str] = ()) -> Composition:
-    """The composites, inner ones first, on top of the drafts of the components; of those `broken` nothing is known."""
+    """The composites, inner ones first, on top of the drafts of the components; nothing is known of `broken` ones."""
     found: dict[str, Draft] = {}
     said: list[Said] = []
     for entry in inner_first(system.composites):
@@ -51,7 +51,7 @@ def leaf_paths(system: SystemFile, drafts: Mapping[str, Draft]) -> SystemFile:
     if not system.composites:
         return system
     own = {
-        port: f"{name}.{shown_as}" if entry.isolation else port.path  # the members of an isolated one are not there
+        port: f"{name}.{shown_as}" if entry.isolation else port.path  # an isolated one's members are in its process
         for name, entry in system.components.items()
         if name in drafts
         for shown_as, port in drafts[name].ports.items()
@@ -81,7 +81,7 @@ def _draft(entry: CompositeEntry, members: Mapping[str, Draft], said: list[Said]
 
 
 def _strangers(entry: CompositeEntry, members: Mapping[str, Draft], *, complete: bool) -> Iterator[Said]:
-    """Rules that mean a port that there is not, and patterns that mean none at all."""
+    """The findings about rules for a port that does not exist, and patterns that fit none."""
     ports = [f"{name}.{port}" for name, one in members.items() for port in one.ports]
     for number, pattern in enumerate(entry.exported):
         rule = exports([pattern], entry.name)[0]

@@ -1,4 +1,4 @@
-"""What is to be said of each connection once the ports at its ends are known; it connects nothing."""
+"""The findings about each connection once the ports at its ends are known; it connects nothing."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from aiorts.wire import LINK, excess
 
 
 def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
-    """Ports that do not exist, ends that do not go together, and what is connected twice."""
+    """The findings about ports that do not exist, ends that do not go together, and pairs connected twice."""
     joined = ConnectedPairs()
     counts: dict[str, int] = {}
     names: dict[str, int] = {}
@@ -59,7 +59,7 @@ def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]
 
 
 def feature_findings(found: Survey) -> Iterator[Said]:
-    """Options that no real-time thread has at its ports."""
+    """The findings about options that real-time threads do not have at their ports."""
     threads = {
         member: context.kind
         for name, context in found.contexts.items()
@@ -82,7 +82,7 @@ def feature_findings(found: Survey) -> Iterator[Said]:
 
 
 def _transport(connections: Iterable[ConnectionEntry]) -> Iterator[Said]:
-    """What OpenRTM says of its transports, once for the whole file, at the first of it."""
+    """The finding about options for OpenRTM's transports: one for the whole file, at the first of them."""
     keys: dict[str, Key] = {}
     for connection in connections:
         for option in without_effect(connection.options):
@@ -92,7 +92,7 @@ def _transport(connections: Iterable[ConnectionEntry]) -> Iterator[Said]:
 
 
 def _link(found: Survey, connection: ConnectionEntry, *, from_reader: bool) -> Iterator[Said]:
-    """What the other kernel has to do itself, what is not known before it is there, and how samples travel to it."""
+    """The findings about a link: options that the other kernel has to carry out, and the port that is not known yet."""
     far = [number for number, path in enumerate(connection.ports) if names_kernel(path)]
     if far and from_reader and connection.number in found.profiles:
         try:
@@ -108,7 +108,7 @@ def _link(found: Survey, connection: ConnectionEntry, *, from_reader: bool) -> I
 
 
 def _too_large(connection: ConnectionEntry, ports: Iterable[Port[Any] | None]) -> Iterator[Said]:
-    """Whether a link may refuse samples of the port at this end, as the kernel at its other end reads them."""
+    """The findings about ports at this end whose samples may exceed the limits of a link's other end."""
     if not any(map(names_kernel, connection.ports)):
         return
     for number, port in enumerate(ports):
@@ -122,7 +122,7 @@ def _key(connection: ConnectionEntry) -> Key:
 
 
 def end_key(connection: ConnectionEntry, number: int) -> Key:
-    """Where the path of its port `number` stands: 0 is the one under `from`."""
+    """The key of the path of port `number`: 0 is the port under `from`."""
     return (*_key(connection), "from") if number == 0 else (*_key(connection), "to", number - 1)
 
 
@@ -132,7 +132,7 @@ def _port(
     component, _, name = path.partition(".")
     draft = drafts.get(component)
     if draft is None or draft.error is not None:
-        return None, None  # has been said of the component
+        return None, None  # has been reported with the component
     port = draft.ports.get(name)
     if port is not None:
         return port, None
@@ -182,7 +182,7 @@ def _ends(
                     text = str(error).removeprefix(f"{out.path} -> {in_.path}: ")
                     yield Said("error", WiringError.code, (*_key(connection), "convert"), text)
             for fault in pair_faults(out, in_, converted="convert" in connection.options):
-                # One filter mends all that is wrong between the two.
+                # One filter mends all faults between the two ports.
                 mended = None if told else adaptation(found, connection, out, in_)
                 text = fault.removeprefix(f"{out.path} -> {in_.path}: ")
                 if mended is not None:
@@ -213,7 +213,7 @@ def _limits(
     joined: ConnectedPairs,
     counts: dict[str, int],
 ) -> Iterator[Said]:
-    """Connected already, and more connectors than a port takes."""
+    """The findings about pairs that are connected already, and ports with more connectors than they take."""
     _, limits = found.profiles.get(connection.number, (None, None))
     for out in (port for port in ports if isinstance(port, OutPort)):
         for in_ in (port for port in ports if isinstance(port, InPort)):

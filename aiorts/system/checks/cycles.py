@@ -1,4 +1,4 @@
-"""Cycles in a graph of connected components: which there are, and how a message names them. Pure."""
+"""Finds the cycles in a graph of connected components, and names them for messages. Pure."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final, TypeAlias
 
 Edges: TypeAlias = Mapping[str, Mapping[str, tuple[str, str, int]]]
-"""From component to component: the ports between them, and the number of the connection."""
+"""The ports between a writer and a reader, and the number of their connection, by writer and reader."""
 _MOST_NAMED: Final = 12
-"""Ports of a cycle that a message names."""
+"""The most ports of a cycle that a message names."""
 
 
 def cycles(edges: Edges) -> Iterator[tuple[str, int, list[str]]]:
-    """Ways from components back to themselves, each component in one: ports, number of the last step, components."""
+    """A cycle of each component that is in none before: its ports, the number of its last connection, components."""
     told: set[str] = set()
     for start in edges:
         if start in told or not (cycle := _cycle(edges, start)):

@@ -27,22 +27,22 @@ class Draft:
     component: Component | None
     ports: Mapping[str, Port[Any]]
     complete: bool
-    """Whether these are all its ports."""
+    """Whether `ports` has all ports of the component."""
     error: AiortsError | None = None
-    """Why it could not be made."""
+    """The reason why the component could not be made."""
 
 
 def drafts_of(found: Survey, without: Collection[str] = ()) -> dict[str, Draft]:
-    """The components of a system, as far as their ports are known, but for those `without`.
+    """The drafts of a system's components except `without`, as far as their ports are known.
 
-    One with a wrong parameter has the others alone; its ports are not known where they are made of parameters.
+    A component with a wrong parameter gets the others alone; its ports are not known where parameters make them.
     """
     made = {
         name: draft(cls, name, found.settings[name])
         for name, cls in found.types.items()
         if name not in without and not (name in found.bad_params and hasattr(cls, "make_ports"))
     }
-    # What a wrong parameter leads to has been said of the parameter.
+    # Errors that follow from a wrong parameter have been reported with the parameter.
     return {name: one for name, one in made.items() if one.error is None or name not in found.bad_params}
 
 
@@ -67,7 +67,7 @@ def draft(cls: type[Component], name: str, setting: Setting) -> Draft:
 
 
 def _of(component: Component) -> Draft:
-    """What is known of a component; a composite whose class makes its members will show ports of them."""
+    """The draft of a constructed component; a composite whose class makes its members will show ports of them."""
     cls = type(component)
     complete = hasattr(cls, "make_ports") or cls.on_initialize is Component.on_initialize
     group = group_of(component)

@@ -1,4 +1,4 @@
-"""What a check found, as frozen values and as text; it finds nothing itself."""
+"""The findings of a check, as frozen values and as text; this file finds nothing itself."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ SEVERITIES: Final = ("error", "warning", "note")
 class Finding:
     """One thing to know about a system file before it runs.
 
-    `line` and `column` count from 1, in characters; they are 0 where it is about the file as a whole. `where` is the
-    key, as in "contexts.loop.rate". `width` is the length of the place that is meant.
+    `line` and `column` count from 1, in characters; they are 0 for a finding about the file as a whole. `where` is
+    the key, as in "contexts.loop.rate". `width` is the length of the place.
     """
 
     severity: str
-    """"error": it cannot run; "warning": it will hardly do what was meant; "note": good to know."""
+    """"error": the system cannot run; "warning": it will hardly do what was intended; "note": good to know."""
     code: str
     path: Path
     line: int
@@ -40,18 +40,18 @@ class Finding:
     quote: str = ""
     """The line of the file."""
     suggestion: str = ""
-    """Text for the file that would mend it."""
+    """Text for the file that would mend the fault."""
     copies: int = 0
-    """Further copies of a repeated part of which the same is to be said."""
+    """The number of further copies of a repeated part with the same finding."""
 
     @property
     def place(self) -> str:
-        """Such as "system.toml:7:3"."""
+        """The place of the finding, such as "system.toml:7:3"."""
         return f"{self.path}:{self.line}:{self.column}" if self.line else str(self.path)
 
     @property
     def mended(self) -> str:
-        """The text in the place as it was meant, where the message knows that; "" where not."""
+        """The corrected text of the place, where the message knows it; else ""."""
         if found := _MISSING.search(self.message):
             return found[1]
         found = _MEANT.search(self.message)
@@ -69,7 +69,7 @@ class Finding:
         return f"{cause}; {self.remedy}" if self.remedy else cause
 
     def plain(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """The finding as JSON has it."""
         words = ("line", "column", "width", "where", "cause", "remedy")
         head = {"severity": self.severity, "code": self.code, "file": str(self.path)}
         found = {word: getattr(self, word) for word in words}
@@ -91,7 +91,7 @@ class Said:
 
 
 def _once(findings: Iterable[Finding]) -> list[Finding]:
-    """Of what is said of each copy of a repeated part in one place, the first, with the number of the others."""
+    """The findings without repetitions: of a repeated part's copies in one place the first, counting the others."""
     alike: dict[tuple[object, ...], list[Finding]] = {}
     for one in dict.fromkeys(findings):
         said = _NUMBER.sub("#", one.where), _NUMBER.sub("#", one.cause)
@@ -100,14 +100,14 @@ def _once(findings: Iterable[Finding]) -> list[Finding]:
     found: list[Finding] = []
     for first, *others in alike.values():
         if len({one.where for one in (first, *others)}) <= len(others):
-            found += [first, *others]  # one thing, of which several are said
+            found += [first, *others]  # one thing with several findings
         else:
             found.append(replace(first, copies=len(others)))
     return found
 
 
 def in_order(findings: Iterable[Finding], files: Sequence[Path]) -> tuple[Finding, ...]:
-    """As they stand in the files; in one place the worse first, and each once, also where a part is repeated."""
+    """The findings in the order of the files, in one place the worse first; each once, also of repeated parts."""
     unique = _once(findings)
     order = {path: number for number, path in enumerate(files)}
     return tuple(

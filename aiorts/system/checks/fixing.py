@@ -1,4 +1,4 @@
-"""Mends the text of a system file where what a check found has one answer: `aiorts check --fix`.
+"""Mends the text of a system file where a finding of a check has one answer: `aiorts check --fix`.
 
 Three findings have one: a name for which a similar one is meant; a `schema` that is missing; and a member of a shared
 context that has a process of its own, which needs a context of its own. The rest of the text, its comments too, stays.
@@ -19,19 +19,19 @@ from aiorts.system.text.places import Place, places_of
 Edit: TypeAlias = tuple[int, int, str]
 """A change of the text: begin and end of a stretch, and what takes its place."""
 _ROUNDS: Final = 10
-"""A type that is mended shows which of its ports are misspelt, and so on."""
+"""The most rounds of mending: a mended type shows which of its ports are misspelt, and so on."""
 _AFTER: Final = re.compile(r"[ \t]*,[ \t]*")
 _BEFORE: Final = re.compile(r",[ \t]*\Z")
 
 
 def fixed(text: str, path: Path, check: Callable[[str], Sequence[Finding]]) -> tuple[str, tuple[Finding, ...]]:
-    """The text with all that has one answer mended, and what is found in it then.
+    """The text with all faults mended that have one answer, and the findings about it then.
 
-    A change after which more is wrong than before is not made.
+    A change after which there are more errors than before is not made.
 
     Args:
-        path: of the file that has the text; what is wrong in files that it includes is left alone.
-        check: what is found in a text.
+        path: the file of the text; faults in files that it includes are left alone.
+        check: returns the findings about a text.
     """
     found = tuple(check(text))
     for _ in range(_ROUNDS):
@@ -54,7 +54,7 @@ def _errors(found: Iterable[Finding]) -> int:
 
 
 def _edited(text: str, edits: Iterable[Edit]) -> str:
-    """The text with these changes, of which none is made within another."""
+    """The text with these changes; one that overlaps another is left out."""
     end = len(text)
     for start, stop, new in sorted(set(edits), reverse=True):
         if stop <= end:
@@ -63,7 +63,7 @@ def _edited(text: str, edits: Iterable[Edit]) -> str:
 
 
 def _respelt(wrong: Iterable[Finding], text: str) -> list[Edit]:
-    """The names that were meant, in their places."""
+    """The changes that correct misspelt names."""
     edits: list[Edit] = []
     places = None if _tables(text) is None else places_of(text)
     for one in wrong:
@@ -76,7 +76,7 @@ def _respelt(wrong: Iterable[Finding], text: str) -> list[Edit]:
 
 
 def _set_apart(wrong: Iterable[Finding], text: str) -> list[Edit]:
-    """A context of its own for the last member that has a process of its own, in the first context that needs it."""
+    """The changes that give the last isolated member a context of its own, in the first context that needs it."""
     tables = _tables(text)
     if tables is None:
         return []
@@ -125,7 +125,7 @@ def _added(text: str, end: int, lines: Sequence[str]) -> Edit:
 
 
 def _without(text: str, start: int, end: int) -> Edit:
-    """An element of a list, with the comma that goes with it."""
+    """The change that removes an element of a list, with its comma."""
     if (found := _AFTER.match(text, end)) is not None:
         return start, found.end(), ""
     if (before := _BEFORE.search(text, 0, start)) is not None:

@@ -1,4 +1,4 @@
-"""The names in the code of hooks: what a hook may do is seen without running it."""
+"""The names in the code of hooks, which show the possible effects of a hook without running it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from aiorts.kernel.declarations import declarations
 
 
 def may_write(component: Component, hook: str, port: str) -> bool:
-    """Whether a hook, or what it calls of its class and file, names an out-port; where that is not seen, it may."""
+    """Whether a hook, or a function of its class or file that it names, names an out-port; True where unseen."""
     declared = declarations(type(component)).ports
     names = {attribute for attribute, one in declared.items() if port in (attribute, one.name)}
     return not names or not names.isdisjoint(used := names_of(type(component), hook)) or "ports" in used

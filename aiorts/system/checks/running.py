@@ -1,4 +1,4 @@
-"""What is to be known of a system that runs, from its profile alone: what failed, never runs, is lost or late."""
+"""The findings about a running system, from its profile alone: failed or idle components, lost samples, lateness."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def check_running(profile: SystemProfile, name: str) -> tuple[Finding, ...]:
     """The findings about a system that runs, or ran: the worst first.
 
     Args:
-        profile: of the system, maybe read back.
-        name: what the findings call the system.
+        profile: the profile of the system, maybe read back.
+        name: the name of the system in the findings.
     """
     order = ("error", "warning", "note")
     found = [
@@ -29,7 +29,7 @@ def check_running(profile: SystemProfile, name: str) -> tuple[Finding, ...]:
 
 
 def _said(profile: SystemProfile) -> Iterator[tuple[str, str, str, str, str]]:
-    """Severity, code, where, cause and remedy of each."""
+    """Severity, code, where, cause and remedy of each finding."""
     parts = {part for one in profile.components.values() if one.composite is not None for part in one.composite.parts}
     for name, one in profile.components.items():
         where = f"components.{name}"

@@ -1,4 +1,4 @@
-"""Looks at a survey and drafts that several checks need: contexts, ports that rules connect, connections that wake."""
+"""Queries of a survey and drafts for several checks: contexts, ports that rules connect, connections that wake."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from aiorts.system.file.survey import Survey
 
 
 def connected_later(found: Survey) -> Callable[[str, Port[Any]], bool]:
-    """Whether a port is one that `[[rules]]` connect when the system runs."""
+    """A function that tells whether `[[rules]]` connect a port when the system runs."""
     settings = found.services["rules"].settings if "rules" in found.services else None
     if not isinstance(settings, RulesSettings):
         return lambda _name, _port: False
@@ -24,7 +24,7 @@ def connected_later(found: Survey) -> Callable[[str, Port[Any]], bool]:
 
 
 def contexts_of(found: Survey) -> dict[str, list[Any]]:
-    """The contexts in which each component is."""
+    """The contexts of each component."""
     contexts: dict[str, list[Any]] = {}
     for entry in found.system.contexts.values():
         for member in entry.members:
@@ -33,7 +33,7 @@ def contexts_of(found: Survey) -> dict[str, list[Any]]:
 
 
 def names_no_port(drafts: Mapping[str, Draft], paths: Iterable[str]) -> bool:
-    """Whether a component whose ports are known has none of this name."""
+    """Whether a path names a port that its component, whose ports are known, does not have."""
     for path in paths:
         component, _, port = path.partition(".")
         if component in drafts and drafts[component].complete and port not in drafts[component].ports:

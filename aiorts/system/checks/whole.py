@@ -1,5 +1,5 @@
-"""What only the whole system shows: who never runs, what nobody reads, cycles that drive themselves, writers that wait
-for themselves. Pure: it looks at a survey and at drafts.
+"""The findings that only the whole system shows: components that never run, open ports, cycles that drive themselves,
+writers that wait for themselves. Pure: it looks at a survey and at drafts.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from aiorts.wire import excess
 
 NOTHING_RUNS = "no context runs anything; add [contexts.NAME] with kind and members"
 _MOST_LISTED = 6
-"""Ports that a message lists."""
+"""The most ports that a message lists."""
 
 
 def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -> Iterator[Said]:
-    """Findings about several parts at once; `whole` is False when parts were left out, so that nothing is missed."""
+    """Findings about several parts at once; `whole` is False when parts were left out: then none counts as missing."""
     if whole and not (found.system.components or found.system.composites):
         text = "there are no components, and nothing to run; write [components.NAME] with a type"
         yield Said("warning", "W-EMPTY", ("schema",), text, of_key=True)
@@ -80,7 +80,7 @@ def _unused(found: Survey) -> Iterator[Said]:
 
 
 def _unsaid_files(found: Survey) -> Iterator[Said]:
-    """Parameters that are paths, of which the class does not say whether the file is read or written."""
+    """The findings about paths as parameters whose class does not say whether the file is read or written."""
     for name, cls in found.types.items():
         for spec in declarations(cls).parameters.values():
             if spec.is_path and not spec.file:
@@ -92,7 +92,7 @@ def _unsaid_files(found: Survey) -> Iterator[Said]:
 
 
 def _listed(parts: Sequence[str]) -> str:
-    """The first of these, and how many more there are."""
+    """The first parts, and the number of the others."""
     more = len(parts) - _MOST_LISTED
     return ", ".join(parts[:_MOST_LISTED]) + (f" and {more} more" if more > 0 else "")
 
@@ -110,7 +110,7 @@ def _open_ports(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
 
 
 def _unwoken(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
-    """Components that run on events, and pull all that they read: nothing wakes them."""
+    """The findings about components that run on events and pull all their samples: nothing wakes them."""
     runs = contexts_of(found)
     feeds: dict[str, list[ConnectionEntry]] = {}
     for connection in found.system.connections:
@@ -173,7 +173,7 @@ def _mutable(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
 
 
 def _too_large(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
-    """Ports whose samples a service that makes bytes of them may refuse."""
+    """The finding about ports whose samples a service that encodes them may refuse."""
     service = next(
         (name for name, plan in found.services.items() if plan.kind.encodes and name in found.system.services), None
     )
@@ -195,7 +195,7 @@ def _too_large(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
 
 
 def _meetings(found: Survey) -> Iterator[Said]:
-    """Connectors with `length = 0` whose ends run together: the write would wait for a read that comes after it."""
+    """The findings about connectors with `length = 0` whose ends run together: a write would wait for a later read."""
     composites = found.system.composites
     for connection in found.system.connections:
         profile = found.profiles.get(connection.number)
@@ -221,7 +221,7 @@ def _meetings(found: Survey) -> Iterator[Said]:
 
 
 def _standoffs(found: Survey) -> Iterator[Said]:
-    """Cycles of connectors with `length = 0` and no time-out: who writes there does not read meanwhile."""
+    """The findings about cycles with `length = 0` and no time-out: a component that waits in a write does not read."""
     edges: dict[str, dict[str, tuple[str, str, int]]] = {}
     for connection in found.system.connections:
         profile = found.profiles.get(connection.number)
@@ -242,10 +242,10 @@ def _standoffs(found: Survey) -> Iterator[Said]:
 
 
 def _waits(found: Survey) -> Iterator[Said]:
-    """Connectors with `full = "block"` and no time-out inside one context whose buffer is too short.
+    """The findings about connectors with `full = "block"`, no time-out and too short a buffer inside one context.
 
     Members run one after the other. A writer takes what its own in-ports hold, and waits when that makes more samples
-    than the buffer has room for: its reader runs only once the writer is done. Counted is one sample for each sample.
+    than the buffer has room for: its reader runs only once the writer is done. The count assumes one for one.
     """
     room: dict[str, int] = {}
     for connection in found.system.connections:
@@ -271,9 +271,9 @@ def _waits(found: Survey) -> Iterator[Said]:
 
 
 def _outrun(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
-    """Connections to a reader that wants every sample and reads too seldom: more come in a period than it has room for.
+    """The findings about readers that want every sample and read too seldom: more come in a period than have room.
 
-    Counted is one sample for each cycle of the writer; who runs on events is as fast as what wakes it.
+    The count assumes one sample for each cycle of the writer; a component that runs on events is as fast as they are.
     """
     for connection in found.system.connections:
         out, *ins = connection.ports
@@ -300,7 +300,7 @@ def _outrun(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
 
 
 def _rates(found: Survey, component: str) -> list[float]:
-    """How often a component runs, in each of its contexts; nothing when one of them has no rate."""
+    """The rates of a component's contexts; none when one of them has no rate."""
     contexts = [
         found.contexts.get(entry.name) for entry in found.system.contexts.values() if component in entry.members
     ]

@@ -25,9 +25,9 @@ def graph(
 
     Args:
         language: "mermaid", "dot" or "svg".
-        catalogue: where types are looked up; installed packages and the file's plugin folders by default.
-        places: where boxes are to stand in an SVG, such as those of the layout file beside a system file; boxes that
-            are not in it find places beside them.
+        catalogue: the source of types; installed packages and the file's plugin folders by default.
+        places: the places of boxes in an SVG, such as those of a system file's layout file; other boxes are placed
+            next to them.
 
     Raises:
         ValueError: there is no such language.

@@ -1,4 +1,4 @@
-"""Describes a system as boxes and arrows: which components each context has, their ports, and what joins them."""
+"""Describes a system as boxes and arrows: the components of each context, their ports, and the connectors."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ class Group:
     title: str
     boxes: tuple[Box, ...]
     inner: tuple[Group, ...] = ()
-    """The composites in it, with their members."""
+    """The composites in the group, with their members."""
 
     @property
     def all_boxes(self) -> tuple[Box, ...]:
-        """Its own boxes and those of composites in it."""
+        """The boxes of the group and of the composites in it."""
         return (*self.boxes, *(box for group in self.inner for box in group.all_boxes))
 
     def flat(self, depth: int = 0) -> Iterator[tuple[Group, int]]:
@@ -66,7 +66,7 @@ class Arrow:
     source: tuple[str, str]
     target: tuple[str, str]
     label: str = ""
-    """Its options that are no defaults: subscription, push policy, full policy."""
+    """The connector's options that are no defaults: subscription, push policy, full policy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ def end_of(path: str) -> tuple[str, str]:
 
 
 def elsewhere(arrows: Iterable[Arrow]) -> Iterator[Group]:
-    """A group of the components in other kernels that arrows lead to or come from; none where there are none."""
+    """A group of the components in other kernels at the ends of arrows, if there are any."""
     boxes: dict[str, dict[tuple[str, bool], Pin]] = {}
     for arrow in arrows:
         for (component, port), out in ((arrow.source, True), (arrow.target, False)):

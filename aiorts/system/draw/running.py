@@ -1,4 +1,4 @@
-"""Draws a running system from its profile: what there is now, and how much flows."""
+"""Draws a running system from its profile: its present parts, and their rates."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from aiorts.system.draw.picture import Arrow, Box, Group, Picture, Pin, composit
 
 
 def running_graph(profile: SystemProfile, language: str = "mermaid", earlier: SystemProfile | None = None) -> str:
-    """Draw a system that runs, or ran: components with their states, connectors with rates and what was dropped.
+    """Draw a system that runs, or ran: components with their states, connectors with rates and dropped samples.
 
     Args:
-        profile: of the system, maybe read back.
+        profile: the profile of the system, maybe read back.
         language: "mermaid", "dot" or "svg".
         earlier: an earlier profile of the same system; with it the connectors have rates.
 
@@ -46,7 +46,7 @@ def _group(
     composites: Mapping[str, ComponentReport],
     left: dict[str, Box],
 ) -> Group:
-    """The members that are not drawn yet; composites with theirs."""
+    """The group of the members that are not drawn yet; composites with their own members."""
     own, inner = [], []
     for member in members:
         if member in left:

@@ -16,13 +16,13 @@ _CHAR: Final = 6.8
 """Average width of a character of a port's name, in pixels, rounded up."""
 _LABEL_CHAR: Final = 5.6
 _LONGEST: Final = 44
-"""Characters of a label at an arrow; all of it is in the title that shows when one points there."""
+"""The most characters of a label at an arrow; the whole label is in the title that shows under the pointer."""
 _EDGE: Final = 16.0
 _INSET: Final = 8.0
-"""Between the frame of a context and that of a composite in it."""
+"""The distance between the frame of a context and that of a composite in it."""
 _BEND: Final = 6.0
 _ABOVE: Final = 40.0
-"""Boxes whose left sides are nearer stand above one another, not beside."""
+"""The distance of left sides below which boxes stand above one another, not side by side."""
 _WIDEST: Final = 4.0
 """The most by which boxes stand farther apart than in the studio."""
 _LANES: Final = ("#eef4fb", "#f1f8ee", "#fdf5e9", "#f6f0fa", "#eef8f7", "#fbf0f0")
@@ -40,7 +40,7 @@ def svg(seen: Picture, stored: Places | None = None) -> str:
     """The picture as an SVG document.
 
     Args:
-        stored: where boxes stood in the studio; they stand so here, and those that are new beside them.
+        stored: the places of boxes in the studio, which are kept here; new boxes are placed next to them.
     """
     labels = _labels(seen)
     layout = Layout(label=max(0, *map(len, labels.values()), 0) * _LABEL_CHAR + 2 * _EDGE)
@@ -107,7 +107,7 @@ def _text_width(pin: Pin) -> float:
 
 
 def _restore(layout: Layout, spots: Sequence[Spot], edges: Sequence[Edge], stored: Places) -> None:
-    """Put boxes where they stood; wider ones than the studio's stand as much farther apart."""
+    """Put boxes in their stored places; where they are wider than the studio's, as much farther apart."""
     known = {spot.key: stored.boxes[spot.title] for spot in spots if spot.title in stored.boxes}
     if not known:
         return
@@ -130,7 +130,7 @@ def _restore(layout: Layout, spots: Sequence[Spot], edges: Sequence[Edge], store
 
 
 def _stretch(placed: Sequence[tuple[Spot, Place]], label: float) -> float:
-    """By how much boxes stand farther apart, so that all that stand beside one another have room."""
+    """The factor by which boxes stand farther apart, so that boxes side by side have room."""
     found = 1.0
     for (one, here), (other, there) in permutations(placed, 2):
         beside = here.y < there.y + other.h and there.y < here.y + one.h
@@ -157,7 +157,7 @@ def _labels(seen: Picture) -> dict[tuple[str, str], str]:
 def _extents(
     layout: Layout, depths: Sequence[int], left: float, right: float
 ) -> Iterator[tuple[float, float, float, float]]:
-    """Left, top, width and height of each frame; one reaches to the foot of the last that stands in it."""
+    """Left, top, width and height of each frame; a frame reaches to the foot of the last one inside it."""
     bands: Sequence[tuple[float, float]] = [(band.top, band.height) for band in layout.bands.values()]
     for number, depth in enumerate(depths):
         last = number

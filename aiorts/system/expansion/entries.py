@@ -1,4 +1,4 @@
-"""The parts of a system while it is put together: each with its table, and where it was written."""
+"""The parts of a system while it is put together: each with its table, and its place."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NAMED: Final = ("components", "composites", "contexts")
 """Tables of entries by name."""
 TABLES: Final = (*NAMED, "connections")
 COMPONENTS: Final = ("components", "composites")
-"""Whose names stand in connections and in lists of members."""
+"""Tables whose names stand in connections and in lists of members."""
 
 
 @dataclass(slots=True)
@@ -23,21 +23,21 @@ class Entry:
 
     table: str
     name: str
-    """"" for one of a list."""
+    """The name of the entry; "" for one of a list."""
     value: dict[str, Any]
     origin: Origin
     moved: dict[Key, Origin] = field(default_factory=dict)
-    """Of keys in it that stand elsewhere than below `origin`, or are called otherwise there."""
+    """The places of keys in it that stand elsewhere than below `origin`, or have another name there."""
 
     def at(self, key: Key) -> Origin:
-        """Where a key in it stands."""
+        """The place of a key of the entry."""
         for length in range(len(key), 0, -1):
             if (found := self.moved.get(key[:length])) is not None:
                 return found.below(*key[length:])
         return self.origin.below(*key)
 
     def put(self, key: Key, items: list[tuple[Any, Origin]]) -> None:
-        """A list of the table anew, each element with where it stands; `key` is the way to it."""
+        """Replace the list at `key`; each element comes with its place."""
         holder: Any = self.value
         for part in key[:-1]:
             holder = holder[part]
@@ -45,7 +45,7 @@ class Entry:
         self.moved.update({(*key, number): origin for number, (_, origin) in enumerate(items)})
 
     def texts(self, *key: str) -> list[tuple[Any, Origin]] | None:
-        """The elements of a list, each with where it stands; None where there is no list."""
+        """The elements of a list, each with its place; None where there is no list."""
         value: Any = self.value
         for part in key:
             value = value.get(part) if isinstance(value, dict) else None
@@ -63,7 +63,7 @@ class Entry:
                 yield from (((word, number), one) for number, one in enumerate(given) if isinstance(one, str))
 
     def set_end(self, key: Key, text: str) -> None:
-        """Another port in the place of one."""
+        """Replace the port at a key."""
         if len(key) == 1:
             self.value[str(key[0])] = text
         else:
@@ -78,15 +78,15 @@ class Document:
 
     entries: list[Entry] = field(default_factory=list)
     names: dict[tuple[str, str], Origin] = field(default_factory=dict)
-    """Of the entries, by table and name."""
+    """The places of the entries, by table and name."""
     absent: dict[str, Origin] = field(default_factory=dict)
-    """Components and composites that are left out, and the condition that says so."""
+    """Components and composites that are left out, and the place of the condition."""
     families: dict[str, list[str]] = field(default_factory=dict)
-    """What is repeated: the names, by the name as it is written."""
+    """The names of the copies of repeated parts, by the name as it is written."""
     rest: dict[str, tuple[Any, Origin]] = field(default_factory=dict)
     """All other tables."""
     plugins: dict[str, Origin] = field(default_factory=dict)
-    """Folders with plugins, counted from that of the file that was named."""
+    """Folders with plugins, relative to the folder of the named file."""
 
 
 def renamed(document: Document, rename: Callable[[str], str]) -> Document:
@@ -141,7 +141,7 @@ def _each(given: Any, rename: Callable[[str], str]) -> Any:
 
 
 def groups(given: Any, names: Callable[[str], list[str]]) -> Any:
-    """Groups of a composite, "a,b|c" or lists, with other names in the place of each."""
+    """Groups of a composite, "a,b|c" or lists, with each name replaced by other names."""
     if isinstance(given, str):
         lists: Any = [[name.strip() for name in part.split(",") if name.strip()] for part in given.split("|")]
         made = [[new for name in part for new in names(name)] for part in lists]

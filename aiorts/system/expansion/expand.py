@@ -1,7 +1,7 @@
-"""From the text of a system file, and of those it includes, to one system: tables, and where each key stands.
+"""Makes one system of the text of a system file and of those it includes: tables, and the place of each key.
 
-Pure: files are read by a function that it is given, and so are the variables of the environment. A file that uses
-nothing of all this is handed on as it is.
+Pure: it is given the function that reads files, and the variables of the environment. A file that uses none of these
+means is handed on as it is.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ from aiorts.system.text.version import version_fault
 TOP_KEYS: Final = (INCLUDE, VARIABLES)
 """Keys at the top of a file that are gone when it is expanded."""
 _DEEPEST: Final = 16
-"""Files that include each other."""
+"""The most levels of files that include each other."""
 _MOST: Final = 1000
-"""Files that are included, each as often as it is."""
+"""The most files that are included, each counted as often as it is."""
 Reader: TypeAlias = Callable[[Path], tuple[Path, str]]
-"""Reads an included file: its whole path, and its text. SystemFileError when it cannot be had."""
+"""Reads an included file: its whole path, and its text. SystemFileError: it cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Expanded:
-    """One system."""
+    """One expanded system."""
 
     top: dict[str, Any]
     text: str
-    """All of it as one text."""
+    """The whole system as one text."""
     origins: Origins
     mistakes: tuple[Mistake, ...] = ()
-    """Where there are any, the tables are empty."""
+    """The mistakes of all files; where there are any, the tables are empty."""
     notes: tuple[Mistake, ...] = ()
-    """What is not wrong, but good to know."""
+    """Remarks that are no mistakes."""
 
 
 def expand(main: Source, choices: Choices, environ: Mapping[str, str], read: Reader) -> Expanded:
@@ -59,7 +59,7 @@ def expand(main: Source, choices: Choices, environ: Mapping[str, str], read: Rea
 
     Raises:
         NotToml: a file is no TOML.
-        SystemFileError: it is too large.
+        SystemFileError: the text is too large.
     """
     top = tables(main.text, main.path)
     if version_fault(top)[1] or not (choices.variables or choices.remaps or _is_written_so(top, main.text)):
@@ -96,7 +96,7 @@ class _Expansion:
         self._kept = self.mistakes.kept
 
     def whole(self, top: dict[str, Any]) -> Document:
-        """The document of the file that was named, with what the command line says."""
+        """The document of the file that was named, with the choices of the command line."""
         document = Document()
         with self._kept(Excess):
             given = self._given()
@@ -116,7 +116,7 @@ class _Expansion:
         return document
 
     def notes(self) -> Iterator[Mistake]:
-        """Variables that no text has, in none of the files as often as it is read."""
+        """The notes on variables that no text has, however often their file is read."""
         used = {(file.source.path, name) for file in self._read_files for name in file.scope.used}
         unused = {
             (file.source.path, name): file.at(VARIABLES, name)
@@ -247,7 +247,7 @@ class _Expansion:
         return self.files[path]
 
     def _leave_out(self, document: Document, file: File, how: Inclusion) -> None:
-        """Note whom a file that is not included would have brought; what is wrong with it does not matter now."""
+        """Note the names that a file which is left out would have brought; its mistakes do not count."""
         before = len(self.mistakes.found)
         try:
             left = included(self._read_in(file, how), how)

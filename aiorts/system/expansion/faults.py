@@ -1,4 +1,4 @@
-"""What stops an expansion, and how much there may be of everything."""
+"""The faults that stop an expansion, and the bounds of its size."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from aiorts.system.text.reading import Mistake, spelled
 from aiorts.system.text.toml import LARGEST
 
 _DEEPEST: Final = 32
-"""Levels of lists and tables in one value; a file may have as many."""
+"""The most levels of lists and tables in one value; a file may have as many."""
 _MOST: Final = 200
-"""Mistakes that are named: who has more mends these first."""
+"""The most mistakes that are named: with more, these are mended first."""
 
 
 class Fault(SystemFileError):
-    """Something that is wrong, and the key of a file that it is about."""
+    """A mistake, and the key of a file that it is about."""
 
     def __init__(self, origin: Origin, what: str, *, of_key: bool = False) -> None:
         super().__init__(what)
@@ -27,7 +27,7 @@ class Fault(SystemFileError):
 
 
 class Excess(Fault):
-    """Too much of something: nothing else is looked at."""
+    """An excess of something: nothing else is looked at."""
 
 
 class Typed(Fault):
@@ -39,13 +39,13 @@ class Typed(Fault):
 
 
 class Budget:
-    """How much may still be made; every character of a text and every value is counted."""
+    """The size that may still be made; every character of a text and every value is counted."""
 
     def __init__(self) -> None:
         self._left = LARGEST
 
     def spend(self, count: int, origin: Origin) -> None:
-        """Take `count` away; an Excess at `origin` when there is no more."""
+        """Take `count` away; an Excess at `origin` when nothing is left."""
         self._left -= count
         if self._left < 0:
             what = f"the whole system, with all that is included and repeated, has more than {LARGEST} characters"
@@ -53,7 +53,7 @@ class Budget:
 
 
 def weight(value: Any, origin: Origin, depth: int = 0) -> int:
-    """How much a value counts: not more than the characters by which a file says it."""
+    """The size of a value: at most the number of characters by which a file writes it."""
     if isinstance(value, str):
         return len(value) + 1
     if isinstance(value, list | dict):
@@ -66,14 +66,14 @@ def weight(value: Any, origin: Origin, depth: int = 0) -> int:
 
 
 class Mistakes:
-    """What is wrong; it is gone on after each, so that all of them are named at once."""
+    """The mistakes of an expansion, which goes on after each, so that all of them are named at once."""
 
     def __init__(self) -> None:
         self.found: list[Mistake] = []
 
     @contextmanager
     def kept(self, kind: type[Fault] = Fault) -> Iterator[None]:
-        """Keep what is wrong and go on after it; where there is too much of something, it ends."""
+        """Keep a fault and go on after it; an Excess passes, unless it is the `kind` to keep."""
         try:
             yield
         except Fault as fault:
@@ -91,5 +91,5 @@ class Mistakes:
             self.found.append(Mistake(key, spelled(key) or "file", fault.what, fault.of_key, fault.origin))
 
     def typed(self, where: str, what: str) -> None:
-        """Keep what is wrong on the command line."""
+        """Keep a mistake of the command line."""
         self.found.append(Mistake((), where, what))

@@ -1,4 +1,4 @@
-"""`include`: how an entry of it reads, and how the parts of an included file become parts of the including one."""
+"""`include`: reads its entries, and makes the parts of an included file parts of the including one."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _PREFIX: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]*")
 
 @dataclass(frozen=True, slots=True)
 class Inclusion:
-    """One file to include, and what is different about it here."""
+    """One file to include, and the changes to it here."""
 
     origin: Origin
     file: str
     prefix: str = ""
     values: Mapping[str, Any] = field(default_factory=dict)
     remap: Mapping[str, tuple[str, Origin]] = field(default_factory=dict)
-    """Ports by the port in whose place they come, and where that is said."""
+    """Ports by the port that they replace, and the place of the replacement."""
 
 
 def listed(given: Any, origin: Origin) -> list[tuple[Any, Origin]]:
@@ -56,7 +56,7 @@ def as_table(given: Any, origin: Origin) -> dict[str, Any]:
 
 
 def inclusion(table: dict[str, Any], origin: Origin) -> Inclusion:
-    """An entry whose variables are written out."""
+    """Read an entry whose variables are filled in."""
     if not isinstance(table["file"], str) or not table["file"]:
         raise Fault(origin.below("file"), f"expected the name of a file, got {table['file']!r:.80}")
     prefix = table.get("prefix", "")
@@ -86,13 +86,13 @@ def _is_table(value: Any) -> bool:
 
 
 def _check_port(text: Any, origin: Origin, *, of_key: bool = False) -> None:
-    """Refuse what is no path of a port."""
+    """Refuse a value that is no path of a port."""
     if (fault := port_fault(text)) != "":
         raise Fault(origin, fault, of_key=of_key)
 
 
 def port_fault(text: Any) -> str:
-    """Why it is no path of a port; "" when it is."""
+    """The reason why a value is no path of a port; "" when it is one."""
     try:
         if isinstance(text, str) and (path := Path.parse(text)).port and not path.kernel:
             return ""
@@ -102,7 +102,7 @@ def port_fault(text: Any) -> str:
 
 
 def included(document: Document, how: Inclusion) -> Document:
-    """The parts of the file as parts of the including one: other ports in the place of some, and longer names."""
+    """The parts of an included file for the including one: with ports replaced, and names with the prefix."""
     changed = [
         (entry, key, end)
         for entry in document.entries
@@ -123,7 +123,7 @@ def included(document: Document, how: Inclusion) -> Document:
 
 
 def remapped(document: Document, port: str, target: str, where: str) -> str:
-    """Another port in the place of one, in all connections; says why not, or ""."""
+    """Replace a port in all connections; returns why not, or ""."""
     found = [
         (entry, key)
         for entry in document.entries
@@ -137,7 +137,7 @@ def remapped(document: Document, port: str, target: str, where: str) -> str:
 
 
 def not_named(port: str, document: Document, where: str) -> str:
-    """That no connection has this port, and which one may be meant."""
+    """The message that no connection has this port, and which one may be meant."""
     ports = dict.fromkeys(end for one in document.entries if one.table == "connections" for _, end in one.ends())
     known = suggestion(port, ports)
     return f"no connection {where} has the port {port[:80]!r}; {known}"

@@ -1,4 +1,4 @@
-"""The parts that were put together, as the tables of one system."""
+"""Makes the tables of one system of the collected parts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def mixed(document: Document) -> Iterator[Fault]:
 
 
 def joined(document: Document, top: Mapping[str, Any], main: Source) -> tuple[dict[str, Any], dict[Key, Origin]]:
-    """The tables of the system, and where its keys stand that are called otherwise in their file."""
+    """The tables of the system, and the places of its keys that stand in another file or have another name there."""
     whole: dict[str, Any] = {"schema": top.get("schema")}
     moved: dict[Key, Origin] = {}
     whole.update({word: value for word, (value, _) in document.rest.items()})

@@ -1,4 +1,4 @@
-"""The parts that stand in one file itself: its components, composites, connections and contexts, and other tables."""
+"""Collects the parts of one file itself: its components, composites, connections and contexts, and other tables."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ class File:
     top: dict[str, Any]
     scope: Scope
     way: tuple[tuple[Path, Path], ...]
-    """The files that led here, itself last: the whole path, and as it was written."""
+    """The files that led to this one, this one last: the whole path, and the path as it was written."""
     folder: str
-    """Where it lies, counted from the folder of the file that was named."""
+    """The folder of the file, relative to the folder of the named file."""
 
     def at(self, *key: str | int) -> Origin:
         return Origin(self.source, key)
 
 
 def put_own(document: Document, file: File, kept: Callable[[], AbstractContextManager[None]]) -> None:
-    """What stands in the file itself, put into its document; `kept` keeps what is wrong with a part."""
+    """Put the parts of the file itself into its document; `kept` keeps the faults of a part."""
     for table in NAMED:
         with kept():
             for name, value in _entries(file, table):
@@ -64,7 +64,7 @@ def put_own(document: Document, file: File, kept: Callable[[], AbstractContextMa
 
 
 def _other(document: Document, file: File, word: str, value: Any) -> None:
-    """The clock, the table of a service."""
+    """Put another table, such as the clock or that of a service, into the document."""
     origin = file.at(word)
     made = file.scope.filled(value, origin)
     if isinstance(value, dict) and IF in value:
@@ -90,7 +90,7 @@ def _named(document: Document, file: File, table: str, name: str, value: dict[st
     if not there:
         if table != "contexts":
             document.absent.update(dict.fromkeys(names, origin.below(IF)))
-        filled(file, value, origin, None if numbers is None else 0)  # for what is wrong in it
+        filled(file, value, origin, None if numbers is None else 0)  # for the faults in it
         return
     for number, one in zip((None,) if numbers is None else numbers, names, strict=True):
         made, moved = filled(file, value, origin, number)
@@ -98,7 +98,7 @@ def _named(document: Document, file: File, table: str, name: str, value: dict[st
 
 
 def _unnamed(document: Document, file: File, table: str, number: int, value: dict[str, Any]) -> None:
-    """A connection, or a table of a list of a service."""
+    """Put a connection, or a table of a service's list, into the document."""
     origin = file.at(table, number)
     numbers = copies(value, file.scope, origin)
     there = is_there(value, file.scope, origin)
@@ -111,7 +111,7 @@ def _unnamed(document: Document, file: File, table: str, number: int, value: dic
 def filled(
     file: File, value: dict[str, Any], origin: Origin, number: int | None
 ) -> tuple[dict[str, Any], dict[Key, Origin]]:
-    """The table of one copy, without what is said of all of them; and its keys that have another name there."""
+    """The table of one copy, without `if` and `repeat`; and the places of its keys that have another name there."""
     value = {word: one for word, one in value.items() if word not in (IF, REPEAT)}
     moved: dict[Key, Origin] = {}
     if number is not None:
@@ -129,7 +129,7 @@ def _add(document: Document, entry: Entry) -> None:
 
 
 def _plugins(document: Document, file: File) -> None:
-    """The folders with plugins of an included file; of the first one, whoever reads the system sees to it."""
+    """Put the plugin folders of an included file into the document; of the named file, the table as it is."""
     origin = file.at(PLUGINS)
     given = file.scope.filled(file.top.get(PLUGINS, {}), origin)
     if len(file.way) == 1:

@@ -1,6 +1,6 @@
-"""`if` and `repeat`: whether a part is there, and how often, with its number in the place of `{i}`.
+"""`if` and `repeat`: whether a part is there, and its copies, each with its number in the place of `{i}`.
 
-Numbers count from 0. `{i+1}` and `{i-1}` are the next and the one before; `{{i}}` is a `{i}` that means nothing.
+Numbers count from 0. `{i+1}` and `{i-1}` are the next and the one before; `{{i}}` is a literal `{i}`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from aiorts.system.text.places import Key
 
 IF, REPEAT = "if", "repeat"
 MOST: Final = 10_000
-"""Copies of one part."""
+"""The most copies of one part."""
 _NUMBER: Final = re.compile(r"\{(\{i(?:[+-]\d{1,6})?\})\}|\{i([+-]\d{1,6})?\}")
 
 
@@ -31,12 +31,12 @@ def copies(table: dict[str, Any], scope: Scope, origin: Origin) -> range | None:
 
 
 def is_there(table: dict[str, Any], scope: Scope, origin: Origin) -> bool:
-    """Whether its condition holds."""
+    """Whether the condition of a part holds."""
     return IF not in table or scope.holds(table[IF], origin.below(IF))
 
 
 def has_number(text: str) -> bool:
-    """Whether it differs from copy to copy."""
+    """Whether a text differs from copy to copy."""
     return any(found[1] is None for found in _NUMBER.finditer(text))
 
 

@@ -1,4 +1,4 @@
-"""What names mean once all parts are known: names of the repeated stand for all of them, the absent are left out."""
+"""Resolves names once all parts are known: a repeated part's name stands for its copies, absent names are left out."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from aiorts.system.text.places import Key
 
 
 def resolve(document: Document, budget: Budget) -> Iterator[Fault]:
-    """Put names in the place of those that stand for several, and take those away that are absent."""
+    """Replace each name that stands for several by these, and take absent names away."""
     there = {name for table, name in document.names if table in COMPONENTS}
     document.absent = {name: origin for name, origin in document.absent.items() if name not in there}
     if document.absent or document.families:
@@ -22,7 +22,7 @@ def resolve(document: Document, budget: Budget) -> Iterator[Fault]:
 
 
 def refuse_absent(document: Document) -> Iterator[Fault]:
-    """Faults for connections of those that are left out."""
+    """Faults for connections of components that are left out."""
     for entry in document.entries:
         if entry.table != "connections":
             continue
@@ -35,14 +35,14 @@ def refuse_absent(document: Document) -> Iterator[Fault]:
 
 
 class _Names:
-    """What the names in one entry stand for."""
+    """Resolves the names in one entry."""
 
     def __init__(self, document: Document, budget: Budget, entry: Entry) -> None:
         self._families, self._absent = document.families, document.absent
         self._budget, self._entry = budget, entry
 
     def resolved(self) -> Iterator[Fault]:
-        """Change the entry."""
+        """Change the entry; yields its faults."""
         if self._entry.table not in NAMED:
             if self._entry.table != "connections":
                 return
@@ -73,7 +73,7 @@ class _Names:
         return [f"{one}{space}{state}" for one in self._names(name)]
 
     def _ports(self, text: str) -> list[str]:
-        """Of a connection, where who is left out is refused."""
+        """The ports for one of a connection, where components that are left out stay, to be refused."""
         name, dot, port = text.partition(".")
         return [f"{one}{dot}{port}" for one in self._names(name)] if name in self._families else [text]
 
@@ -92,7 +92,7 @@ class _Names:
             self._entry.put(key, items)
 
     def _ends(self) -> Iterator[Fault]:
-        """Faults for one port where several are meant; only a list of in-ports may have several."""
+        """Faults for one port that stands for several; only a list of in-ports may have several."""
         for key, end in self._entry.ends():
             name = end.partition(".")[0]
             if name in self._families and has_number(name):
@@ -100,7 +100,7 @@ class _Names:
                 yield Fault(self._entry.at(key), what if key == ("from",) else f'{what}, or a list: to = ["{end}"]')
 
     def _exported(self, exported: Any) -> None:
-        """Ports of the repeated by patterns of their own, and by names with their numbers."""
+        """Give the ports of each copy of a repeated part their own pattern, and a name with its number."""
         if isinstance(exported, list):
             self._put(("exported",), self._patterns)
         elif isinstance(exported, str):

@@ -1,7 +1,7 @@
 """`[variables]`, and `${name}` in texts.
 
 A text that is `${name}` and nothing else has the variable's value, of its type; in other texts it is written out.
-`$${` is a `${` that means nothing. A value is put in once: what it holds is not looked at again.
+`$${` is a literal `${`. A value is put in once: a `${` in it is not expanded again.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from aiorts.system.text.places import Key
 from aiorts.system.text.toml import LARGEST
 
 ENV: Final = "env"
-"""The key of `[variables]` that is no variable: those that the environment may set."""
+"""The key of `[variables]` that is no variable: it lists those that the environment may set."""
 _FIELD: Final = re.compile(r"\$\$\{|\$\{([^{}]*)(\}?)")
 _WHOLE: Final = re.compile(r"\$\{([^{}]*)\}")
 _CONDITION: Final = re.compile(r"\s*(not\s+)?(\$\{[^{}]*\})\s*")
@@ -34,7 +34,7 @@ _KINDS: Final[tuple[tuple[Any, str], ...]] = (
 )
 
 Given: TypeAlias = Callable[[Any], Any]
-"""What is given in place of a default: makes the value of the default; a Fault where the two do not agree."""
+"""A value in place of a default: a function that gets the default; a Fault where the two do not agree."""
 
 
 class _Unknown(Fault):
@@ -46,7 +46,7 @@ class _Unknown(Fault):
 
 
 class Scope:
-    """The variables of one file, and what they are put into."""
+    """The variables of one file; fills them into its values."""
 
     def __init__(self, values: Mapping[str, Any], budget: Budget) -> None:
         self.values = values
@@ -54,7 +54,7 @@ class Scope:
         self._budget = budget
 
     def filled(self, value: Any, origin: Origin, moved: dict[Key, Origin] | None = None) -> Any:
-        """The value with the variables in all of its texts; keys that were written otherwise are put into `moved`."""
+        """The value with the variables in all of its texts; the places of renamed keys are put into `moved`."""
         found = self._filled(value, origin, (), {} if moved is None else moved)
         self._budget.spend(weight(found, origin), origin)
         return found
@@ -122,7 +122,7 @@ class Scope:
         raise _Unknown(name, origin, known, of_key=of_key)
 
     def _written(self, name: str, closed: str, origin: Origin, *, of_key: bool) -> str:
-        """A value in the middle of a text."""
+        """The text of a value in the middle of another text."""
         if not closed:
             what = f"${{{name[:40]} has no closing brace; write ${{name}}, or $${{ for a ${{ that means nothing"
             raise Fault(origin, what, of_key=of_key)
@@ -137,7 +137,7 @@ class Scope:
 def declared(
     table: Any, origin: Origin, given: Mapping[str, Given], environ: Mapping[str, str], budget: Budget
 ) -> Scope:
-    """The variables of a file: what is given comes before the environment, and that before the default.
+    """The variables of a file: a given value comes before the environment, and that before the default.
 
     A default may use the variables above it.
     """
@@ -169,12 +169,12 @@ def declared(
 
 
 def typed(text: str, fault: Callable[[str], Fault]) -> Given:
-    """What a command line or the environment says: text that is read as a value of the default's kind."""
+    """The value of a command line or the environment: text that is read as a value of the default's kind."""
     return lambda default: _converted(text, default, fault)
 
 
 def handed(name: str, value: Any, origin: Origin) -> Given:
-    """What an including file says: a value of the default's kind."""
+    """The value of an including file: it has to be of the default's kind."""
 
     def agreed(default: Any) -> Any:
         kinds, word = _kind(default, origin)
@@ -225,7 +225,7 @@ def _converted(text: str, default: Any, fault: Callable[[str], Fault]) -> Any:
 
 
 def _number(text: str) -> int | float:
-    """A whole number, or where the text is none another one: a default 1 is no promise that it stays whole."""
+    """A whole number, or else another number: a default 1 is no promise that the value stays whole."""
     if len(text) > _LONGEST_NUMBER:
         raise ValueError
     try:
@@ -251,7 +251,7 @@ def _kind(value: Any, origin: Origin) -> tuple[Any, str]:
 
 
 def _listed(table: dict[str, Any], origin: Origin) -> dict[str, Origin]:
-    """The variables that the environment may set, and where it says so."""
+    """The variables that the environment may set, and the place of each in the list."""
     at, listed = origin.below(ENV), table.get(ENV, [])
     if not isinstance(listed, list):
         what = f'env lists the variables that the environment may set, such as env = ["ROBOT_IP"], got {listed!r:.80}'

@@ -11,7 +11,7 @@ from aiorts.system.expansion.entries import NAMED
 
 
 def document_text(top: Mapping[str, Any]) -> str:
-    """TOML that says the same, and in which nothing is left to be expanded."""
+    """The TOML text of the tables, in which nothing is left to be expanded."""
     return "\n".join(_lines(top)) + "\n"
 
 

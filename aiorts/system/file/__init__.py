@@ -1,4 +1,4 @@
-"""Reads a system file into values: tables, keys, places in the text, and what is wrong with them.
+"""Reads a system file into values: tables, keys, places in the text, and their faults.
 
-Nothing is run that the file does not name a type for. Every error has its line.
+No code is run but that of the types that the file names. Every error has its line.
 """

@@ -1,6 +1,6 @@
 """A component's command-line options as parameters: on a command line and under `options` in a system file alike.
 
-A class says in a table `options` which flags it has; each entry has the attributes `flags`, `param`, `kind` ("text",
+A class lists its flags in a table `options`; each entry has the attributes `flags`, `param`, `kind` ("text",
 "number", "repeat" or "flag"), `value`, `action` and `required`, and may have `words`, values that words stand for, and
 `bare`, the value where none is given. A class without a table has one option for each parameter: `--rate-limit` sets
 `rate_limit`.
@@ -20,8 +20,8 @@ def parse_options(cls: type[Any], arguments: Sequence[str]) -> dict[str, Any]:
     """The parameters that these arguments set, as a command line would: `-i TYPE`, `--map=TEXT`, `-n`, `--`.
 
     Raises:
-        ConfigurationError: an option that there is not (near ones are given), one without its value, or one that is
-            for a command line only.
+        ConfigurationError: an option does not exist (near ones are named), has no value, or is for a command line
+            only.
     """
     table = _table(cls)
     flags = {flag: option for option in table for flag in option.flags}
@@ -85,7 +85,7 @@ def _table(cls: type[Any]) -> Sequence[Any]:
 
 
 def _taken_apart(argument: str, flags: Mapping[str, Any]) -> tuple[str, str | None]:
-    """`--map=0>0` and `-m0>0` as the flag and its value."""
+    """Split `--map=0>0` and `-m0>0` into the flag and its value."""
     if argument in flags:
         return argument, None
     if argument.startswith("--"):

@@ -1,4 +1,4 @@
-"""Who is a member of whom in a system file, and what follows from it: what a name stands for, and who runs it; pure."""
+"""The memberships in a system file, and their consequences: the parts of a name, and the contexts of these; pure."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def root(composites: Mapping[str, CompositeEntry], name: str) -> str:
 
 
 def parts(composites: Mapping[str, CompositeEntry], name: str, *, everybody: bool = False) -> tuple[str, ...]:
-    """The components of this kernel that run with this one, in the order stated; `everybody`: also with a schedule of
-    their own."""
+    """The components of this kernel that run with this one, in the order stated; `everybody`: also those with a
+    schedule of their own."""
     entry = composites.get(name)
     if entry is None:
         return () if names_kernel(name) else (name,)
@@ -68,7 +68,7 @@ def with_parts(system: SystemFile) -> SystemFile:
 def misplaced(
     composites: Mapping[str, CompositeEntry], contexts: Mapping[str, ContextEntry]
 ) -> Iterator[tuple[Key, str]]:
-    """Members of contexts that run elsewhere by what the file says: the key, and what is wrong."""
+    """Members of contexts that run elsewhere by what the file says: the key, and the fault."""
     of = owners(composites)
     homes: dict[str, str] = {}
     for context in contexts.values():
@@ -90,9 +90,9 @@ def misplaced(
 
 
 def unstartable(system: SystemFile) -> Iterator[tuple[Key, str]]:
-    """What no run can start: the key, and what is wrong.
+    """The parts that no run can start: the key, and the fault.
 
-    Rules of starting for who is in no context; contexts whose members run in different processes.
+    These are start rules of components in no context, and contexts whose members run in different processes.
     """
     yield from _apart(system)
     run = {
@@ -115,7 +115,7 @@ def unstartable(system: SystemFile) -> Iterator[tuple[Key, str]]:
 
 
 def _apart(system: SystemFile) -> Iterator[tuple[Key, str]]:
-    """Contexts that would run what has a process of its own beside others."""
+    """Contexts that would run a member with a process of its own together with others."""
     of = owners(system.composites)
     isolated = {name for name, entry in system.components.items() if entry.isolation}
     for name, entry in system.contexts.items():
@@ -132,7 +132,7 @@ def _apart(system: SystemFile) -> Iterator[tuple[Key, str]]:
 
 
 def readers_first(names: Sequence[str], edges: Iterable[tuple[str, str]]) -> list[str]:
-    """The names, each after those it sends to; `edges` are (writer, reader). In a circle the order given decides."""
+    """The names, each after its readers; `edges` are (writer, reader). In a circle the order given decides."""
     readers: dict[str, list[str]] = {name: [] for name in names}
     for writer, reader in edges:
         readers[writer].append(reader)

@@ -1,4 +1,4 @@
-"""From a system file to classes: finds the type of each component and checks every parameter; it creates nothing.
+"""Loads the classes of a system file: finds the type of each component and checks every parameter; it creates nothing.
 
 A type is `FILE.py:Class`, of a file below the system file's folder, `package.module:Class` or a name that a plugin
 offers (`kernel/extensions/type_names.py`).
@@ -35,7 +35,7 @@ from aiorts.system.text.toml import read_text
 
 _MOST_FILES: Final = 10_000
 Fault: TypeAlias = tuple[Key, str, AiortsError]
-"""The key it is about, what it is called where that is no key of the file, and the error."""
+"""The key of a fault, its place where that is no key of the file, and the error."""
 
 
 def load(path: str | Path, overrides: Iterable[str] = (), choices: Choices = AS_WRITTEN) -> SystemFile:
@@ -46,7 +46,7 @@ def load(path: str | Path, overrides: Iterable[str] = (), choices: Choices = AS_
         choices: variables, and ports in the place of others.
 
     Raises:
-        SystemFileError: it cannot be read, is no system file, or refers to something that is not there.
+        SystemFileError: the file cannot be read, is no system file, or refers to something that is not there.
     """
     where = Path(path)
     return parse(read_text(where), where, overrides, choices)
@@ -120,9 +120,9 @@ def _folders_in(folder: Path) -> list[Path]:
 
 
 def parameters(system: SystemFile, entry: ComponentEntry, cls: type[Component]) -> tuple[dict[str, Any], list[Fault]]:
-    """The parameters of a component, converted and checked, and what is wrong: (key, "where", error).
+    """The parameters of a component, converted and checked, and the faults: (key, "where", error).
 
-    What the command line sets wins over the file.
+    Values of the command line win over the file.
     """
     key: Key = ("components", entry.name)
     faults: list[Fault] = []
@@ -158,7 +158,7 @@ def parameters(system: SystemFile, entry: ComponentEntry, cls: type[Component]) 
 def setting(
     system: SystemFile, entry: ComponentEntry, cls: type[Component], params: Mapping[str, Any]
 ) -> tuple[Setting, list[Fault]]:
-    """The whole configuration of a component, and what is wrong with its sets; `params` have been checked."""
+    """The whole configuration of a component, and the faults of its sets; `params` have been checked."""
     key: Key = ("components", entry.name)
     faults: list[Fault] = []
     declared = declarations(cls).configuration
@@ -186,7 +186,7 @@ def setting(
             faults.append((where, said, error))
             active = ""
     if active and active != DEFAULT:
-        # What the command line sets is in force, though the active set may have another value.
+        # Values of the command line are in force, though the active set may have others.
         by_hand = {one.param for one in system.overrides if one.component == entry.name}
         chosen = {name: params[name] for name in known[active] if name in by_hand and name in params}
         if chosen:
@@ -195,7 +195,7 @@ def setting(
 
 
 def in_folder(system: SystemFile, spec: ParameterSpec | None, value: Any, key: Key) -> Any:
-    """A value of the file; a relative path is counted from the folder of the file that has the key."""
+    """A value of the file; a relative path is taken from the folder of the file that has the key."""
     is_path = spec is not None and spec.type is Path and isinstance(value, str) and value
     return str(system.folder_of(key) / value) if is_path else value
 

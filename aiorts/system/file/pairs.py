@@ -20,10 +20,10 @@ class ConnectedPairs:
         self._pairs: dict[frozenset[str], int] = {}
 
     def fault(self, one: str, other: str, number: int, limits: PortLimits | None) -> WiringError | None:
-        """Join two ports by the connection of this number; why they must not be, or None.
+        """Join two ports by the connection of this number; returns why they must not be joined, or None.
 
         Args:
-            limits: what its options say of the ports; None where they are wrong.
+            limits: its options about the ports; None where they are wrong.
         """
         pair = frozenset((one, other))
         first = self._pairs.get(pair)

@@ -1,7 +1,7 @@
-"""From the text of a system file to `SystemFile`: every key is known, every name refers to something, or it is refused.
+"""Parses the text of a system file into `SystemFile`: unknown keys, and names that refer to nothing, are refused.
 
 It loads no component, and opens no file but those that the text includes. It goes on after a mistake, so that all of
-them are named at once, each with the key it is about; what is wrong is left out of the system that it answers with.
+them are named at once, each with its key; wrong parts are left out of the resulting system.
 """
 
 from __future__ import annotations
@@ -59,17 +59,17 @@ _LIMITS: Final = tuple(options_of(Limits))
 _COMPONENT: Final = ("type", "options", "params", "sets", "active", *options_of(ComponentEntry), IF, REPEAT)
 _COMPOSITE: Final = ("members", *options_of(CompositeEntry), IF, REPEAT)
 _LOOSE: Final[Mapping[str, Mapping[str, Any]]] = {"backoff": {"backoff_max": 1e300}, "backoff_max": {"backoff": 1e-300}}
-"""What a value is tried with: the two limits of a delay are compared with each other where both are known."""
+"""The companions of a value that is tried alone: the two limits of a delay are compared where both are known."""
 
 
 def parse(text: str, path: Path, overrides: Iterable[str] = (), choices: Choices = AS_WRITTEN) -> SystemFile:
-    """The system that `text` describes; `path` is where it stands, `overrides` are texts "component.param=value".
+    """The system that `text` describes; `path` is its file, `overrides` are texts "component.param=value".
 
     Args:
         choices: variables, and ports in the place of others.
 
     Raises:
-        SystemFileError: says what is wrong first, with line and column, and what may have been meant.
+        SystemFileError: names the first mistake, with line and column, and what may have been meant.
     """
     system, mistakes = read(text, path, overrides, choices)
     if not mistakes:
@@ -85,11 +85,11 @@ def parse(text: str, path: Path, overrides: Iterable[str] = (), choices: Choices
 def read(
     text: str, path: Path, overrides: Iterable[str] = (), choices: Choices = AS_WRITTEN
 ) -> tuple[SystemFile, tuple[Mistake, ...]]:
-    """The system without what is wrong in it, and all that is wrong; files that it includes are opened.
+    """The system without its wrong parts, and all mistakes; files that it includes are opened.
 
     Raises:
-        NotToml: it is no TOML: says line, column and reason.
-        SystemFileError: it is too large.
+        NotToml: the text is no TOML; names line, column and reason.
+        SystemFileError: the text is too large.
     """
     found = expand(Source(path, text.removeprefix("\ufeff")), choices, os.environ, partial(_below, path.parent))
     reader = _Reader(found)
@@ -99,7 +99,7 @@ def read(
 
 
 def _below(folder: Path, path: Path) -> tuple[Path, str]:
-    """An included file, which lies below the folder of the one that was named, as all does that it names."""
+    """The path and text of an included file, which has to lie below the folder of the named file."""
     try:
         whole = path.resolve()
     except (OSError, ValueError, RuntimeError) as error:
@@ -110,7 +110,7 @@ def _below(folder: Path, path: Path) -> tuple[Path, str]:
 
 
 def parse_override(text: str) -> Override:
-    """`component.param=value` taken apart; SystemFileError when it has another form."""
+    """Take `component.param=value` apart; SystemFileError: the text has another form."""
     where, equals, value = text.partition("=")
     component, dot, param = where.strip().partition(".")
     if not (equals and dot and component and param):
@@ -121,12 +121,12 @@ def parse_override(text: str) -> Override:
 
 
 def may_be_a_service(key: str) -> bool:
-    """Whether a table is one that a service brings; one nearly like a table of ours is a misspelt one."""
+    """Whether a table may be that of a service; a key nearly like one of `TOP` is a misspelt one."""
     return not nearest(key, TOP, cutoff=0.85)
 
 
 def may_be_of_a_service(key: str, value: Any) -> bool:
-    """Whether it is a table of a service, or a list of such: `[[NAME]]`."""
+    """Whether a value may be a table of a service, or a list of such: `[[NAME]]`."""
     listed = isinstance(value, list) and key not in TOP and all(isinstance(one, dict) for one in value)
     return (isinstance(value, dict) or listed) and may_be_a_service(key)
 
@@ -147,7 +147,7 @@ class _Reader(Reading):
 
     def system(self, top: dict[str, Any], overrides: Iterable[str]) -> SystemFile:
         if not self._schema(top):
-            top = {}  # of another version nothing can be said
+            top = {}  # the keys of another version are not known
         services = {key: _service_table(key, value) for key, value in top.items() if may_be_of_a_service(key, value)}
         self._only((), top, (*TOP, *services))
         tables_ = self._tables(top, "components", "component")
@@ -226,7 +226,7 @@ class _Reader(Reading):
         if word not in table or kind not in (int, float):
             return value
         try:
-            if isinstance(value, str):  # a number of TOML is none in quotes
+            if isinstance(value, str):  # in quotes it is no number of TOML
                 raise OptionError(f"{word} = {value!r}: expected a number")
             return read_option(cls, word, value)
         except OptionError as error:
@@ -309,10 +309,10 @@ class _Reader(Reading):
         return None if len(self.mistakes) > before else entry
 
     def _once(self, key: Key, entry: ConnectionEntry) -> None:
-        """Refuse what is connected already, as far as that can be seen without the ports."""
+        """Refuse pairs that are connected already, as far as that can be seen without the ports."""
         try:
             _, limits = connector_profile("", entry.options, "", entry.ports)
-        except WiringError:  # wrong, or an option of service ports: for who knows the ports
+        except WiringError:  # wrong, or an option of service ports: judged with the ports
             return
         writer, *readers = entry.ports
         for reader in readers:
@@ -320,7 +320,7 @@ class _Reader(Reading):
                 self._say(key, str(fault), of_key=True)
 
     def _no_tables(self, key: Key, options: Mapping[str, Any]) -> None:
-        """Refuse a table where an option wants a value, and one that holds nothing."""
+        """Refuse a table where an option wants a value, and an empty table."""
         for word, value in options.items():
             if not isinstance(value, dict):
                 continue
@@ -347,7 +347,7 @@ class _Reader(Reading):
                 key, f"{path!r:.80} names no port; write COMPONENT.PORT, or KERNEL/COMPONENT.PORT of another kernel"
             )
         elif parsed.kernel:
-            return  # what another kernel has is known when it is there
+            return  # the components of another kernel are known when it is there
         elif parsed.component not in components:
             self._unknown(key, "component", parsed.component, components)
 
@@ -447,7 +447,7 @@ class _Reader(Reading):
         return made
 
     def _made(self, key: Key, given: dict[str, Any], known: Collection[str], make: Any) -> Any:
-        """What `make` makes of the values; each is tried alone first, so that each that is wrong is marked."""
+        """The result of `make` for the values; each is tried alone first, so that each wrong one is marked."""
         before = len(self.mistakes)
         self._only(key, given, known)
         for word, value in given.items():
@@ -534,7 +534,7 @@ class _Reader(Reading):
         return str(value)
 
     def _exported(self, key: Key, given: Any, members: tuple[str, ...]) -> dict[str, str]:
-        """The rules as patterns and names."""
+        """The rules of `exported` as names by pattern."""
         if isinstance(given, str):
             given = [part.strip() for part in given.split(",") if part.strip()]
         if not isinstance(given, list | dict):
@@ -577,14 +577,14 @@ class _Reader(Reading):
                 self._say(("composites", name, "members"), f"would be a member of itself: {way}")
                 for one in seen:
                     owners.pop(one, None)
-                    composites[one] = replace(composites[one], members=())  # who follows the way finds an end
+                    composites[one] = replace(composites[one], members=())  # so that a walk along the members ends
 
     # -- the order of starting ---------------------------------------------------------------------------------------
 
     def _start_order(
         self, components: Mapping[str, ComponentEntry], known: Mapping[str, Any], tables: Mapping[str, Any]
     ) -> None:
-        """Refuse conditions about nobody, and rules that wait for each other."""
+        """Refuse conditions about unknown components, and rules that wait for each other."""
         rules = [entry.start for entry in components.values() if entry.start is not None]
         for rule in rules:
             for number, condition in enumerate(rule.conditions):
@@ -612,7 +612,7 @@ def _texts(groups: Any) -> Any:
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Options with dotted keys (`buffer.length = 4`) as one level; a time-out of `inf` as the None that is forever."""
+    """Options with dotted keys (`buffer.length = 4`) as one level; a time-out of `inf` becomes None, forever."""
     flat: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, dict):

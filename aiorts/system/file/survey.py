@@ -1,4 +1,4 @@
-"""Loads what a system file names and checks each part by itself; it creates nothing and stops at no mistake.
+"""Loads the types and plugins of a system file and checks each part by itself; it creates nothing and stops nowhere.
 
 `prepare` raises the first fault of a survey, `check` shows all of them.
 """
@@ -32,7 +32,7 @@ from aiorts.system.file.values import SystemFile
 from aiorts.system.text.places import Key
 
 _TEXTS: Final = ("name", "empty", "stamp", "convert")
-"""Options of a connection whose value a program may leave out as None, False or 0; in a file that says nothing."""
+"""Options of a connection that a program may leave out by None, False or 0; in a file they have to be texts."""
 
 
 _ENTRY: Final = re.compile(r"\[(\d+)\](?:\.([^:]+))?: ")
@@ -41,7 +41,7 @@ _FAILED: Final = " cannot be loaded: "
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Something that keeps the system from being built: where, and the error with what is to be done."""
+    """A fault that keeps the system from being built: its place, and the error with the remedy."""
 
     key: Key
     where: str
@@ -51,24 +51,24 @@ class Fault:
 
 @dataclass(slots=True)
 class Survey:
-    """What could be had of each part, and what is wrong with the others."""
+    """The loaded parts of a system, and the faults of the others."""
 
     system: SystemFile
     catalogue: Catalogue
     types: dict[str, type[Component]] = field(default_factory=dict)
     classes: dict[tuple[str, Path], type[Component]] = field(default_factory=dict)
-    """By the text of a type and the folder of the file that it stands in: thousands of components have few types."""
+    """Classes by the text of a type and the folder of its file: thousands of components have few types."""
     settings: dict[str, Setting] = field(default_factory=dict)
     profiles: dict[int, tuple[ConnectorProfile, PortLimits]] = field(default_factory=dict)
-    """By the number of the connection: the options in force, and those that are about its ports."""
+    """The options in force, and those about the ports, by the number of the connection."""
     contexts: dict[str, Context] = field(default_factory=dict)
     services: dict[str, ServicePlan] = field(default_factory=dict)
     faults: list[Fault] = field(default_factory=list)
     bad_params: set[str] = field(default_factory=set)
-    """Components with a parameter that is wrong: what ports it makes is not known; those that are declared are."""
+    """Components with a wrong parameter: the ports that it makes are not known; declared ones are."""
 
     def say(self, key: Key, error: AiortsError, where: str = "", *, of_key: bool = False) -> None:
-        """Keep a fault; `where` in place of the key as it is written."""
+        """Keep a fault; `where` takes the place of the key as it is written."""
         self.faults.append(Fault(key, where or spelled(key), error, of_key))
 
 
@@ -77,7 +77,7 @@ def survey(
     catalogue: Catalogue | None = None,
     services: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
 ) -> Survey:
-    """Everything that can be had of a system without creating anything; imports the files and plugins that it names.
+    """Load and check a system without creating anything; imports the files and plugins that it names.
 
     Args:
         services: settings by service, which win over those of the file.
@@ -98,12 +98,12 @@ def survey(
 
 
 def survey_component(found: Survey, entry: ComponentEntry) -> None:
-    """What can be had of one component."""
+    """Load and check one component."""
     key: Key = ("components", entry.name)
     try:
         cls = _class(found, entry)
     except (PluginError, SystemFileError) as error:
-        # What keeps one module from being imported keeps all its classes: it is said once.
+        # A module that cannot be imported fails for all its classes: it is reported once.
         _, failed, cause = str(error).partition(_FAILED)
         if not failed or all(str(one.error).partition(_FAILED)[2] != cause for one in found.faults):
             found.say((*key, "type"), error)
@@ -117,7 +117,7 @@ def survey_component(found: Survey, entry: ComponentEntry) -> None:
 
 
 def _class(found: Survey, entry: ComponentEntry) -> type[Component]:
-    """The class of a component, which is looked for once; what cannot be had is looked for, and refused, each time."""
+    """The class of a component, looked up once for each text; a failed look-up is made, and refused, each time."""
     asked = entry.type, found.system.folder_of(("components", entry.name, "type"))
     cls = found.classes.get(asked)
     if cls is None:
@@ -126,7 +126,7 @@ def _class(found: Survey, entry: ComponentEntry) -> type[Component]:
 
 
 def _connection(found: Survey, entry: ConnectionEntry) -> None:
-    # One option after the other first, so that each that is wrong is named and marked.
+    # Each option is checked alone first, so that each wrong one is named and marked.
     key: Key = ("connections", entry.number - 1)
     wrong = False
     for option, value in entry.options.items():
@@ -152,7 +152,7 @@ def _connection(found: Survey, entry: ConnectionEntry) -> None:
     try:
         far = [path for path in entry.ports if found.system.is_elsewhere(path)]
         if far:
-            # What the kernel of a writer elsewhere has to do itself is said with the ports: see `checks`.
+            # Options that the kernel of a writer elsewhere has to carry out are reported with the ports: see `checks`.
             through = entry.ports[0] in far and len(far) > 1
             options = link_options("", options, from_reader=through, through=through)
         elif options.get("on_link_lost") is not None:
@@ -163,7 +163,7 @@ def _connection(found: Survey, entry: ConnectionEntry) -> None:
 
 
 def _needed(option: str, value: Any) -> dict[str, Any]:
-    """What an option cannot be without, so that it can be looked at alone."""
+    """The options that another one requires, so that it can be checked alone."""
     periodic = str(value).strip().lower() == "periodic"
     return {"push_rate": 1.0} if periodic and not option.endswith("push_rate") else {}
 
@@ -187,7 +187,7 @@ def _context(found: Survey, entry: ContextEntry) -> None:
 
 
 def _service(found: Survey, name: str, table: Mapping[str, Any], chosen: Mapping[str, Any]) -> None:
-    """The settings of a service: what its table says, and what was chosen elsewhere."""
+    """Load a service and check its settings: those of its table, and those chosen elsewhere."""
     offers = found.catalogue.extensions("services")
     if name not in offers:
         what = f"unknown key {name[:80]!r}; {suggestion(name, (*TOP, *offers))}"
@@ -215,7 +215,7 @@ def _service(found: Survey, name: str, table: Mapping[str, Any], chosen: Mapping
 
 
 def _listed(name: str, what: str) -> tuple[Key, str]:
-    """Where in `[[NAME]]` it is that a service speaks of, "[NUMBER].KEY: ...", and what it says."""
+    """The place in `[[NAME]]` that begins a service's message, "[NUMBER].KEY: ...", and the rest of the message."""
     place = _ENTRY.match(what)
     if place is None:
         return (name,), what
@@ -224,7 +224,7 @@ def _listed(name: str, what: str) -> tuple[Key, str]:
 
 
 def _in_folder(folder: Path, settings: type, table: Mapping[str, Any]) -> dict[str, Any]:
-    """A service's table; a relative path in it is counted from the folder of the file."""
+    """A service's table; a relative path in it is taken from the folder of the file."""
     paths = path_settings(settings)
     return {
         key: str(folder / value) if key in paths and isinstance(value, str) and value else value

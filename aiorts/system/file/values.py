@@ -1,4 +1,4 @@
-"""A system file as it was read: what it says, where it lies, and what a command line says against it."""
+"""A system file as it was read: its contents, its places, and the overrides of a command line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Override:
 
     @property
     def text(self) -> str:
-        """As it was written."""
+        """The override as it was written."""
         return f"{self.component}.{self.param}={self.value}"
 
 
@@ -31,7 +31,7 @@ class Override:
 class SystemFile(Wanted):
     """A whole system, read and checked as far as that goes without loading any component.
 
-    Which service brings a table is looked up when the system is prepared.
+    The service of a table is looked up when the system is prepared.
     """
 
     path: Path = Path()
@@ -39,14 +39,14 @@ class SystemFile(Wanted):
     text: str = field(default="", repr=False, compare=False)
     """The whole system as one text; "" for a system that was not made of a text."""
     origins: Origins = field(default_factory=lambda: Origins(Source(Path(), "")), repr=False, compare=False)
-    """Where its keys stand."""
+    """The places of its keys."""
 
     def at(self, *key: str | int, of_key: bool = False) -> str:
-        """Where the value of a key stands, or the key itself, as a message has it: "system.toml:7:3"."""
+        """The place of a key's value, or of the key itself, as a message has it: "system.toml:7:3"."""
         return str(self.origins.spot(key, of_key=of_key)) if self.text else str(self.path)
 
     notes: tuple[Mistake, ...] = field(default=(), repr=False, compare=False)
-    """What is not wrong in it, but good to know."""
+    """Remarks about the file that are no mistakes."""
 
     def is_elsewhere(self, port: str) -> bool:
         """Whether a port, given by its path, is in another process than this one when the system runs."""
@@ -57,16 +57,16 @@ class SystemFile(Wanted):
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that it was read from: its own first, then those that it includes."""
+        """The files of the system: the one that was named first, then those that it includes."""
         return tuple(source.path for source in self.origins.sources()) if self.text else (self.path,)
 
     @property
     def folder(self) -> Path:
-        """Where the system file lies; relative paths in it are counted from here."""
+        """The folder of the system file, from which relative paths in it are taken."""
         return self.path.parent
 
     def folder_of(self, key: Key) -> Path:
-        """Where the file lies that has this key."""
+        """The folder of the file that has this key."""
         return self.origins.of(key).source.path.parent if self.text else self.folder
 
     def folders(self, key: Key) -> tuple[Path, ...]:

@@ -15,12 +15,12 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     for cls in (ConnectorProfile, PortLimits)
     for key, one in options_of(cls).items()
 }
-"""By key. What `Kernel.connect` takes, and OpenRTM's words for the same values."""
+"""The schemas by key: the values of `Kernel.connect`, and OpenRTM's words for the same values."""
 _ALIASES: Final = [alias for alias, _ in ALIASES if "." not in alias and alias not in OPTIONS]
 
 
 def connection_schema(name: str) -> dict[str, Any]:
-    """One entry of `[[connections]]`; `name` is the pattern of a component's or a port's name."""
+    """The schema of one entry of `[[connections]]`; `name` is the pattern of a component's or a port's name."""
     port = {"type": "string", "pattern": rf"^(?:(?:[^/]+/)?{name}/)?{name}\.{name}$"}
     return {
         "type": "object",

@@ -1,4 +1,4 @@
-"""The JSON Schema of declared options: of each its words, or its type and range, its default and what it is for."""
+"""The JSON Schema of declared options: the words of each, or its type and range, its default and its description."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WHOLE_TEXT: Final = _text(WHOLE)
 
 
 def _choice(kind: type[StrEnum], one: Option) -> dict[str, Any]:
-    """The words of an option for an editor to offer, and the same in any case, with blanks round them."""
+    """The words of an option, for an editor to offer, and these words in any case, with blanks round them."""
     words = [*(member.value for member in kind), *one.words, *([""] if one.default is None else [])]
     return {"anyOf": [{"enum": words}, _text(*map(_spelled, words))]}
 
@@ -74,6 +74,6 @@ def plain_schema(kind: Any, one: Option) -> dict[str, Any]:
 
 
 def _said(one: Option) -> dict[str, Any]:
-    """The default of an option, where a file can say it, and its description."""
+    """The default of an option, where a file can have it, and its description."""
     default = {} if one.default in (None, "") else {"default": one.default}
     return {**default, "description": one.described}

@@ -1,7 +1,7 @@
-"""The JSON Schema (draft 2020-12) of system files, made of what is installed: editors complete and mark with it.
+"""The JSON Schema (draft 2020-12) of system files, made of the installed types: editors complete and mark with it.
 
 It accepts what the program accepts, texts for numbers included, and knows the parameters of every component type that
-can be loaded. What one table says of another (a member that is no component) no schema can tell: `check` does.
+can be loaded. No schema can find faults between tables (a member that is no component): `check` does.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def schema(catalogue: Catalogue | None = None, *, templates: bool = True) -> dic
     """The schema as plain data, for `json.dumps`.
 
     Args:
-        catalogue: which component types and contexts there are; the default one by default.
+        catalogue: the source of component types and contexts; the default catalogue by default.
         templates: whether texts such as "${name}" may stand for values, as in a file before it is expanded.
     """
     catalogue = Catalogue.default() if catalogue is None else catalogue
@@ -105,7 +105,7 @@ def _named(kind: str, text: str) -> dict[str, Any]:
 def _classes(
     catalogue: Catalogue, kind: str, load: Callable[[Extension], type[T]]
 ) -> Iterator[tuple[str, type[T] | None]]:
-    """Names and classes of a kind of extension; None for what cannot be loaded: `aiorts plugins --check` says why."""
+    """Names and classes of a kind of extension; None for one that does not load: `aiorts plugins --check` says why."""
     for name in catalogue.extensions(kind):
         try:
             yield name, load(catalogue.find(kind, name))
@@ -201,7 +201,7 @@ def _parameter(spec: ParameterSpec) -> dict[str, Any]:
 
 
 class _Values(SchemaForms):
-    """The schemas of a parameter's values, as TOML or as the text that means them."""
+    """The schemas of a parameter's values, as TOML or as text."""
 
     def __init__(self, limits: Constraint) -> None:
         self._limits = limits
@@ -245,7 +245,7 @@ def _members(kind: type[enum.Enum]) -> list[Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A default as JSON has it; None for what JSON cannot say."""
+    """A default as JSON has it; None for one that JSON cannot have."""
     if isinstance(value, enum.Enum):
         return value.name
     if isinstance(value, tuple):
@@ -260,7 +260,7 @@ def _plain(value: Any) -> Any:
 
 
 def _services(catalogue: Catalogue) -> dict[str, Any]:
-    """The table that each service brings."""
+    """The schema of each service's table."""
     found: dict[str, Any] = {}
     for name, service in _classes(catalogue, "services", load_service):
         if service is None:
@@ -284,7 +284,7 @@ def _services(catalogue: Catalogue) -> dict[str, Any]:
 
 
 def _argument(cls: type, name: str, kinds: tuple[type, ...], default: Any, text: str) -> dict[str, Any]:
-    """A setting of a service, or an option of a context; default and text are those of one without a declaration."""
+    """The schema of a service's setting or a context's option; default and text are used where none is declared."""
     one = options_of(cls).get(name) or Option(text, default)
     made: dict[str, Any] = {}
     if words := words_among(cls, name):
@@ -333,7 +333,7 @@ def _context(kind: str, cls: type[Context] | None) -> dict[str, Any]:
 
 
 def _documented(cls: type) -> dict[str, str]:
-    """What the classes say of their arguments in their signature and under `Args:`, the class itself last."""
+    """The descriptions of arguments in the signatures and under `Args:` of the classes; the class itself wins."""
     texts: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         texts.update({name: one.described for name, one in options_of(base).items()})

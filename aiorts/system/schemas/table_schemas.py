@@ -1,4 +1,4 @@
-"""The JSON Schema of sets, supervision, start and composites: tables of keys, with what for."""
+"""The JSON Schema of sets, supervision, start and composites: tables of keys, with descriptions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _OF_COMPOSITE: Final = {
 
 
 def sets_schema(params: dict[str, Any], name: str) -> dict[str, Any]:
-    """`[components.X.sets.NAME]`; `params` is the schema of its parameters."""
+    """The schema of `[components.X.sets.NAME]`; `params` is that of its parameters."""
     return {
         "type": "object",
         "description": "[components.X.sets.NAME]: named configuration sets; what one does not name is as under params.",
@@ -39,12 +39,12 @@ def sets_schema(params: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def active_schema() -> dict[str, Any]:
-    """`active` of a component."""
+    """The schema of a component's `active`."""
     return {"type": "string", "description": "The configuration set in force: one of sets, of its class, or default."}
 
 
 def component_schema() -> dict[str, Any]:
-    """The declared keys of a component."""
+    """The schemas of a component's declared keys."""
     tables = {
         "supervision": {"$ref": "#/$defs/supervision"},
         "start": {"$ref": "#/$defs/start"},
@@ -54,27 +54,27 @@ def component_schema() -> dict[str, Any]:
 
 
 def keys_schema(cls: type, tables: Mapping[str, dict[str, Any]] = MappingProxyType({})) -> dict[str, Any]:
-    """The declared keys of a class: those that are tables as given, the others by their types."""
+    """The schemas of a class's declared keys: those that are tables as given, the others by their types."""
     kinds, keys = kinds_of(cls), options_of(cls).items()
     return {key: tables.get(key) or plain_schema(kinds[key][0], one) for key, one in keys}
 
 
 def supervision_schema() -> dict[str, Any]:
-    """`[components.X.supervision]`."""
+    """The schema of `[components.X.supervision]`."""
     deadlines = _table(options_of(Supervision)["deadlines"].described, dict.fromkeys(CYCLE_HOOKS, _SECONDS))
     keys = _table(_KEYS["supervision"].doc, keys_schema(Supervision, {"deadlines": deadlines}))
     return keys | {"anyOf": [{"required": [word]} for word in ACTING]}
 
 
 def start_schema() -> dict[str, Any]:
-    """`[components.X.start]`."""
+    """The schema of `[components.X.start]`."""
     after = {"anyOf": [_CONDITION, {"type": "array", "items": _CONDITION}]}
     described = {**after, "description": options_of(StartRule)["after"].described}
     return _table(_KEYS["start"].doc, keys_schema(StartRule, {"after": described}))
 
 
 def composite_schema() -> dict[str, Any]:
-    """`[composites.NAME]`."""
+    """The schema of `[composites.NAME]`."""
     made = _table(
         "[composites.NAME]: components that look like one to all others.",
         {

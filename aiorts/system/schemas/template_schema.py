@@ -1,4 +1,4 @@
-"""The part of the JSON Schema that is about what is expanded: included files, variables, conditions, repeated parts."""
+"""The part of the JSON Schema that is about expansion: included files, variables, conditions, repeated parts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _ANNOTATIONS: Final = ("title", "description", "default")
 
 
 def include_schema(port: str) -> dict[str, Any]:
-    """`include` and `[[include]]`; `port` is the pattern of COMPONENT.PORT."""
+    """The schema of `include` and `[[include]]`; `port` is the pattern of COMPONENT.PORT."""
     remap = {"anyOf": [{"type": "string", "pattern": port}, {"type": "object"}]}
     return {
         "description": '[[include]]: other system files, whose parts become parts of this; also include = ["a.toml"].',
@@ -55,7 +55,7 @@ def include_schema(port: str) -> dict[str, Any]:
 
 
 def variables_schema() -> dict[str, Any]:
-    """`[variables]`."""
+    """The schema of `[variables]`."""
     return {
         "description": "[variables]: defaults by name, for ${name} in texts; --var, or vars of an include, wins.",
         "type": "object",
@@ -97,7 +97,7 @@ def templated(made: dict[str, Any]) -> dict[str, Any]:
 
 
 def _inside(node: Any) -> Any:
-    """A table with templates in the place of values, or a choice of such."""
+    """A table with templates in the place of values, or a choice of such tables."""
     if not isinstance(node, dict):
         return node
     made = dict(node)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _HEAD: Final = struct.Struct(">BI")
 _LONGEST: Final = 64 << 20
-"""Bytes of a record."""
+"""The most bytes of a record."""
 
 
 def framed(port: str, record: bytes) -> bytes:
@@ -48,7 +48,7 @@ class FrameInput(Incoming):
     ) -> None:
         super().__init__(name, ports, notify, *args, **options)
         self.frames = 0
-        """Frames read, bad ones among them."""
+        """The number of frames read, bad ones among them."""
         self._codec = codec
 
     async def _read(self, descriptor: int | None) -> None:
@@ -80,7 +80,7 @@ class FrameOutput(Component):
     Args:
         ports: type of each out-port to write; this component gets an in-port of the same name for it.
         codec: encodes the records.
-        stream: where frames go; standard output by default.
+        stream: the stream that gets the frames; standard output by default.
         count: number of samples after which it stops and calls `done`; None never stops.
     """
 
@@ -120,7 +120,7 @@ class FrameOutput(Component):
         if _takes(stream, len(data)):
             put(stream, data)
         else:
-            await asyncio.to_thread(put, stream, data)  # a slow reader makes us wait, and not the loop
+            await asyncio.to_thread(put, stream, data)  # a slow reader makes this component wait, and not the loop
 
 
 def _takes(stream: BinaryIO, size: int) -> bool:

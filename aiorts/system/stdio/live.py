@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from aiorts.sessions import Stream
 
 _LOOK_AGAIN: Final = 0.2
-"""Seconds after which the thread that waits for samples sees whether it is still wanted."""
+"""Seconds after which the thread that waits for samples looks whether it is still wanted."""
 
 
 class LiveInput(Incoming):
     """A source that takes the samples of an out-port of a running kernel; for an event context.
 
     Args: see `Incoming`; there is one port.
-        stream: of the operation `tap`, with frames. What it drops on the way it counts as `missed`.
+        stream: the stream of the operation `tap`, with frames. It counts the samples that it drops as `missed`.
     """
 
     def __init__(

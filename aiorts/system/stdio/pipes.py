@@ -27,14 +27,14 @@ from aiorts.wire.lines import LineReader, LineWriter
 
 _CHUNK: Final = 1 << 16
 _LONGEST: Final = 64 << 20
-"""Bytes of a line."""
+"""The most bytes of a line."""
 _MARK: Final = b"\xef\xbb\xbf"
 """A byte order mark, which some editors put before UTF-8."""
 _GONE: Final = (errno.EIO, errno.EBADF)
-"""A terminal that was hung up; a descriptor that was closed."""
+"""The errors of a terminal that was hung up, and of a descriptor that was closed."""
 
 _LINES_KEPT: Final = 4096
-"""Samples of a port whose line numbers are kept: more than fit into a connector and its reader."""
+"""The number of samples of a port whose line numbers are kept: more than fit into a connector and its reader."""
 _TURNS: Final = 50
 """Turns of the loop after which waiting for a component changes from each turn to now and then."""
 _LOOK: Final = 0.001
@@ -119,7 +119,7 @@ class Incoming(Component):
     Args:
         ports: type of each in-port to feed; this component gets an out-port of the same name for it.
         notify: called with the number (from 1) of a bad item and the reason.
-        descriptor: what is read; standard input by default. It is not closed.
+        descriptor: the descriptor that is read; standard input by default. It is not closed.
         count: number of samples after which it finishes; None is the end of input.
         ordered: feed the in-ports in the order of the input; for readers that read all of them in each cycle.
         held_up: tells whether the reader waits for another component; while it does not, taking nothing is an error.
@@ -175,11 +175,11 @@ class StandardInput(Incoming):
     """A source that reads lines from standard input; for an event context.
 
     Args:
-        optional: an input that ends without a line is none, and this source then does not finish.
+        optional: whether an input that ends without a line counts as none; this source then does not finish.
     """
 
     lines = 0
-    """Lines read, bad ones included, blank ones not."""
+    """The number of lines read, bad ones included, blank ones not."""
 
     def __init__(self, *args: Any, optional: bool = False, **how: Any) -> None:
         super().__init__(*args, **how)
@@ -217,7 +217,7 @@ class StandardOutput(Component):
 
     Args:
         ports: type of each out-port to write; this component gets an in-port of the same name for it.
-        stream: where lines go; standard output by default.
+        stream: the stream that gets the lines; standard output by default.
         count: number of samples after which it stops and calls `done`; None never stops.
     """
 
@@ -253,7 +253,7 @@ def _standard_input() -> int | None:
     try:
         return sys.stdin.fileno()
     except (AttributeError, ValueError, OSError):
-        return None  # started without
+        return None  # started without standard input
 
 
 async def _batches(descriptor: int | None) -> AsyncIterator[list[bytes | None]]:

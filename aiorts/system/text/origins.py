@@ -1,7 +1,7 @@
-"""Where each key of a system stands: in which file, and there on which line; a system may be written in several files.
+"""The place of each key of a system: its file, and its line there; a system may be written in several files.
 
-A key of the system is mapped to a key of a file by its longest beginning that is known; what follows is the same in
-both. Of a system of one file, nothing but that file is known, and each key is its own.
+A key of the system is mapped to a key of a file by its longest known beginning; the rest of the key is the same in
+both. For a system of one file only that file is kept, and each key is mapped to itself.
 """
 
 from __future__ import annotations
@@ -39,30 +39,30 @@ class Spot:
 
     @property
     def quote(self) -> str:
-        """The line."""
+        """The line of the place."""
         return places_of(self.source.text).line(self.place.line)
 
     def mark(self, error: _E) -> _E:
-        """The error, with this place to be quoted."""
-        # As the columns of a message count: a carriage return before the end of a line is no character of it.
+        """The error, marked with this place, so that the place is quoted."""
+        # In columns of messages a carriage return before the end of a line does not count.
         text = self.source.text.replace("\r\n", "\n")
         return error.at(text, *places_of(text).extent(self.place))
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """What a key of the system is in the file in which it stands."""
+    """The file in which a key of the system stands, and its key there."""
 
     source: Source
     key: Key
 
     def spot(self, *, of_key: bool = False) -> Spot:
-        """Where its value stands, or the key itself."""
+        """The place of the value, or of the key itself."""
         places = places_of(self.source.text)
         return Spot(self.source, places.key(self.key) if of_key else places.value(self.key))
 
     def below(self, *key: str | int) -> Origin:
-        """A key in its value."""
+        """The origin of a key below this one."""
         return Origin(self.source, (*self.key, *key))
 
 
@@ -73,9 +73,9 @@ class Origins:
     main: Source
     """The file that was named."""
     moved: Mapping[Key, Origin] = field(default_factory=lambda: MappingProxyType({}))
-    """Of keys that are called otherwise in their file, or stand in another one."""
+    """The origins of keys that have another name in their file, or stand in another file."""
     others: tuple[Source, ...] = ()
-    """The files that it includes."""
+    """The included files."""
 
     def of(self, key: Key) -> Origin:
         """The origin of a key."""
@@ -85,7 +85,7 @@ class Origins:
         return Origin(self.main, key)
 
     def spot(self, key: Key, *, of_key: bool = False) -> Spot:
-        """Where the value of a key stands, or the key itself."""
+        """The place of a key's value, or of the key itself."""
         return self.of(key).spot(of_key=of_key)
 
     def known(self, key: Key) -> Key:
@@ -98,7 +98,7 @@ class Origins:
         return key
 
     def inside(self, key: Key, text: str, offset: int) -> Spot | None:
-        """Where the character at `offset` of a part of a value stands; None when it is not written there like that."""
+        """The place of the character at `offset` of a part of a value; None when the part is not written literally."""
         origin = self.of(key)
         place = places_of(origin.source.text).inside(origin.key, text, offset)
         return None if place is None else Spot(origin.source, place)

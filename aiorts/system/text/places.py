@@ -1,6 +1,6 @@
-"""Where each key and each value of a TOML text stands; the text has been read by a TOML parser before and is right.
+"""The places of all keys and values of a TOML text, which a TOML parser has read before and found right.
 
-Pure, and linear in the text: a reader of keys, strings and brackets, which knows no value but its extent.
+Pure, and linear in the text: a reader of keys, strings and brackets, which knows only the extents of values.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Final, TypeAlias
 from aiorts.late import dataclass
 
 Key: TypeAlias = tuple[str | int, ...]
-"""The way to a value: names of tables and keys, and places in lists from 0."""
+"""The path to a value: names of tables and keys, and places in lists from 0."""
 
 _BLANK: Final = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
 _INLINE_BLANK: Final = re.compile(r"[ \t]*")
@@ -36,7 +36,7 @@ class Place:
 
 
 class Places:
-    """The places in one text. What is not in it is where the nearest thing is that holds it."""
+    """The places in one text. A key that is not in it has the place of the nearest key above it."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -48,11 +48,11 @@ class Places:
             pass
 
     def key(self, key: Key) -> Place:
-        """Where the key stands; for an element of a list the element."""
+        """The place of a key; for an element of a list that of the element."""
         return self._place(self._nearest(key, self._keys, self._values))
 
     def value(self, key: Key) -> Place:
-        """Where the value stands; for a table its heading."""
+        """The place of a value; for a table that of its heading."""
         return self._place(self._nearest(key, self._values, self._keys))
 
     def known(self, key: Key) -> Key:
@@ -62,16 +62,16 @@ class Places:
         return key
 
     def inside(self, key: Key, text: str, offset: int) -> Place | None:
-        """Where the character at `offset` of a part of a value stands; None when the value does not have that part.
+        """The place of the character at `offset` of a part of a value; None when the value does not have that part.
 
-        A text with escapes is written otherwise than it reads, so that its parts are not found.
+        A text with escapes is written differently from its value, so that its parts are not found.
         """
         start, end = self._values.get(key, (0, 0))
         found = self._text.find(text, start, end) if text else -1
         return None if found < 0 else self._place((found + offset, found + offset + 1))
 
     def extent(self, place: Place) -> tuple[int, int]:
-        """Where a place begins and ends, in characters of the text from 0."""
+        """The start and end of a place, in characters of the text from 0."""
         start = self._starts[place.line - 1] + place.column - 1
         return start, start + place.width
 
@@ -130,7 +130,7 @@ class Places:
             yield
 
     def _resolved(self, key: Key) -> Key:
-        """The key with the number of the last element after each list of tables on its way."""
+        """The key with the number of the last element after each list of tables in it."""
         found: Key = ()
         for part in key:
             found = (*found, part)
@@ -143,7 +143,7 @@ class Places:
         return here if found is None else found.end()
 
     def _parts(self, here: int) -> tuple[list[tuple[str, int, int]], int]:
-        """The parts of a dotted key with their extents, and where it ends."""
+        """The parts of a dotted key with their extents, and the end of the key."""
         parts = []
         while True:
             start = self._match(_INLINE_BLANK, here)
@@ -196,7 +196,7 @@ class Places:
 
 
 def _name(written: str) -> str:
-    """A part of a key as TOML means it."""
+    """The name that a written part of a key means."""
     if written[:1] == '"' and "\\" in written:
         return str(tomllib.loads(f"x = {written}")["x"])
     return written[1:-1] if written[:1] in ("'", '"') else written

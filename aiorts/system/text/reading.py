@@ -1,4 +1,4 @@
-"""Takes values out of TOML tables, each checked, and keeps mistakes with the key each is about; it knows no table."""
+"""Takes values out of TOML tables, each checked, and keeps mistakes with their keys; it knows no table."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from aiorts.system.text.places import Key
 _WORDS: Final = {**WORDS, dict: "a table"}
 NOTHING: Final[Any] = object()
 _MOST_MISTAKES: Final = 200
-"""Mistakes that are named: who has more mends these first."""
+"""The most mistakes that are named: with more, these are mended first."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """One thing that is wrong, and the key it is about; `of_key` when the key itself is wrong and not its value."""
+    """A mistake, and the key that it is about; `of_key` when the key itself is wrong and not its value."""
 
     key: Key
     where: str
     what: str
     of_key: bool = False
     origin: Origin | None = None
-    """Where the key stands, if it is no key of the whole system."""
+    """The origin of the key, if it is no key of the whole system."""
 
     def spot(self, origins: Origins) -> Spot:
-        """Where it stands."""
+        """The place of the mistake."""
         return (origins.of(self.key) if self.origin is None else self.origin).spot(of_key=self.of_key)
 
     @property
     def typed(self) -> bool:
-        """Whether it is one of the command line, and in no file."""
+        """Whether the mistake is in the command line, and in no file."""
         return self.where.startswith("--")
 
 
 class Reading:
-    """What a reader of tables derives from."""
+    """The base class of readers of tables."""
 
     def __init__(self) -> None:
         self.mistakes: list[Mistake] = []
@@ -49,7 +49,7 @@ class Reading:
     def _get(
         self, key: Key, table: dict[str, Any], word: str, kind: type, default: Any = NOTHING, *, missing: Any = NOTHING
     ) -> Any:
-        """The value of a key; `default` when it is absent, which is a mistake where there is none (then `missing`)."""
+        """The value of a key; `default` when it is absent. Without a default, absence is a mistake (then `missing`)."""
         if word not in table:
             if default is NOTHING:
                 self._missing(key, table, word)
@@ -62,7 +62,7 @@ class Reading:
         return value
 
     def _missing(self, key: Key, table: Mapping[str, Any], word: str) -> None:
-        """Say so where the key stands in another spelling, once; else where it would stand."""
+        """Report a missing key: at a misspelt form of it, once; else at the table."""
         near = nearest(word, table)
         misspelt = (*key, near)
         if not near:
@@ -113,7 +113,7 @@ class Reading:
 
 
 def spelled(key: Key) -> str:
-    """A key as messages call it: elements of lists count from 1."""
+    """A key as messages spell it: elements of lists count from 1."""
     text = ""
     for part in key:
         text += f"[{part + 1}]" if isinstance(part, int) else f".{part[:80]}" if text else part[:80]

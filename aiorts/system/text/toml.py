@@ -1,4 +1,4 @@
-"""From the bytes of a file to TOML tables: every fault has file, line and column, and none takes longer than a second.
+"""Reads the bytes of a file as TOML tables: every fault has file, line and column, and none takes longer than a second.
 
 A system file is a regular file of at most 1 MiB. Nothing else is opened: a pipe would wait, a device never ends.
 """
@@ -20,7 +20,7 @@ from aiorts.system.text.places import places_of
 from aiorts.system.text.reading import spelled
 
 LARGEST: Final = 1024 * 1024
-"""Bytes of a system file."""
+"""The most bytes of a system file."""
 _AT: Final = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 _DIGITS: Final = re.compile(r"\d[\d_]{4000}")
 
@@ -37,7 +37,7 @@ class NotToml(SystemFileError):
 
 
 class HugeNumber(NotToml):
-    """A number in it has more digits than any value; it is right as TOML."""
+    """A number has more digits than any value may have; as TOML it is right."""
 
     code = "E-CONFIG"
 
@@ -46,7 +46,7 @@ def read_text(path: Path) -> str:
     """The text of a file, without a byte-order mark.
 
     Raises:
-        SystemFileError: it cannot be read, is no file, is too large, or not UTF-8 (then with line and column).
+        SystemFileError: the path cannot be read, is no file, is too large, or not UTF-8 (then with line and column).
     """
     try:
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -75,7 +75,7 @@ def read_text(path: Path) -> str:
 
 
 def tables(text: str, path: Path) -> dict[str, Any]:
-    """What the text says. NotToml where it says nothing."""
+    """The tables of a text. NotToml: the text is no TOML, or none that is allowed."""
     if len(text.encode("utf-8", "surrogatepass")) > LARGEST:
         raise SystemFileError(f"{path}: larger than {LARGEST} bytes; a system file is not")
     if (more := excess(text)) is not None:
@@ -121,7 +121,7 @@ def _kind_of(mode: int) -> str:
 
 
 def _near_file(path: Path) -> str:
-    """A file of nearly that name, for one that is not there."""
+    """The hint at a file of nearly that name, for one that is not there."""
     try:
         files = [] if path.exists() else islice(path.parent.glob("*.toml"), 1000)
         names = {found.stem: found.name for found in files if found.name != path.name}  # which may be a dead link

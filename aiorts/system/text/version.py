@@ -11,7 +11,7 @@ SCHEMA: Final = 1
 
 
 def version_fault(top: Mapping[str, Any]) -> tuple[str, bool]:
-    """What is wrong with the version of a file, "" for nothing; and whether nothing can be said of its other keys."""
+    """The fault of a file's version, "" for none; and whether it is another version, whose keys are not known."""
     version = top.get("schema")
     if type(version) is not int:
         got = f"got {version!r:.80}" if "schema" in top else "it is missing"
