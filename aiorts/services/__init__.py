@@ -1,7 +1,7 @@
 """Service ports: interfaces that components provide and require, and the calls between them.
 
-They are a kind of port (`PortDeclaration`), so the kernel adds and connects them without knowing them. `Provided` and
-`Required` declare, a proxy calls.
+Service ports are a kind of port (`PortDeclaration`), so the kernel adds and connects them without knowing them.
+`Provided` and `Required` declare, a proxy calls.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Who waits for whom among the calls of a kernel.
+"""The graph of waiting among the calls of a kernel.
 
 A hook that runs and a call that is served are *activities*. An activity that has called waits for the call; a call
 that is not let in waits for the activity that is inside. A call that would close such a circle is never begun.
@@ -28,11 +28,11 @@ class CallGraph(KernelService):
         self._by_caller: dict[Activity, list[Any]] = {}
 
     def enter(self, caller: Activity, call: Any) -> None:
-        """`caller` waits for `call`."""
+        """Note that `caller` waits for `call`."""
         self._by_caller.setdefault(caller, []).append(call)
 
     def leave(self, caller: Activity, call: Any) -> None:
-        """It waits no more."""
+        """Note that `caller` waits for `call` no more."""
         calls = self._by_caller[caller]
         calls.remove(call)
         if not calls:
@@ -67,7 +67,7 @@ def holder_of(component: Component) -> Activity | None:
 
 
 def activity_of(task: asyncio.Task[Any] | None) -> Activity | None:
-    """The activity whose own task this is; None for tasks that one has started beside itself."""
+    """The activity whose own task this is; None for tasks that an activity has started."""
     if task is None:
         return None
     visit: Activity | None = getattr(task, "_aiorts_visit", None)

@@ -1,6 +1,6 @@
-"""What an accepted goal has to do with the rest of a kernel: who made it and for whom, its counts, who ends it.
+"""Joins accepted goals to the rest of a kernel: their provider and client, their counts, their ends from outside.
 
-A goal outlives the call that it was accepted in. When its client goes, its provider is asked to cancel it; when its
+A goal outlives the call by which it was accepted. When its client goes, its provider is asked to cancel it; when its
 provider goes, it has failed.
 """
 
@@ -52,13 +52,13 @@ class GoalEnded(Event):
     state: str
     """ "succeeded", "failed" or "cancelled"."""
     reason: str
-    """Of one that has failed, what `GoalStatistics.failed` counts it under; else ""."""
+    """The key of a failed goal in `GoalStatistics.failed`; else ""."""
     elapsed_ns: int
-    """Since it was accepted."""
+    """The time since the goal was accepted."""
 
 
 class Link(Protocol):
-    """What is known here of a required interface that is bound to a provided one."""
+    """A required interface that is bound to a provided one, as far as it is known here."""
 
     kernel: Microkernel
     component: Component
@@ -69,12 +69,12 @@ class Link(Protocol):
     now_ns: Callable[[], int]
 
     def named(self, method: str) -> str:
-        """A call over it, for messages."""
+        """The name of a call over the link, for messages."""
         ...
 
 
 class Acceptance:
-    """A goal that was accepted: between whom, since when."""
+    """An accepted goal: its two ends, and the time at which it began."""
 
     __slots__ = ("_begun_ns", "_keeper", "_method", "_task", "_timer", "_types", "kernel", "link")
 
@@ -90,24 +90,24 @@ class Acceptance:
 
     @property
     def name(self) -> str:
-        """Between whom, for messages."""
+        """The two ends and the method, for messages."""
         return self.link.named(self._method)
 
     @property
     def provider(self) -> str:
-        """The name of its component."""
+        """The name of the provider's component."""
         name: str = self.link.provided.port._component.name
         return name
 
     @property
     def client(self) -> str:
-        """The name of the component that it was accepted for."""
+        """The name of the component that the goal was accepted for."""
         name: str = self.link.required.port._component.name
         return name
 
     @property
     def held_up(self) -> str:
-        """For messages: that the client's hook, which runs now, keeps the provider's from running."""
+        """The remark for messages that the client's running hook keeps the provider's from running; else ""."""
         driver = waiting_driver(current_task())
         for member in cell(self.link.component).members:
             if driver is not None and member.context.runner.driver is driver:
@@ -115,16 +115,16 @@ class Acceptance:
         return ""
 
     def misfit(self, what: str, value: object) -> InterfaceMismatch | None:
-        """The error where a value is not of the type that the interface says of feedback or result."""
+        """The error for a value that is not of the interface's type of feedback or result; else None."""
         wrong = self._types.misfit(what, value)
         return InterfaceMismatch(f"{self.name}: {wrong}") if wrong else None
 
     def count(self, what: str, reason: str = "") -> None:
-        """Count it for the connector and, once that has ended, for both ends."""
+        """Count an event of the goal for the connector and, once that has ended, for both ends."""
         count_in(tallies(self.link), what, reason)
 
     def begin(self, goal: Goal[Any, Any]) -> None:
-        """It is accepted, in the task of its client, whose cancellation is the client's end."""
+        """Begin the goal in the task of its client, whose cancellation is the client's end."""
         self._keeper.running[goal] = self
         task = current_task()
         if task is not None:
@@ -132,14 +132,14 @@ class Acceptance:
             task.add_done_callback(self._task[1])
 
     def requested(self, goal: Goal[Any, Any]) -> None:
-        """It is to be cancelled: its provider runs, and has `cancel_timeout` seconds."""
+        """Wake the provider to cancel the goal, within `cancel_timeout` seconds."""
         seconds = self.link.provided.cancel_timeout
         text = f"was asked to cancel ({goal._requested}) and did not end within {seconds} s"
         self._timer = self.kernel.call_later(seconds, lambda: goal._end_from_outside("cancel_timeout", text))
         self.wake()
 
     def ended(self, goal: Goal[Any, Any], outcome: Outcome) -> None:
-        """It has its end."""
+        """Count and publish the end of the goal."""
         self._keeper.running.pop(goal, None)
         if self._timer is not None:
             self._timer.cancel()
@@ -157,8 +157,8 @@ class Acceptance:
         )
 
     def wake(self) -> None:
-        """Have the event contexts of the provider execute it."""
-        from aiorts.contexts import EventContext  # late: one who calls has it, one who is called need not
+        """Let the event contexts of the provider execute it."""
+        from aiorts.contexts import EventContext  # late: a caller has it loaded, a provider need not
 
         for member in cell(self.link.component).members:
             if isinstance(member.context, EventContext) and member.context.running:
@@ -171,12 +171,12 @@ def _client_task_ended(goal: Goal[Any, Any], task: asyncio.Task[Any]) -> None:
 
 
 def tallies(link: Link) -> tuple[Tally, ...]:
-    """Where it is counted: the ends took over what their link had counted when it ended."""
+    """The tallies in which a link counts: after its end also those of its ends, which took over its counts."""
     return (link.tally, link.required._tally, link.provided._tally) if link.closed else (link.tally,)
 
 
 def forsake(value: object) -> None:
-    """What a method has answered when nobody waited for it any more: its provider need not go on."""
+    """End the goal, if it is one, that a method has returned after its caller had gone."""
     if isinstance(value, Goal) and value._acceptance is None:
         value._end_from_outside("refused", _FORSAKEN)
 
@@ -184,7 +184,7 @@ def forsake(value: object) -> None:
 def answer_offer(
     link: Link, method: str, types: GoalTypes, value: Any, error: BaseException | None
 ) -> BaseException | None:
-    """A call that offers a goal is over: the goal runs from now on, or was refused; returns the caller's error."""
+    """End a call that offers a goal: the goal runs from now on, or was refused; returns the caller's error."""
     count_in(tallies(link), "offered")
     if error is not None:
         return error
@@ -208,7 +208,7 @@ def answer_offer(
 
 
 class GoalKeeper(KernelService):
-    """The goals of a kernel that run."""
+    """The running goals of a kernel."""
 
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)
@@ -218,7 +218,7 @@ class GoalKeeper(KernelService):
 
     @property
     def cancelling(self) -> bool:
-        """Whether one of them is to be cancelled; it ends within its `cancel_timeout`."""
+        """Whether a running goal is to be cancelled; it ends within its `cancel_timeout`."""
         return any(goal.cancel_requested for goal in self.running)
 
     def _state_changed(self, event: StateChanged) -> None:
@@ -237,7 +237,7 @@ class GoalKeeper(KernelService):
 
     def _hook_failed(self, event: HookFailed) -> None:
         if event.context:
-            return  # it changes its state
+            return  # the failure changes the component's state
         for goal, acceptance in tuple(self.running.items()):
             if acceptance.provider == event.component:
                 goal._end_from_outside("error", f"{event.component}: its {event.hook} failed", event.error)
@@ -251,7 +251,7 @@ class GoalKeeper(KernelService):
                 goal._request(f"{acceptance.client} was replaced by another instance")
 
     def leaves(self, end: Any) -> None:
-        """The component of this interface is about to go."""
+        """Fail or cancel the goals of an interface whose component is about to go."""
         for goal, acceptance in tuple(self.running.items()):
             provider, client = acceptance.provider, acceptance.client
             if acceptance.link.provided is end:
@@ -260,11 +260,11 @@ class GoalKeeper(KernelService):
                 goal._request(self._reason("removed", f"{client}: it is being removed", client)[1])
 
     def _reason(self, reason: str, text: str, component: str) -> tuple[str, str]:
-        """The reason and text for the end of a goal; where the kernel closes, that is why its component went."""
+        """The reason and text for the end of a goal; where the kernel closes, that is the reason."""
         return ("closed", f"{component}: its kernel closes") if self.kernel.closed else (reason, text)
 
     def disconnected(self, link: Link) -> None:
-        """A connection has ended: there is no client any more."""
+        """Cancel the goals of a link that has ended: there is no client any more."""
         for goal, acceptance in tuple(self.running.items()):
             if acceptance.link is link:
                 goal._request("it was disconnected")

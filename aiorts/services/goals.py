@@ -2,8 +2,8 @@
 
 One object serves both sides. The provider makes it, returns it from a method that is annotated
 `-> Goal[Feedback, Result]`, and advances it from its hooks, in whatever thread they run; the client awaits it on the
-kernel's loop. This file decides which end is the first and who waits for what; what an accepted goal has to do with
-components and connectors is in `goal_keeper.py`.
+kernel's loop. This file decides which end is the first, and wakes waiting tasks; `goal_keeper.py` joins an accepted
+goal to components and connectors.
 """
 
 from __future__ import annotations
@@ -36,33 +36,33 @@ F = TypeVar("F")
 R = TypeVar("R")
 GoalState: TypeAlias = Literal["offered", "running", "succeeded", "failed", "cancelled"]
 _KEPT: Final = 8
-"""Feedback that waits for a client at the most."""
+"""The most feedback that waits for a client."""
 _END: Final = object()
-"""What stands among the feedback for the goal's end."""
+"""The mark of the goal's end among the feedback."""
 
 
 class Outcome(NamedTuple):
-    """How a goal has ended."""
+    """The end of a goal."""
 
     state: GoalState
     result: Any = None
     text: str = ""
-    """Why it failed."""
+    """The reason of a failure, in words."""
     error: BaseException | None = None
     reason: str = ""
-    """What the failure is counted under."""
+    """The key under which the failure is counted."""
     own: bool = True
-    """Whether the provider ended it."""
+    """Whether the provider ended the goal."""
 
 
 class Goal(Generic[F, R]):
     """Work that a component has accepted from another: a method annotated `-> Goal[Feedback, Result]` returns it.
 
-    The provider makes one with `Goal()`, keeps it, returns it, and uses `feedback`, `cancel_requested`, `succeed`,
+    The provider makes a goal with `Goal()`, keeps it, returns it, and uses `feedback`, `cancel_requested`, `succeed`,
     `fail` and `cancelled`. The client uses `async for`, `result`, `cancel` and `state`.
 
     The first end counts. When the goal was ended from outside (its provider was deactivated, or did not cancel it in
-    time), what the provider still does with it is ignored, so that it needs no look before each step.
+    time), further steps of the provider are ignored, so that it needs no check before each step.
     """
 
     __slots__ = (
@@ -72,22 +72,22 @@ class Goal(Generic[F, R]):
 
     def __init__(self) -> None:
         self._acceptance: Acceptance | None = None
-        """What there is of it once it was accepted."""
+        """The goal's acceptance; None before."""
         self._chance = [True]
-        """Taken by the first end, from whatever thread it comes."""
+        """An item that the first end takes, from any thread."""
         self._outcome: Outcome | None = None
         self._doings: deque[tuple[Any, bool]] = deque()
-        """Feedback, and the end, on their way to the loop; with each whether its type was checked."""
+        """Feedback, and the end, on their way to the loop; each with whether its type was checked."""
         self._feedback: deque[F] = deque()
-        """What the client has not read."""
+        """Feedback that the client has not read."""
         self._over = False
         """Whether the end has come to the loop."""
         self._requested = ""
-        """Why it is to be cancelled."""
+        """The reason why the goal is to be cancelled; "" while it is not."""
         self._reader: asyncio.Future[None] | None = None
         self._waiters: list[asyncio.Future[None]] = []
         self.on_cancel: Callable[[], object] | None = None
-        """For the provider: called on the loop when the goal is to be cancelled."""
+        """The provider's function that is called on the loop when the goal is to be cancelled."""
 
     @property
     def state(self) -> GoalState:
@@ -103,7 +103,7 @@ class Goal(Generic[F, R]):
     # -- for the client --------------------------------------------------------------------------------------------
 
     def __aiter__(self) -> Self:
-        """Its feedback, as it comes, until the goal ends: `async for progress in goal`. For one task.
+        """Iterate over the feedback, as it comes, until the goal ends: `async for progress in goal`. For one task.
 
         The newest eight wait for a client that is slow. A task that is cancelled while it waits here asks to cancel the
         goal.
@@ -131,16 +131,16 @@ class Goal(Generic[F, R]):
         """Wait for the end of the goal; returns its result.
 
         A client that gives up asks to cancel the goal: by `timeout`, or as a task that is cancelled while it waits.
-        `result` can then be awaited again, for how it ends.
+        `result` can then be awaited again, for the end of the goal.
 
         Args:
-            timeout: seconds of the kernel's clock that it waits at the most; None is until the end.
+            timeout: the most seconds of the kernel's clock to wait; None waits until the end.
 
         Raises:
-            GoalFailed: it has failed; `reason` and `__cause__` say why.
-            GoalCancelled: it was cancelled as it was asked to.
-            ServiceTimeout: it has not ended in time.
-            StateError: it was not accepted yet.
+            GoalFailed: the goal has failed; `reason` and `__cause__` say why.
+            GoalCancelled: the goal was cancelled on request.
+            ServiceTimeout: the goal has not ended in time.
+            StateError: the goal was not accepted yet.
         """
         acceptance = self._awaitable("its result")
         if timeout is not None and not (isinstance(timeout, int | float) and 0 <= timeout < math.inf):
@@ -176,7 +176,7 @@ class Goal(Generic[F, R]):
         raise error from outcome.error
 
     def cancel(self) -> None:
-        """Ask the provider to cancel it, within its `cancel_timeout`; wait for the end with `result`. From any thread.
+        """Ask the provider to cancel the goal within its `cancel_timeout`; `result` awaits the end. From any thread.
 
         Nothing happens to a goal that has ended, or was asked before.
         """
@@ -186,17 +186,17 @@ class Goal(Generic[F, R]):
 
     @property
     def cancel_requested(self) -> bool:
-        """Whether it is to be given up: end it soon, with `cancelled`, or with `succeed` if it is done by then.
+        """Whether the goal is to be given up: end it soon, with `cancelled`, or with `succeed` if it is done by then.
 
         It stays True when the goal was ended from outside. An event context executes the provider when it becomes True.
         """
         return self._requested != ""
 
     def feedback(self, value: F) -> bool:
-        """Say how far it is. Returns False where the goal was ended from outside.
+        """Report progress to the client. Returns False where the goal was ended from outside.
 
         Raises:
-            InterfaceMismatch: a value of another type than the interface says.
+            InterfaceMismatch: the value is of another type than the interface says.
             StateError: the provider has ended the goal.
         """
         if not self._chance:
@@ -205,10 +205,10 @@ class Goal(Generic[F, R]):
         return True
 
     def succeed(self, result: R) -> bool:
-        """End it with its result. Returns False where the goal was ended from outside.
+        """End the goal with its result. Returns False where the goal was ended from outside.
 
         Raises:
-            InterfaceMismatch: a result of another type than the interface says; the goal goes on.
+            InterfaceMismatch: the result is of another type than the interface says; the goal goes on.
             StateError: the provider has ended the goal.
         """
         if not self._chance:
@@ -216,8 +216,8 @@ class Goal(Generic[F, R]):
         return self._end("succeed", Outcome("succeeded", result), checked=self._checked("result", result))
 
     def fail(self, error: BaseException | str) -> bool:
-        """End it without a result; the client gets GoalFailed with this cause. Returns False where the goal was ended
-        from outside.
+        """End the goal without a result; the client gets GoalFailed with this cause. Returns False where the goal was
+        ended from outside.
 
         Raises:
             StateError: the provider has ended the goal.
@@ -229,7 +229,7 @@ class Goal(Generic[F, R]):
         return self._end("fail", Outcome("failed", None, error, None, "provider"))
 
     def cancelled(self) -> bool:
-        """End it as cancelled, as was asked. Returns False where the goal was ended from outside.
+        """End the goal as cancelled, on request. Returns False where the goal was ended from outside.
 
         Raises:
             StateError: the client did not ask for it, or the provider has ended the goal.
@@ -254,7 +254,7 @@ class Goal(Generic[F, R]):
         return False
 
     def _checked(self, what: str, value: object) -> bool:
-        """Whether the type is known by now; InterfaceMismatch where it is, and the value is of another one."""
+        """Whether the type is known by now; InterfaceMismatch: it is known, and the value is of another one."""
         acceptance = self._acceptance
         if acceptance is None:
             return False
@@ -265,12 +265,12 @@ class Goal(Generic[F, R]):
 
     def _do(self, doing: object, checked: bool) -> None:
         self._doings.append((doing, checked))
-        # Looked at after it stands there: who accepts the goal looks the other way round.
+        # Append first, then look at the acceptance: `_accept` sets that first, and then looks at `_doings`.
         if self._acceptance is not None:
             self._acceptance.kernel.call_on_loop(self._catch_up)
 
     def _claim(self) -> bool:
-        """Whether this is the first end."""
+        """Claim the end of the goal; whether this is the first claim."""
         try:
             return self._chance.pop()
         except IndexError:
@@ -279,12 +279,12 @@ class Goal(Generic[F, R]):
     # -- on the loop -----------------------------------------------------------------------------------------------
 
     def _accept(self, acceptance: Acceptance) -> None:
-        """It runs from now on; what the provider did with it before comes to the client now."""
+        """Let the goal run from now on; earlier steps of the provider come to the client now."""
         self._acceptance = acceptance
         self._catch_up()
 
     def _catch_up(self) -> None:
-        """What the provider has done comes to the client, in the order in which it did it."""
+        """Hand the steps of the provider to the client, in their order."""
         acceptance = self._acceptance
         while self._doings and acceptance is not None:
             doing, checked = self._doings.popleft()
@@ -314,7 +314,7 @@ class Goal(Generic[F, R]):
         _wake(self._reader)
 
     def _end_from_outside(self, reason: str, text: str, error: BaseException | None = None) -> None:
-        """It has failed, unless it had its end before; what its provider still does with it is ignored."""
+        """Fail the goal, unless it had its end before; further steps of its provider are ignored."""
         if not self._claim():
             return
         self._outcome = Outcome("failed", None, text, error, reason, own=False)
@@ -322,7 +322,7 @@ class Goal(Generic[F, R]):
         self._do(_END, checked=True)
 
     def _request(self, why: str) -> None:
-        """Ask to cancel it."""
+        """Ask the provider to cancel the goal."""
         if self._chance and not self._requested and self._acceptance is not None:
             self._requested = why
             self._acceptance.requested(self)
@@ -354,7 +354,7 @@ class Goal(Generic[F, R]):
 
 
 def _judged(outcome: Outcome, wrong: BaseException | None) -> Outcome:
-    """An outcome whose result is looked at only now."""
+    """An outcome whose result was checked only now: a failure where the result is wrong."""
     return outcome if wrong is None else Outcome("failed", None, format_error(wrong), wrong, "mismatch")
 
 

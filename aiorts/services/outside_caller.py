@@ -1,7 +1,7 @@
-"""Calls from outside of all components: a tool's, which are let in, run and ended as any other.
+"""Calls from outside of all components, such as a tool's, which are let in, run and ended as any other.
 
-The caller has a required interface of its own and no connector: it takes no place among those of the provider's port,
-and is in no profile.
+The caller has a required interface of its own and no connector of a kernel: it counts for no limit of the provider's
+port, and is in no profile.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 
 class OutsideCaller:
-    """Calls the methods of one provided interface until `close`, which ends what still runs for it.
+    """Calls the methods of one provided interface until `close`, which ends the calls that still run.
 
     Args:
-        provided: live, of a component that a kernel has.
-        name, port: of the caller, for messages and events; `name` may be the path of a component elsewhere.
+        provided: a live interface of a component in a kernel.
+        name, port: the caller's names, for messages and events; `name` may be the path of a component elsewhere.
     """
 
     def __init__(self, provided: Provided[Any], name: str = "tool", port: str = "call") -> None:
@@ -44,19 +44,19 @@ class OutsideCaller:
         provided._links += (self._link,)
 
     def signature(self, method: str) -> inspect.Signature:
-        """What the method takes, with the types that are known."""
+        """The signature of the method, with the types that are known."""
         return self._answer(method).signature
 
     def answers_with_goal(self, method: str) -> bool:
-        """Whether what it returns is a goal."""
+        """Whether the method returns a goal."""
         return self._answer(method).goal is not None
 
     async def call(self, method: str, args: Sequence[Any], kwargs: Mapping[str, Any], timeout: float) -> Any:
-        """The result of a call, which waits until it is let in; of a method with goals the goal.
+        """The result of a call, which waits until it is let in; for a method with goals the goal.
 
         Raises:
             InterfaceMismatch: the arguments are not those of the method.
-            ServiceError: it has no result; each reason has a class derived from this.
+            ServiceError: the call has no result; each reason has a derived class.
         """
         answer = self._answer(method)
         try:
@@ -67,7 +67,7 @@ class OutsideCaller:
         return await ServiceCall(self._link, answer, tuple(args), dict(kwargs), timeout).result()
 
     def close(self) -> None:
-        """End what still runs for it; idempotent."""
+        """End the calls that still run; idempotent."""
         if not self._connector.closed:
             self._connector._close()
 

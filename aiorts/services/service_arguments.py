@@ -1,7 +1,7 @@
-"""Whether what a caller gives has the types that the interface says; quick for values of exactly these classes.
-Whether a method answers with a goal, and what the interface says of that goal's values.
+"""Checks whether a caller's arguments have the types of the interface; quick for values of exactly these classes.
+Finds whether a method answers with a goal, and the types of that goal's values.
 
-A value that is not of the very class is looked at as results are (`check_of`): an int may stand for a float.
+A value of another class is checked as results are (`check_of`): an int may stand for a float.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from aiorts.model.values import shown
 from aiorts.services.goals import Goal
 
 Look: TypeAlias = "Callable[[tuple[Any, ...], dict[str, Any]], str]"
-"""The name of the first argument of a wrong type; "" where there is none."""
+"""A check of a call's arguments: returns the name of the first one of a wrong type, or ""."""
 
 
 def look_of(method: Method) -> Look | None:
-    """What looks at the arguments of a call; None where nothing is known of any."""
+    """The check of a call's arguments; None where no type is known."""
     checks = {one.name: check for one in method.parameters if (check := check_of(one.annotation)) is not None}
     if not checks:
         return None
@@ -75,13 +75,13 @@ def _several(kinds: tuple[type, ...], look: Look) -> Look:
 
 
 class GoalTypes(NamedTuple):
-    """The types of feedback and result that an interface says of a method; and what looks at values."""
+    """The types of feedback and result in an interface's method, and a check of values."""
 
     feedback: Any = Any
     result: Any = Any
 
     def misfit(self, what: str, value: object) -> str:
-        """How a value is not of the type; "" where it is, or that is not to be known."""
+        """The misfit of a value and its type, in words; "" where it fits, or that cannot be known."""
         hint = getattr(self, what)
         check = check_of(hint)
         if check is None or check(value):
@@ -91,10 +91,10 @@ class GoalTypes(NamedTuple):
 
 
 def goal_types(returns: Any, where: str = "") -> GoalTypes | None:
-    """What is said of goals where a method returns one; None where it does not.
+    """The types of the goals that a method returns; None where it returns none.
 
     Raises:
-        DeclarationError: it might be one, and it cannot be known of which types.
+        DeclarationError: the method may return a goal, whose types cannot be known.
     """
     if returns is Goal:
         return GoalTypes()
@@ -114,5 +114,5 @@ def goal_types(returns: Any, where: str = "") -> GoalTypes | None:
 
 
 def is_goal(value: object) -> bool:
-    """What looks at the answers of such a method."""
+    """The check of the answers of a method with goals."""
     return isinstance(value, Goal)

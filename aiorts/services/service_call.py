@@ -1,8 +1,8 @@
 """A call that may wait: let in, run, answered, given up; on the kernel's loop.
 
 An `async def` has a task of its own, so that a deadline, a caller that is cancelled and a provider that goes end it
-without hurting anybody else. One that ignores cancellation is cancelled once for each grace step and then abandoned,
-as a hook is; its answer, should it come, is ignored.
+without harm to others. A task that ignores cancellation is cancelled once for each grace step and then abandoned, as a
+hook is; a late answer is ignored.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class ServiceCall(Visit):
         self.seconds = seconds
         self.begun_ns = 0
         self.runs = False
-        """Whether it was let in and is not over."""
+        """Whether the call was let in and is not over."""
         self.over = False
         self.reply: asyncio.Future[Outcome] | None = None
         self.task: asyncio.Task[None] | None = None
@@ -90,7 +90,7 @@ class ServiceCall(Visit):
         return self.link.kernel
 
     async def result(self) -> Any:
-        """What the provider answers, by the deadline; raises the caller's error instead."""
+        """Wait for the provider's answer until the deadline; returns it, or raises the caller's error."""
         link, kernel = self.link, self.kernel
         self.begun_ns = link.now_ns()
         reply = self.reply = kernel.loop.create_future()
@@ -118,7 +118,7 @@ class ServiceCall(Visit):
         return settle(link, self.answer, self.begun_ns, value, error)
 
     async def _begin(self) -> None:
-        """Have the provider's method begin, or `reply` say why not."""
+        """Begin the provider's method, or answer in `reply` why not."""
         link = self.link
         reason = link.provided._refusal
         if reason:
@@ -180,7 +180,7 @@ class ServiceCall(Visit):
         return True
 
     def _run_plain(self) -> None:
-        """It had to wait to be let in, and runs now as it would have at once."""
+        """Run a plain method that had to wait to be let in."""
         value, error = run_in_step(self.answer, self, self.args, self.kwargs)
         self._ended(value, error)
 
@@ -194,7 +194,7 @@ class ServiceCall(Visit):
         task.add_done_callback(self._task_done)
 
     async def _serve(self) -> None:
-        """Never raises: the end of the task is no failure of a component."""
+        """Run the method. Never raises: the end of the task is no failure of a component."""
         value = None
         error: BaseException | None = None
         try:
@@ -235,7 +235,7 @@ class ServiceCall(Visit):
         return self.reply is None or self.reply.done()
 
     def conclude(self, value: Any, error: BaseException | None) -> None:
-        """This is the answer, unless there is one already."""
+        """Answer the caller, unless there is an answer already."""
         if self.reply is not None and not self.reply.done():
             self.reply.set_result((value, error))
         if self._turn is not None and not self._turn.done():
@@ -252,13 +252,13 @@ class ServiceCall(Visit):
         self.give_up()
 
     def end(self, reason: str) -> None:
-        """The provider, or the connector, goes: the caller gets an error, the method is cancelled."""
+        """End the call, whose provider or connector goes: the caller gets an error, the method is cancelled."""
         if not self.reply_done:
             self.conclude(None, ServiceUnavailable(f"{self.link.named(self.answer.name)}: {reason}"))
         self.give_up()
 
     def give_up(self) -> None:
-        """Nobody waits for the answer any more: cancel the provider's method, again and again, then leave it behind."""
+        """Cancel the provider's method, whose caller waits no more, again and again; then abandon it."""
         task = self.task
         if task is None or task.done() or self._cancels:
             return

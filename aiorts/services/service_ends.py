@@ -1,8 +1,8 @@
-"""`Provided[Interface]` and `Required[Interface]`: what a component answers and what it asks for, as ports are.
+"""`Provided[Interface]` and `Required[Interface]`: the interfaces that a component answers and calls, as ports are.
 
-The interface is a `typing.Protocol`. What it says `async def` of is awaited by who calls, and the provider may write it
-`async def` or `def`; a plain `def` of the interface never waits, neither here nor there. This file declares and binds;
-who is called, and when, is decided in `services/service_wiring.py` and `services/service_call.py`.
+The interface is a `typing.Protocol`. Callers await its `async def` methods, which the provider may write `async def`
+or `def`; its plain `def` never waits, neither at the caller nor at the provider. This file declares and binds; the
+provider of a call, and its time, are decided in `services/service_wiring.py` and `services/service_call.py`.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ _TIMEOUT: Final = 1.0
 
 
 def idempotent(method: F) -> F:
-    """Mark a method of an interface that may be called again where it is not known what became of a call.
+    """Mark a method of an interface that may be called again where the outcome of a call is not known.
 
-    A call into another kernel that is lost, since that kernel is gone, is then made again when it is back, to the
-    call's deadline; without, it raises ServiceUnavailable.
+    A call into another kernel that is lost, since that kernel is gone, is then made again when the kernel is back,
+    until the call's deadline; without the mark, it raises ServiceUnavailable.
     """
     setattr(method, IDEMPOTENT, True)
     return method
@@ -42,21 +42,21 @@ class Provided(ServiceEnd[I], Generic[I]):
     """An interface that this component answers.
 
     Args:
-        provider: whose methods answer: None means the component itself, a name an attribute of the component, looked
-            up when it is connected, and anything else is the object, which in a class body all instances share.
-        concurrent: a call runs at once, whatever the component does; without, never while one of its hooks or another
-            call runs.
-        always: calls are served in every lifecycle state; without, while the component is active somewhere, or in no
-            context at all.
-        failure: "reply": the caller gets what a method raises; "error": moreover the component goes to error, as if a
+        provider: the object whose methods answer: None means the component itself, a name an attribute of the
+            component, looked up when it is connected; any other object of a class body is shared by all instances.
+        concurrent: whether a call runs at once, whatever the component does; else never while one of its hooks or
+            another call runs.
+        always: whether calls are served in every lifecycle state; else only while the component is active somewhere,
+            or in no context at all.
+        failure: "reply": the caller gets the error of a method; "error": the component goes to error, too, as if a
             hook had raised.
-        cancel_timeout: seconds of the kernel's clock from the moment a goal is asked to cancel; one that has not ended
-            by then has failed.
-        port, instance: the port it belongs to and its name in it, where they are not the attribute's.
-        max_connectors: connectors the port takes at the most; None is unlimited.
+        cancel_timeout: seconds of the kernel's clock from the moment a goal is asked to cancel; a goal that has not
+            ended by then has failed.
+        port, instance: the port of the interface and its name there, where they are not the attribute's.
+        max_connectors: the most connectors that the port takes; None is unlimited.
 
     Raises:
-        DeclarationError: the interface is not one, or the provider does not have what it asks for.
+        DeclarationError: the interface is none, or the provider does not have its methods.
     """
 
     __slots__ = ("_answers", "always", "cancel_timeout", "concurrent", "failure", "provider", "refuses")
@@ -85,7 +85,7 @@ class Provided(ServiceEnd[I], Generic[I]):
         self.failure = failure
         self.cancel_timeout = checked_seconds(f"Provided[{self.spec.name}]", cancel_timeout, "cancel_timeout")
         self.refuses = ""
-        """Why no call is served, where a class stands for another one; its provider is not looked for."""
+        """The reason why no call is served, where a class stands for another one; its provider is not looked for."""
         self._answers: dict[str, Callable[..., Any]] | None = None
         if provider is not None and not isinstance(provider, str):
             self._check(provider, f"Provided[{self.spec.name}]({provider!r:.60})")
@@ -121,7 +121,7 @@ class Provided(ServiceEnd[I], Generic[I]):
 
     @property
     def _refusal(self) -> str:
-        """Why its component serves no calls now; "" when it does."""
+        """The reason why its component serves no calls now; "" when it does."""
         here = self.port._cell
         if here.abandoned is not None:
             return "a hook or method of it was abandoned and it never runs again"
@@ -172,7 +172,7 @@ class Provided(ServiceEnd[I], Generic[I]):
 
 
 def _nobody(*_: object, **__: object) -> None:
-    """It is never called: its interface refuses."""
+    """Stand in for methods that are never called: their interface refuses."""
 
 
 class Required(ServiceEnd[I], Generic[I]):
@@ -180,12 +180,12 @@ class Required(ServiceEnd[I], Generic[I]):
 
     Args:
         timeout: seconds of the kernel's clock until a call is given up, the wait for the provider included.
-        many: it is bound to every provider it is connected with (`proxies`), not to exactly one.
-        port, instance: the port it belongs to and its name in it, where they are not the attribute's.
-        max_connectors: connectors the port takes at the most; None is unlimited.
+        many: whether it is bound to every provider it is connected with (`proxies`), not to exactly one.
+        port, instance: the port of the interface and its name there, where they are not the attribute's.
+        max_connectors: the most connectors that the port takes; None is unlimited.
 
     Raises:
-        DeclarationError: the interface is not one, or the time is none.
+        DeclarationError: the interface is none, or the time-out is no time.
     """
 
     __slots__ = ("_proxy", "_within", "many", "timeout")
@@ -218,20 +218,20 @@ class Required(ServiceEnd[I], Generic[I]):
 
     @property
     def is_bound(self) -> bool:
-        """Whether it has a provider."""
+        """Whether the interface has a provider."""
         return bool(self._links)
 
     async def wait_bound(self) -> None:
-        """Wait until it has a provider; ClosedError when the port is removed."""
+        """Wait until the interface has a provider; ClosedError when the port is removed."""
         await self.port._until(lambda: bool(self._links))
 
     @property
     def proxy(self) -> I:
-        """What answers the calls, typed as the interface. It may be kept: it always stands for the provider of the day.
+        """The object that answers the calls, typed as the interface. It may be kept: it is for the present provider.
 
-        A call raises ServiceUnavailable (nobody is there, or not active), ServiceTimeout, ServiceFailed (the provider
-        raised), ServiceCycle (it would wait for itself), InterfaceMismatch (it answered with a wrong type, or an
-        argument has one: the provider is then not called).
+        A call raises ServiceUnavailable (there is no provider, or it is not active), ServiceTimeout, ServiceFailed
+        (the provider raised), ServiceCycle (the call would wait for itself), InterfaceMismatch (the answer has a wrong
+        type, or an argument has: then the provider is not called).
         """
         if self._proxy is None:
             from aiorts.services.service_proxy import make_proxy
@@ -255,13 +255,13 @@ class Required(ServiceEnd[I], Generic[I]):
         return proxy
 
     def call_blocking(self, ask: Callable[[I], Awaitable[R]], timeout: float | None = None) -> R:
-        """Call from the thread of a ThreadContext and block until it is answered.
+        """Call from the thread of a ThreadContext and block until the call is answered.
 
         `self.camera.call_blocking(lambda camera: camera.expose(0.01))`; `ask` runs on the kernel's loop.
 
         Raises:
-            StateError: not in such a thread.
-            ClosedError: the context stops. What the call itself raises.
+            StateError: this is no such thread.
+            ClosedError: the context stops. Also errors of the call itself.
         """
         from aiorts.services.service_thread import call_blocking
 
@@ -278,7 +278,7 @@ class Required(ServiceEnd[I], Generic[I]):
 
 
 def checked_seconds(where: str, seconds: float, what: str = "timeout") -> float:
-    """Raise DeclarationError unless it is a finite time above 0: every call has a deadline."""
+    """Raise DeclarationError unless `seconds` is a finite time above 0: every call has a deadline."""
     good = isinstance(seconds, int | float) and not isinstance(seconds, bool) and math.isfinite(seconds) and seconds > 0
     if not good:
         raise DeclarationError(f"{where}: {what} = {seconds!r}: expected seconds above 0; every call has a deadline")

@@ -1,4 +1,4 @@
-"""Interfaces that pass from one instance to another: who is bound stays bound, and is answered by the code of the day.
+"""Interfaces that pass from one instance to another: bound ends stay bound, and are answered by the newest code.
 
 An interface stays where its port, its name and its methods are the same. A call that waits to be let in is answered by
 the new code; one that runs already (it is declared concurrent) ends with the old.
@@ -34,14 +34,14 @@ class ServiceHeritage:
     def __init__(self, old: Component) -> None:
         self._old = old
         self._stay: dict[ServiceEnd[Any], ServiceEnd[Any]] = {}
-        """The interface made for the new code -> the live one in whose place it would be."""
+        """The interface made for the new code -> the live one that stays in its place."""
         self._said: dict[ServiceEnd[Any], dict[str, Any]] = {}
         self._before: dict[ServicePort, Ends] = {}
         self._after: dict[ServicePort, Ends] = {}
         self._gone_ports: list[ServicePort] = []
 
     def bind(self, component: Component, name: str, declared: ServiceEnd[Any], *, mine: bool) -> ServiceEnd[Any]:
-        """The live interface of the old one if it is the same, else a new one; nothing is announced."""
+        """The live interface of the old instance if it is the same, else a new one; nothing is announced."""
         fresh = declared.add_to(component, cell(component), name)
         port = cell(self._old).ports.get(name)
         live = port._ends.get(fresh.instance) if isinstance(port, ServicePort) else None
@@ -57,15 +57,15 @@ class ServiceHeritage:
             there = live.get(name)
             if isinstance(made, ServicePort) and isinstance(there, ServicePort):
                 self._before[there] = there._ends
-                # One that was added at run time is there already: it stays as it is.
+                # An interface that was added at run time is there already: it stays as it is.
                 self._after[there] = {instance: self._stay.get(end, end) for instance, end in made._ends.items()}
                 ports[name] = there
 
     def put(self, component: Component) -> None:
-        """The interfaces are the new code's, or again the old one's, and those who are bound are answered by it.
+        """Put the interfaces of the new code, or again of the old code, in force: bound ends are answered by it.
 
         Raises:
-            DeclarationError: it does not provide what it says.
+            DeclarationError: the code does not provide what it declares.
         """
         new = component is not self._old
         for port, ends in (self._after if new else self._before).items():
@@ -97,7 +97,7 @@ class ServiceHeritage:
                         _rebind(link, component)
 
     def gone(self) -> list[ServiceEnd[Any]]:
-        """The interfaces that the old code had and the new one has not, at ports that both have."""
+        """The interfaces that the old code had and the new code lacks, at ports that both have."""
         return [
             end
             for port, ends in self._before.items()

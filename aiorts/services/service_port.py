@@ -1,6 +1,6 @@
-"""A service port, and what its ends have in common: declared, bound, described, waited for; nothing is called here.
+"""A service port, and the common part of its ends: declared, bound, described, waited for; nothing is called here.
 
-One port has one interface or, where several name the same `port=`, as many as you like.
+One port has one interface or, where several name the same `port=`, any number.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ E = TypeVar("E", bound="ServiceEnd[Any]")
 
 
 class Keeper(Protocol):
-    """Who keeps the goals that run."""
+    """The keeper of running goals."""
 
     def leaves(self, end: ServiceEnd[Any]) -> None:
-        """The component of this interface is about to go."""
+        """Take note that the component of this interface is about to go."""
 
     def disconnected(self, link: Link) -> None:
-        """A connection has ended."""
+        """Take note that a connection has ended."""
 
 
 class ServicePort(Port[Any]):
@@ -105,7 +105,7 @@ class ServicePort(Port[Any]):
             self._raise_if_removed()
 
     def _changed(self) -> None:
-        """Interfaces were bound or set free, or the port is removed: who waits looks again."""
+        """Wake waiting tasks: interfaces were bound or set free, or the port is removed."""
         waiting, self._waiting = self._waiting, []
         for changed in waiting:
             if not changed.done():
@@ -115,7 +115,7 @@ class ServicePort(Port[Any]):
         self._changed()
 
     def _vacate(self, leaving: bool = True) -> None:
-        """Its component is about to go, or stays after all: calls in progress end, no other begins."""
+        """End calls in progress and begin no other, because the component is about to go; or take that back."""
         for end in self._ends.values():
             end._vacant = leaving
             for link in end._links if leaving and end.polarity == "provided" else ():
@@ -136,7 +136,7 @@ class ServicePort(Port[Any]):
         return service_connecting()
 
     def _refresh(self) -> None:
-        """There is no path to choose."""
+        """Do nothing: there is no path to choose."""
 
 
 class ServiceEnd(PortDeclaration, Generic[I]):
@@ -162,7 +162,7 @@ class ServiceEnd(PortDeclaration, Generic[I]):
     if not TYPE_CHECKING:
 
         def __class_getitem__(cls, interface: Any) -> Any:
-            """`Required[Brake]` as something to call: the interface has to be known when the declaration is made."""
+            """Make `Required[Brake]` a callable: the interface has to be known when the declaration is made."""
             if interface is Any or isinstance(interface, TypeVar):
                 return super().__class_getitem__(interface)
             return _Of(cls, interface)
@@ -180,11 +180,11 @@ class ServiceEnd(PortDeclaration, Generic[I]):
         self._port: ServicePort | None = None
         self._links: tuple[Link, ...] = ()
         self._tally = Tally()
-        """Of calls over links that have ended, and of those that had none to go over."""
+        """The tally of calls over links that have ended, and of calls without a link."""
         self._blocked: set[Any] = set()
         """The calls that threads of its component block for."""
         self._goals: Keeper | None = None
-        """Who keeps its goals, once it was connected and a method answers with one."""
+        """The keeper of its goals, once it was connected and a method answers with one."""
         self._vacant = False
         """Whether its component is about to go."""
 
@@ -193,7 +193,7 @@ class ServiceEnd(PortDeclaration, Generic[I]):
 
     @property
     def interface(self) -> type[I]:
-        """The Protocol."""
+        """The Protocol of the interface."""
         protocol: type[I] = self._interface[0]
         return protocol
 
@@ -235,7 +235,7 @@ class ServiceEnd(PortDeclaration, Generic[I]):
 
     @property
     def profile(self) -> InterfaceProfile:
-        """What this interface is, and with whom it is bound, as plain data."""
+        """A description of this interface, with the ends that it is bound to, as plain data."""
         spec = self.spec
         methods = tuple(method.profile for method in spec.methods.values())
         return InterfaceProfile(
@@ -243,7 +243,7 @@ class ServiceEnd(PortDeclaration, Generic[I]):
         )
 
     def declared_profile(self, attribute: str, ports: Mapping[str, PortProfile]) -> PortProfile:
-        """Interfaces that share a service port are one port."""
+        """The profile of the port with this interface: those that share a service port are one port."""
         name = self.name or attribute
         one = replace(self.profile, name=self.instance or (attribute if self.name else "") or name)
         port = ports.get(name, PortProfile(name, "service", "", doc=one.doc))
@@ -251,7 +251,7 @@ class ServiceEnd(PortDeclaration, Generic[I]):
         return replace(port, type=kinds, interfaces=(*port.interfaces, one))
 
     def add_to(self: E, component: Component, host: PortHost, name: str) -> E:
-        """The live interface, in the port of that name, which is made with its first one."""
+        """Add the live interface to the port of that name, which is made with its first one."""
         ports = host.ports
         known = ports.get(name)
         instance = self.instance or (self._attribute if self.name else "") or name
@@ -273,10 +273,10 @@ class ServiceEnd(PortDeclaration, Generic[I]):
         return service_connecting()
 
     def _enter_port(self, component: Component) -> None:
-        """It is live from now on."""
+        """Prepare the component for the live interface; by default there is nothing to do."""
 
     def _unanswerable(self) -> Iterator[str]:
-        """The methods it provides that a thread cannot run: `async def`, and not on the loop beside it."""
+        """The provided methods that a thread cannot run: `async def`, and not run on the loop."""
         return iter(())
 
     def _bound_to(self) -> tuple[str, ...]:
@@ -291,7 +291,7 @@ class ServiceEnd(PortDeclaration, Generic[I]):
         return self.port._component.kernel
 
     def _copy(self: E) -> E:
-        """Another of the same declaration, bound to nothing yet."""
+        """A copy of the declaration, bound to nothing yet."""
         again = copy.copy(self)
         again._port, again._links, again._tally = None, (), Tally()
         again._blocked, again._vacant, again._goals = set(), False, None
@@ -333,11 +333,11 @@ class ServiceConnector:
         self.ports = ports
         self.closed = False
         self.links: tuple[Link, ...] = ()
-        """A required and a provided end each, with the calls over them."""
+        """The links: a required and a provided end each, with the calls over them."""
 
     @property
     def name(self) -> str:
-        """Unique in its kernel."""
+        """The name of the connector, unique in its kernel."""
         return self.profile.name
 
     @property
@@ -368,14 +368,14 @@ class ServiceConnector:
 
 
 Service: TypeAlias = ServicePort | ServiceEnd[Any]
-"""What of services can be connected: a port with all its interfaces, or one of them."""
+"""The parts of services that can be connected: a port with all its interfaces, or one of them."""
 
 
 Made: TypeAlias = "Connection[ServiceConnector]"
 
 
 def service_connecting() -> Connecting:
-    """Who connects service ports."""
+    """The module that connects service ports."""
     from aiorts.services import service_wiring  # late: most systems have no services
 
     return service_wiring

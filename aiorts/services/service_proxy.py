@@ -1,7 +1,7 @@
-"""What a caller holds, and the end of each call: what is refused, how a failure is reported, what is counted.
+"""The proxy that a caller holds, and the end of each call: its refusal, the report of its failure, its counts.
 
-A provider's plain method runs here, within the caller's own step, when nobody is in the way; all other calls wait, as
-`service_call.py` says.
+A provider's plain method runs here, within the caller's own step, when no other activity is in the way; all other calls
+wait, as `service_call.py` says.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Outcome: TypeAlias = tuple[Any, BaseException | None]
 
 
 class Relayed(Exception):
-    """Raised by what stands for a provider elsewhere: the caller gets this error, not one that says who raised it."""
+    """Raised by the stand-in of a provider elsewhere: the caller gets the error in it, and no ServiceFailed."""
 
     def __init__(self, error: BaseException) -> None:
         super().__init__(error)
@@ -57,7 +57,7 @@ class _Proxy:
 
 
 def make_proxy(required: Required[Any], only: Link | None, seconds: float) -> Any:
-    """What answers for the provider that `required` is bound to when it is called, or for that of one link."""
+    """The proxy of the provider that `required` is bound to at the time of a call, or of the provider of one link."""
     proxy = _Proxy(required.path)
     for name, method in required.spec.methods.items():
         call = _plain(required, only, name, seconds) if method.plain else _awaited(required, only, name, seconds)
@@ -151,7 +151,7 @@ def run_plain(link: Link, answer: Answer, args: tuple[Any, ...], kwargs: dict[st
 
 
 def run_in_step(answer: Answer, visit: Visit, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Outcome:
-    """A plain method in the task of the caller; what it starts is its own component's."""
+    """Run a plain method in the task of the caller; tasks that it starts belong to its own component."""
     task: Any = current_task()
     value = error = None
     before: tuple[Any, Any] = (None, None)
@@ -170,10 +170,10 @@ def run_in_step(answer: Answer, visit: Visit, args: tuple[Any, ...], kwargs: dic
 def failed(
     link: Link, answer: Answer, args: tuple[Any, ...], kwargs: dict[str, Any], error: BaseException | None
 ) -> BaseException | None:
-    """The caller's error for what a provider's method raised."""
+    """The caller's error for an error of a provider's method."""
     if error is None:
         return None
-    if issubclass(type(error), Relayed):  # what is hostile lies about its class
+    if issubclass(type(error), Relayed):  # the `__class__` of a hostile error may lie
         relayed: BaseException = error.error  # type: ignore[attr-defined]
         return relayed
     if issubclass(type(error), GeneratorExit) and asyncio._get_running_loop() is None:
@@ -194,7 +194,7 @@ def failed(
 
 
 def settle(link: Link, answer: Answer, begun_ns: int, value: Any, error: BaseException | None) -> Any:
-    """The end of a call: its result is checked, it is counted, and observers are notified."""
+    """End a call: check its result, count it, notify observers; returns the result, or raises the error."""
     if error is None:
         check = answer.check
         if (check is not None and not check(value)) or value.__class__ is CoroutineType:
@@ -221,11 +221,11 @@ def settle(link: Link, answer: Answer, begun_ns: int, value: Any, error: BaseExc
     try:
         raise error
     finally:
-        del error  # it knows this frame by its traceback, and the frame it
+        del error  # its traceback refers to this frame, and the frame to it
 
 
 def _count_late(link: Link, elapsed_ns: int, outcome: str = "") -> None:
-    """The ends took over what their link had counted when it ended."""
+    """Count a late call at the ends, which took over the counts of their link when it ended."""
     link.required._tally.add(elapsed_ns, outcome)
     link.provided._tally.add(elapsed_ns, outcome)
 

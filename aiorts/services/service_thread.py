@@ -1,7 +1,7 @@
 """Calls where a thread is one of the two: a provider that runs in one, a caller whose thread blocks for the answer.
 
-A provider in a thread answers between two of its cycles, in that thread, as it is asked for transitions; a real-time
-thread does, too. A caller's thread blocks as it does at a port; whatever it asks for is done on the kernel's loop.
+A provider in a thread answers between two of its cycles, in that thread, as it carries out transitions; a real-time
+thread does, too. A caller's thread blocks as it does at a port; its request is carried out on the kernel's loop.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def serve_in_thread(call: ServiceCall) -> None:
-    """Have the call served between two cycles of the provider's thread; its reply says so when it cannot be."""
+    """Serve the call between two cycles of the provider's thread; its reply says so when that cannot be."""
     link, name = call.link, call.link.named(call.answer.name)
     if not call.answer.plain:
         call.conclude(
@@ -51,7 +51,7 @@ def serve_in_thread(call: ServiceCall) -> None:
 
 
 def _steps(call: ServiceCall, member: Member) -> Steps:
-    """In the thread, as one of its hooks."""
+    """Serve the call in the thread, as one of its hooks."""
     if call.reply_done:
         return
     reason = call.link.provided._refusal
@@ -70,7 +70,7 @@ def _steps(call: ServiceCall, member: Member) -> Steps:
 
 
 def _serve(call: ServiceCall, outcome: list[tuple[Any, BaseException | None]]) -> None:
-    """The method itself, whose failure is the caller's affair and not the hook's."""
+    """Run the method itself; its failure goes to the caller, and is no failure of the hook."""
     value = error = None
     try:
         value = call.answer.function(*call.args, **call.kwargs)
@@ -92,7 +92,7 @@ def call_blocking(required: Required[Any], ask: Callable[[Any], Awaitable[Any]],
 
 
 def call_plain(link: Link, name: str, args: tuple[Any, ...], kwargs: dict[str, Any], seconds: float) -> Any:
-    """A plain method of the interface, called from a thread: it waits there, as all that blocks may."""
+    """Call a plain method of the interface from a thread, which may block for the answer."""
     from aiorts.services.service_call import ServiceCall
 
     async def on_loop() -> Any:
@@ -102,7 +102,7 @@ def call_plain(link: Link, name: str, args: tuple[Any, ...], kwargs: dict[str, A
 
 
 class _Blocked:
-    """What one thread waits for. Its state changes with the lock held."""
+    """The answer that one thread waits for. Its state changes with the lock held."""
 
     def __init__(self) -> None:
         self.lock = PortLock()
@@ -112,7 +112,7 @@ class _Blocked:
         self.task: asyncio.Task[None] | None = None
 
     def wake(self, value: Any, error: BaseException | None) -> None:
-        """The task has its outcome, or the thread is to stop waiting: what came first counts."""
+        """Wake the thread with an outcome, or because it is to stop waiting: the first call counts."""
         with self.lock:
             if not self.done:
                 self.value, self.error, self.done = value, error, True
@@ -163,7 +163,7 @@ def _blocked(required: Required[Any], ask: Callable[[], Awaitable[Any]]) -> Any:
 
 
 def give_up_waiting(port: ServicePort) -> None:
-    """The thread is to stop: whatever its hooks wait for here ends with ClosedError."""
+    """End the waiting of a thread that is to stop: calls of its hooks through this port end with ClosedError."""
     for end in port.interfaces:
         for blocked in tuple(end._blocked):
             blocked.wake(None, _given_up(end))

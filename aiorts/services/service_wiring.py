@@ -1,7 +1,7 @@
-"""Connecting service ports: who answers whom is decided here, all of it before anything is changed.
+"""Connects service ports: all pairs of interfaces are decided here before anything is changed.
 
-A required interface is bound to exactly one provided one, unless it is declared `many=True`; a provided one answers as
-many as there are. Without a mapping the interface decides, and among several that fit the name of the instance.
+A required interface is bound to exactly one provided one, unless it is declared `many=True`; a provided one answers
+any number. Without a mapping the interface decides, and the name of the instance where several fit.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from aiorts.services.service_call import ServiceCall
 
 _NOBODY: Final = ("", "nil", "null", None)
-"""What a mapping says of an interface that is to stay unbound; the words are OpenRTM's."""
+"""The values in a mapping of an interface that is to stay unbound; the words are OpenRTM's."""
 
 
 class Answer:
-    """How one method of an interface is answered."""
+    """The way in which one method of an interface is answered."""
 
     __slots__ = ("_method", "check", "function", "goal", "look", "name", "plain", "visit")
 
@@ -47,15 +47,15 @@ class Answer:
         self.function = function
         self.plain = not inspect.iscoroutinefunction(function)
         self.goal = goal_types(method.returns)
-        """Whether, and of which types, it answers with goals."""
+        """The types of its goals; None where it does not answer with goals."""
         self.check = check_of(method.returns) if self.goal is None else is_goal
         self.look = look_of(method)
         self.visit = visit
-        """What stands in the entry lock while it runs at once."""
+        """The activity that is in the entry lock while the method runs at once."""
 
     @property
     def signature(self) -> inspect.Signature:
-        """What the caller may give."""
+        """The signature for the caller."""
         return self._method.signature
 
     def takes(self, name: str) -> str:
@@ -118,7 +118,7 @@ class Link:
 
     @property
     def proxy(self) -> Any:
-        """Calls this provider, and no other."""
+        """The proxy that calls this provider, and no other."""
         if self._proxy is None:
             self._proxy = make_proxy(self.required, self, self.required.timeout)
         return self._proxy
@@ -130,21 +130,21 @@ class Link:
         return (host.threaded or host.realtime) and not self.provided.concurrent
 
     def named(self, method: str) -> str:
-        """A call over this link, for messages."""
+        """The name of a call over this link, for messages."""
         return f"{self.required.path} -> {self.provided.path}.{method}"
 
     def end_calls(self, reason: str) -> None:
-        """Tell those who wait, and cancel what runs for them."""
+        """End the calls: their callers get an error, running methods are cancelled."""
         for call in tuple(self.calls):
             call.end(reason)
 
 
 def plan(kernel: Microkernel, given: Sequence[Any], options: Mapping[str, Any]) -> list[tuple[str, Plan]]:
-    """What to connect, fully checked: for each pair of ports the path and the plan of its connector.
+    """The connectors to make, fully checked: for each pair of ports the joined paths and the plan of its connector.
 
     Raises:
-        WiringError: which ports or options do not go together, and why.
-        InterfaceMismatch: and in which method.
+        WiringError: says which ports or options do not go together, and why.
+        InterfaceMismatch: says it with the method.
     """
     where = " -> ".join(str(getattr(one, "path", repr(one))) for one in given)
     ends = _ends(kernel, where, given)
@@ -158,15 +158,15 @@ def plan(kernel: Microkernel, given: Sequence[Any], options: Mapping[str, Any]) 
 
 
 def end(connector: ServiceConnector) -> None:
-    """Take it out of force: calls over it end."""
+    """Take a connector out of force: calls over it end."""
     connector._close()
 
 
 def renewed(kernel: Microkernel, profile: ServiceConnectorProfile) -> Plan:
-    """What binds again who was bound with whom; where the connector was not strict, as far as that is possible.
+    """The plan that binds the pairs of a connector again; if it was not strict, as far as that is possible.
 
     Raises:
-        WiringError: one of them is gone, is bound to somebody else, or does not fit any more.
+        WiringError: an interface is gone, is bound to another one, or does not fit any more.
     """
     pairs: list[tuple[Required[Any], Provided[Any]]] = []
     faults: list[WiringError] = []
@@ -199,10 +199,10 @@ def _end_of(kernel: Microkernel, path: str) -> ServiceEnd[Any]:
 
 
 def pairs_of(ports: Sequence[ServicePort], options: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """The paths of each required interface and of the provided one that it would be bound with, of ports as above.
+    """The paths of each required interface of these ports and of the provided one that it would be bound with.
 
     Raises:
-        WiringError: they cannot be connected.
+        WiringError: the ports cannot be connected.
     """
     where = " -> ".join(port.path for port in ports)
     mapping, strict = _options(where, options)
@@ -212,7 +212,7 @@ def pairs_of(ports: Sequence[ServicePort], options: Mapping[str, Any]) -> list[t
 
 
 def fault_of(ports: Sequence[ServicePort], options: Mapping[str, Any]) -> WiringError | None:
-    """What keeps these ports from being connected, said of ports that need not be in a kernel yet."""
+    """The error that keeps these ports, which need not be in a kernel yet, from being connected; else None."""
     try:
         pairs_of(ports, options)
     except WiringError as error:
@@ -228,7 +228,7 @@ class Plan:
         self._strict = strict
 
     def make(self, name: str) -> ServiceConnector:
-        """Put it in force."""
+        """Make the connector, and put it in force."""
         ports = self.pairs[0][0].port, self.pairs[0][1].port
         mapping = tuple((required.path, provided.path) for required, provided in self.pairs)
         profile = ServiceConnectorProfile(name, tuple(port.path for port in ports), mapping, self._strict)
@@ -285,7 +285,7 @@ def _options(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], bo
 
 
 class _Matching:
-    """Finds for each required interface who answers it."""
+    """Finds the provided interfaces that answer each required one."""
 
     def __init__(
         self,
@@ -311,7 +311,7 @@ class _Matching:
             self._mapped[required] = None if value in _NOBODY else self._named(value, self._provided)
 
     def pairs(self) -> list[tuple[Required[Any], Provided[Any]]]:
-        """Which consumer is to be bound with which provider; WiringError when one that must be bound cannot be."""
+        """The pairs of required and provided interfaces to bind; WiringError when one that must be bound cannot be."""
         found = [(required, provided) for required in self._required for provided in self._for(required)]
         if not found:
             fitting = [one for one in self._provided if any(self._may(required, one) for required in self._required)]
@@ -357,7 +357,7 @@ class _Matching:
         )
 
     def _bound_already(self, provided: Sequence[Provided[Any]]) -> WiringError | None:
-        """What is to be said where each of these would answer an interface that is bound already, and no other."""
+        """The error where each of these would answer an interface that is bound already, and no other; else None."""
         bound = [required for required in self._required if required._links and not required.many]
         takers = [next((one for one in bound if self._may(one, answering)), None) for answering in provided]
         return _taken(takers[0]) if takers and takers[0] is not None and None not in takers else None

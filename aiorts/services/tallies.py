@@ -1,4 +1,4 @@
-"""What an interface counts: its calls, and its goals if it has any."""
+"""The counts of an interface: of its calls, and of its goals if it has any."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Tally:
-    """What an interface counts of its calls."""
+    """The counts of an interface's calls."""
 
     __slots__ = ("calls", "cancelled", "failures", "goals", "max_ns", "refused", "timeouts", "total_ns")
 
@@ -21,7 +21,7 @@ class Tally:
         self.calls = self.failures = self.timeouts = self.refused = self.cancelled = self.total_ns = self.max_ns = 0
 
     def add(self, elapsed_ns: int, outcome: str = "") -> None:
-        """One more call has ended; `outcome` names the count it goes to, "" where all was well."""
+        """Count a call that has ended; `outcome` names its further count, "" for a success."""
         self.calls += 1
         self.total_ns += elapsed_ns
         if elapsed_ns > self.max_ns:
@@ -39,14 +39,14 @@ class Tally:
 
     @property
     def counts(self) -> tuple[int, int, int, int, int, int, int]:
-        """As `ServiceStatistics` has them."""
+        """The counts as `ServiceStatistics` has them."""
         return (
             *(self.calls, self.failures, self.timeouts, self.refused, self.cancelled),
             *(self.total_ns, self.max_ns),
         )
 
     def take_over(self, other: Tally) -> None:
-        """Count the calls of another, too."""
+        """Add the counts of another tally."""
         calls, failures, timeouts, refused, cancelled, total_ns, max_ns = other.counts
         self.calls += calls
         self.failures += failures
@@ -61,7 +61,7 @@ class Tally:
 
 
 class GoalTally:
-    """What an interface counts of its goals."""
+    """The counts of an interface's goals."""
 
     __slots__ = ("counts", "failed")
 
@@ -70,7 +70,7 @@ class GoalTally:
         self.failed: Counter[str] = Counter()
 
     def take_over(self, other: GoalTally) -> None:
-        """Count the goals of another, too."""
+        """Add the counts of another tally."""
         self.counts.update(other.counts)
         self.failed.update(other.failed)
 
@@ -95,7 +95,7 @@ class GoalTally:
 
 
 def count_in(tallies: Iterable[Tally], what: str, reason: str = "") -> None:
-    """One more of these."""
+    """Count an event of a goal: a failure by its `reason`, any other by `what`."""
     for tally in tallies:
         if tally.goals is None:
             tally.goals = GoalTally()
