@@ -1,4 +1,4 @@
-"""What changed in a system, as values: applied to the profile it belongs to, a change gives the next profile."""
+"""Changes of a system as values: applied to the profile before it, a change gives the next profile."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SECTIONS: Final[Mapping[str, type]] = {
 }
 
 _OF_PROFILE: Final[Mapping[str, Mapping[str, Any]]] = {
-    "Assembled": {"assembled": True},  # names of events: who reads changes imports no kernel
+    "Assembled": {"assembled": True},  # names of events: a reader of changes imports no kernel
     "Closing": {"state": "closing"},
 }
 """The kinds of events that change the profile itself, and no part of it: its fields after them."""
@@ -62,7 +62,7 @@ class Change:
 
     sequence: int
     event: Any
-    """The event of the bus; an `PastEvent` in a change that was read back."""
+    """The event of the bus; a `PastEvent` in a change that was read back."""
     parts: tuple[Part, ...]
 
     def apply(self, profile: SystemProfile) -> SystemProfile:
@@ -83,7 +83,7 @@ class Change:
         return self.event.kind if isinstance(self.event, PastEvent) else type(self.event).__name__
 
     def to_plain(self) -> dict[str, Any]:
-        """As JSON has it: the kind of event, its fields, and the parts."""
+        """The change as JSON has it: the kind of event, its fields, and the parts."""
         told = self.event.fields if isinstance(self.event, PastEvent) else self.event
         fields = {name: value for name, value in plain(told).items() if name != "sequence"}
         parts = [plain(part) for part in self.parts]
@@ -97,14 +97,14 @@ class ProfileSnapshot:
     sequence: int
     profile: SystemProfile
     missed: int = 0
-    """Changes that this stands for."""
+    """Changes that this snapshot stands for."""
 
     def apply(self, profile: SystemProfile | None = None) -> SystemProfile:
-        """The profile after this."""
+        """The profile of this snapshot."""
         return self.profile
 
     def to_plain(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """The snapshot as JSON has it."""
         return {
             "sequence": self.sequence,
             "kind": "ProfileSnapshot",

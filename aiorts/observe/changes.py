@@ -1,7 +1,7 @@
 """`kernel.changes()`: a stream of changes after one profile; a reader that is too slow gets a new profile.
 
 Every event of the bus that names a component, a context or a connector becomes one change with the new reports of
-all that it touches, whatever kind of event it is: those of other parts of the system need no word here.
+all that it touches, whatever its kind: events of other parts of the system need no code here.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _COUNTS: Final = frozenset(
         "ThreadsExhausted",
     }
 )
-"""Kinds of events after which nothing but counters is different, or that are followed by one of what is."""
+"""Kinds of events that change nothing but counters, or are followed by an event of the change itself."""
 
 _ONE: Final = ("component", "composite")
 """Fields of events that name a component."""
@@ -55,9 +55,9 @@ class Changes(Closing):
         self._length = length
         self._queue: deque[Change] = deque()
         self._members = {name: _members(kernel, name) for name in kernel.contexts}
-        """Of each context, as they were last reported: a context that has stopped has none any more."""
+        """The members of each context as last reported: a context that has stopped has none any more."""
         self._sink = sink
-        """Who takes the changes themselves, in place of a queue."""
+        """The function that takes the changes themselves, in place of a queue."""
         self._stale = sink is None
         """Whether a new snapshot is due."""
         self._missed = 0
@@ -73,7 +73,7 @@ class Changes(Closing):
             self._waiter.wake()
 
     def end(self) -> None:
-        """The kernel is closed: what waits can still be read."""
+        """End the stream, since the kernel is closed; waiting changes can still be read."""
         self.close()
 
     async def __anext__(self) -> ProfileSnapshot | Change:
@@ -144,7 +144,7 @@ class Changes(Closing):
         return tuple(parts)
 
     def _components(self, names: Iterable[str]) -> list[Part]:
-        """These and the composites they are in, whose state and ports follow from theirs."""
+        """The parts of these components and of the composites around them, whose state and ports follow from theirs."""
         kernel = self._kernel
         parts, todo = [], dict.fromkeys(names)
         for name in tuple(todo):
@@ -160,7 +160,7 @@ class Changes(Closing):
 
 
 async def system_profile_in_turns(kernel: Microkernel, hold: float) -> SystemProfile:
-    """As `system_profile`, giving the loop a turn after each `hold` seconds; what changed meanwhile is put right."""
+    """As `system_profile`, giving the loop a turn after each `hold` seconds; changes meanwhile are applied."""
     changes: list[Change] = []
     with closing(Changes(kernel, 0, changes.append)):
         reports = await in_turns(_reports(kernel), hold)
@@ -171,7 +171,7 @@ async def system_profile_in_turns(kernel: Microkernel, hold: float) -> SystemPro
 
 
 def _reports(kernel: Microkernel) -> Generator[None, None, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]]:
-    """The reports of all components, connectors and service connectors, by name; one is a step."""
+    """The reports of all components, connectors and service connectors, by name; each report is one step."""
     components: dict[str, Any] = {}
     connectors: dict[str, Any] = {}
     services: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""What a component class declares, as values, for tools: ports, parameters and hooks; nothing is created."""
+"""The declarations of a component class as values, for tools: ports, parameters and hooks; nothing is created."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """What a component class declares: ports, parameters, hooks and configuration sets.
+    """The declarations of a component class: ports, parameters, hooks and configuration sets.
 
-    ports: those of its class body; it may add others when it is created.
-    hooks: those it defines, in the order of a component's life.
-    sets: its configuration sets by name, "default" first; the others hold what they change.
+    ports: those of its class body; a component may add others when it is created.
+    hooks: those that it defines, in the order of a component's life.
+    sets: its configuration sets by name, "default" first; the other sets hold the values that they change.
     """
 
     type: str
@@ -34,7 +34,7 @@ class Declaration:
 
 
 def declaration_of(cls: type[Component]) -> Declaration:
-    """What this class declares. DeclarationError when it is no component class."""
+    """The declarations of this class. DeclarationError when it is no component class."""
     if not (isinstance(cls, type) and issubclass(cls, Component)):
         raise DeclarationError(f"{cls!r:.60}: expected a class derived from Component")
     declared = declarations(cls)

@@ -1,7 +1,6 @@
-"""`kernel.heartbeat()`: a sign of life of each context and component at an interval, with whether it really lives.
-
-A beat is sent by the loop, so that nobody can send one for somebody else; what a beat says is what was seen: whether
-the context has run a cycle, or been idle as it should, since the last one. The beats of a loop that is held stop.
+"""`kernel.heartbeat()`: a heart-beat of each context and component at an interval, with whether it progressed. The loop
+sends the beats, so no component can send one for another. A beat says what was observed: whether the context has run a
+cycle, or been idle as it should, since the last one. While the loop is held, the beats stop.
 """
 
 from __future__ import annotations
@@ -20,26 +19,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ContextBeat(Event):
-    """A heart-beat of a context. Only sent to those who subscribe to this very class, while heart-beats are on."""
+    """A heart-beat of a context. Only sent to subscribers to this very class, while heart-beats are on."""
 
     quiet: ClassVar[bool] = True
     context: str
     cycles: int
     """Cycles run so far."""
     progressed: bool
-    """Whether it did what it has to since the last beat; False for one whose hook has not come back."""
+    """Whether the context did its work since the last beat; False while a hook has not come back."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComponentBeat(Event):
-    """A heart-beat of a component. Only sent to those who subscribe to this very class, while heart-beats are on."""
+    """A heart-beat of a component. Only sent to subscribers to this very class, while heart-beats are on."""
 
     quiet: ClassVar[bool] = True
     component: str
     states: Mapping[str, str]
     """Lifecycle state by context."""
     progressed: bool
-    """Whether all of its contexts did; True for one in no context."""
+    """Whether all of its contexts progressed; True for a component in no context."""
 
 
 class Heartbeat:
@@ -53,7 +52,7 @@ class Heartbeat:
         self._arm()
 
     def stop(self) -> None:
-        """Send no more; idempotent."""
+        """Send no more beats; idempotent."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

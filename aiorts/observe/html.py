@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def kernel_html(kernel: Microkernel) -> str:
-    """Components with their states, and connectors with their ledgers."""
+    """The tables of components with their states, and of connectors with their ledgers."""
     components = [
         (name, type(c).__name__, ", ".join(f"{k}: {v}" for k, v in c.states.items()) or "in no context")
         for name, c in kernel.components.items()
@@ -41,7 +41,7 @@ def kernel_html(kernel: Microkernel) -> str:
 
 
 def html_of(thing: Component | Port[Any]) -> str:
-    """A component or a port."""
+    """The table of a component or a port."""
     return _component_html(thing) if isinstance(thing, Component) else _port_html(thing)
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Introspection(KernelService):
-    """Who looks into one kernel; see the methods of the same names of `aiorts.Kernel`."""
+    """The service that looks into one kernel; see the methods of the same names of `aiorts.Kernel`."""
 
     name = "observe"
 
@@ -73,7 +73,7 @@ class Introspection(KernelService):
 
     @property
     def listening(self) -> Listening:
-        """Who listens to connectors."""
+        """The listeners of connectors, made at the first use."""
         if self._listening is None:
             from aiorts.observe.listening import Listening
 

@@ -16,7 +16,7 @@ class Closing:
     """An async iterator that `close()` ends, as the end of `async with` does."""
 
     def close(self) -> None:
-        """End it; idempotent."""
+        """End the iterator; idempotent."""
         raise NotImplementedError
 
     def __aiter__(self) -> Self:

@@ -1,9 +1,8 @@
-"""Listeners of connectors hear what becomes of each sample: soon after it happened, on the loop, in order.
-
-A connector that is listened to has a transport of the kind here; every other connector and port runs the very code it
-ran before. What happens is only noted where it happens, in whatever thread, and reported at the
-loop's next turn: no listener runs inside a write or a read, and none can lose a sample or harm a component. At most
-10,000 notes wait; those beyond are counted in `missed`.
+"""Listeners of connectors are called for what becomes of each sample: soon after it happened, on the loop, in order. A
+connector with listeners has a transport of the kind here; every other connector and port runs the very code it ran
+before. An event is only noted where it happens, in any thread, and reported at the loop's next turn: no listener runs
+inside a write or a read, and none can lose a sample or harm a component. At most 10,000 notes wait; those beyond are
+counted in `missed`.
 """
 
 from __future__ import annotations
@@ -36,15 +35,15 @@ _MOST_NOTES: Final = 10_000
 
 
 class ConnectorEventKind(StrEnum):
-    """What happens at a connector; the names are OpenRTM's without ON_, but for SKIPPED, UNCONVERTED, SUPERSEDED
-    and EXPIRED."""
+    """The kind of an event at a connector; the names are OpenRTM's without ON_, but for SKIPPED, UNCONVERTED,
+    SUPERSEDED and EXPIRED."""
 
     BUFFER_WRITE = "buffer_write"
     """A sample is in the reader's buffer, or in the backlog of a periodic connector."""
     BUFFER_FULL = "buffer_full"
     """A sample met a full buffer."""
     BUFFER_WRITE_TIMEOUT = "buffer_write_timeout"
-    """This sample was given up: no room in time. With it RECEIVER_TIMEOUT and SENDER_TIMEOUT: there is one buffer."""
+    """This sample had no room in time. RECEIVER_TIMEOUT and SENDER_TIMEOUT come with it: there is one buffer."""
     BUFFER_OVERWRITE = "buffer_overwrite"
     """This older sample made room for a new one."""
     SKIPPED = "skipped"
@@ -86,23 +85,24 @@ _LEFT_OUT: Final = {
     "unconverted": ConnectorEventKind.UNCONVERTED,
     "expired": ConnectorEventKind.EXPIRED,
 }
-"""Of the reasons for which a sample is dropped those that are reported where it is counted."""
+"""The reasons for dropping a sample that are reported where the drop is counted."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConnectorEvent(Event):
-    """Something happened to a sample; only sent to those who subscribe to this very class, or listen to a connector."""
+    """An event of a sample or connector; only sent to subscribers to this very class and to listeners of the
+    connector."""
 
     quiet: ClassVar[bool] = True
     of_samples: ClassVar[bool] = True
     connector: str
     kind: ConnectorEventKind
     sample: Any = None
-    """Where the event is about one."""
+    """The sample, where the event is about one."""
 
 
 class _Notes:
-    """Who listens to one connector."""
+    """The listeners of one connector."""
 
     __slots__ = ("hub", "listeners")
 
@@ -116,14 +116,14 @@ class _Notes:
 
 
 class Listening:
-    """The listeners of one kernel's connectors, and what is still to be reported to them."""
+    """The listeners of one kernel's connectors, and the notes that are still to be reported to them."""
 
     def __init__(self, kernel: Microkernel) -> None:
         self._kernel = kernel
         self._waiting: deque[tuple[Connector, ConnectorEventKind, Any]] = deque()
         self._requested = False
         self.missed = 0
-        """Notes that were dropped: more happened in one turn of the loop than is kept."""
+        """Notes that were dropped: one turn of the loop brought more than are kept."""
 
     def add(
         self, connector: Connector, listener: Callable[[ConnectorEvent], object], kinds: Iterable[str]
@@ -148,7 +148,7 @@ class Listening:
         return remove
 
     def all_wanted(self, wanted: bool) -> None:
-        """The bus has, or has no longer, an observer of every connector."""
+        """Listen to every connector while the bus has an observer of all, and no longer."""
         for connector in self._kernel.connectors.values():
             if not wanted:
                 self._unlisten(connector)
@@ -156,13 +156,13 @@ class Listening:
                 self._listen(connector)
 
     def made(self, connector: Connector) -> None:
-        """A connector came into being while the bus wants to hear of all."""
+        """Listen to a new connector, while the bus has an observer of all."""
         if transport_of(connector).listenable:
             self._listen(connector)
             self.note(connector, ConnectorEventKind.CONNECT, None)
 
     def note(self, connector: Connector, kind: ConnectorEventKind, sample: Any) -> None:
-        """Something happened, in this thread."""
+        """Note an event, in this thread."""
         if len(self._waiting) >= _MOST_NOTES:
             self.missed += 1
             return
@@ -172,7 +172,7 @@ class Listening:
             self._kernel.loop.call_soon_threadsafe(self.report)
 
     def report(self) -> None:
-        """Report what was noted so far."""
+        """Report the notes so far."""
         self._requested = False
         bus = self._kernel.bus
         for _ in range(len(self._waiting)):
@@ -196,7 +196,7 @@ class Listening:
         return notes.listeners
 
     def _unlisten(self, connector: Connector) -> None:
-        """Put back the kind that it was, when the last listener has gone."""
+        """Put back the plain kind of transport, when the last listener has gone."""
         transport, receiver = transport_of(connector), receiver_of(connector.in_)
         notes = _notes_of(transport)
         if notes is None or notes.listeners or self._kernel.bus.samples_wanted:
@@ -254,7 +254,7 @@ class ListenedTransport(Transport):
         self.replace(PLAIN, self.receiver)
 
     def found_empty(self) -> None:
-        """The reader looked and there was nothing."""
+        """Note that the reader looked and there was nothing."""
         self._note(ConnectorEventKind.BUFFER_EMPTY)
         if self.pulls:
             host = host_of(self.connector.out)
@@ -262,7 +262,7 @@ class ListenedTransport(Transport):
             self._note(ConnectorEventKind.SENDER_ERROR if gone else ConnectorEventKind.SENDER_EMPTY)
 
     def waited_in_vain(self) -> None:
-        """The reader gave up."""
+        """Note that the reader gave up."""
         self._note(ConnectorEventKind.BUFFER_READ_TIMEOUT)
         if self.pulls:
             self._note(ConnectorEventKind.SENDER_TIMEOUT)
@@ -368,7 +368,7 @@ class ListenedReceiver(Receiver):
 
 
 LISTENED = TransportKind(ListenedReceiver, ListenedTransport, ListenedPeriodic)
-"""What carries samples where there are listeners."""
+"""The transports of connectors with listeners."""
 
 
 def _notes_of(transport: Transport) -> _Notes | None:

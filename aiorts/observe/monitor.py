@@ -1,6 +1,6 @@
-"""`kernel.monitor([...], rate)`: chosen values at a rate, looked at and never taken.
+"""`kernel.monitor([...], rate)`: chosen values at a rate; a look takes no sample.
 
-What can be named, with the kernel's own paths:
+The values that can be named, by the kernel's own paths:
 
     component.port                the newest sample that can be seen without reading it
     component.port.field          a field of it
@@ -13,10 +13,10 @@ What can be named, with the kernel's own paths:
     context.ticks                 also overruns, skipped, rate
     context.lateness              the greatest so far in seconds; also lateness_p50, lateness_p99, of the last cycles
 
-A connector is its name, or its ports: a.out->b.in.latency. Latency and age need its option `measure`.
+A connector is named by its name, or by its ports: a.out->b.in.latency. Latency and age need its option `measure`.
 
-Of an in-port that is the newest unread sample, else the one read last; of an out-port the sample
-written last, also where nobody reads.
+The newest sample of an in-port is the newest unread one, else the one read last; of an out-port it is the one written
+last, also without a reader.
 """
 
 from __future__ import annotations
@@ -69,13 +69,13 @@ _CONTEXT: Final[Mapping[str, Callable[[Context], Any]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What was seen at one moment."""
+    """The values at one moment."""
 
     time_ns: int
     """The kernel's clock, since the epoch."""
     monotonic_ns: int
     values: Mapping[str, Any]
-    """By the requested path; None for what is not there now: no sample yet, or a component that is gone."""
+    """The values by requested path; None for one that is not there now: no sample yet, or a component that is gone."""
     missed: int = 0
     """Readings left out since the last one: the reader was slower than the rate."""
 
@@ -98,7 +98,7 @@ class Monitor(Closing):
         self._closed = False
         self._waiter = Waiter()
         self._before: dict[str, ConnectorStatistics] = {}
-        """Of connectors whose rate is asked for, at the last reading."""
+        """The statistics at the last reading, of connectors whose rate is requested."""
         for path in self._paths:
             _look(kernel, path)
 
@@ -147,7 +147,7 @@ class Monitor(Closing):
             return None  # it was there when it was asked for, and may be again
         if not isinstance(found, ConnectorStatistics):
             return found
-        # Asked for its rate.
+        # The path requests a rate.
         before, self._before[path] = self._before.get(path), found
         try:
             return found.mean_rate if before is None else found.rate_since(before)
@@ -156,10 +156,10 @@ class Monitor(Closing):
 
 
 def _look(kernel: Microkernel, path: str) -> Any:
-    """The value at this moment.
+    """The value of a path at this moment.
 
     Raises:
-        WiringError: there is no such thing; says what there is.
+        WiringError: there is no such value; names what there is.
     """
     owner, _, rest = path.partition(".")
     first, _, field = rest.partition(".")
@@ -197,7 +197,7 @@ def _between(kernel: Microkernel, path: str, out: str, in_: str) -> Connector:
 
 
 def _seconds(connector: Connector, what: str, figure: str) -> float | None:
-    """A figure of what was measured; None where nothing has been."""
+    """A measured figure in seconds; None where nothing was measured yet."""
     spans: Spans | None = getattr(connector.statistics, what)
     if spans is not None:
         return getattr(spans, figure) / 1e9 if spans.count else None
@@ -227,7 +227,7 @@ def _of_component(component: Component, path: str, first: str, field: str) -> An
 
 
 def _seen(port: Port[Any]) -> Any:
-    """A sample of the port, without an effect: it stays as unread as it is."""
+    """The newest sample of a port, without an effect: an unread one stays unread."""
     if isinstance(port, OutPort):
         sample = last_written(port)
         return None if sample is NOTHING else sample

@@ -26,7 +26,7 @@ class ProcessReport:
     pid: int
     runs: bool
     busy: float
-    """Seconds for which a hook has held it."""
+    """Seconds for which a hook has held the process."""
     unprinted: int
     """Lines that it wrote and that were not printed."""
 
@@ -40,15 +40,15 @@ class SystemPart:
     service_connectors: Mapping[str, ServiceConnectorReport] = field(default_factory=empty)
     contexts: Mapping[str, ContextReport] = field(default_factory=empty)
     links: Mapping[str, str] = field(default_factory=empty)
-    """How far each link into another kernel is, by the name of its connector."""
+    """The state of each link into another kernel, by the name of its connector."""
     processes: Mapping[str, ProcessReport] = field(default_factory=empty)
-    """Of components that run in processes of their own, what is known of these."""
+    """The processes of components that run in one of their own, by component."""
 
 
 def system_part(
     kernel: Microkernel, components: Collection[str], connectors: Collection[str], contexts: Collection[str]
 ) -> SystemPart:
-    """Components with all connectors and contexts that they are in, and these connectors and contexts."""
+    """The reports of components with all their connectors and contexts, and of these connectors and contexts."""
     said = reports(kernel.services)
     return SystemPart(
         _frozen({name: profiling.component_report(kernel.components[name]) for name in components}),

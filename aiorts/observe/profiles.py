@@ -1,8 +1,8 @@
 """The whole system as one frozen value: `Kernel.profile()` makes it, `to_json` writes it, nothing edits it.
 
-All that has a name stands in a mapping by that name, so two profiles are equal when the systems are, whatever the
-order things were made in. What only some components have (a state machine, modes, members) is None for the others.
-Numbers of JSON are finite: NaN and the infinities are the texts "NaN", "Infinity" and "-Infinity".
+Everything with a name is in a mapping by that name, so two profiles are equal when the systems are, in whatever order
+they were made. A field that only some components have (a state machine, modes, members) is None for the others. Numbers
+of JSON are finite: NaN and the infinities are the texts "NaN", "Infinity" and "-Infinity".
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from aiorts.model.profile import (
 from aiorts.model.service_profile import ServiceStatistics
 
 PROFILE_VERSION: Final = 1
-"""Raised whenever a reader of the last one would be misled."""
+"""The version of a profile's form: raised whenever a reader of the version before would be misled."""
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
@@ -49,7 +49,7 @@ class ParameterReport:
     """A parameter: its value, and which values are allowed."""
 
     value: Any
-    """In force."""
+    """The value in force."""
     default: Any
     type: str
     unit: str = ""
@@ -75,7 +75,8 @@ class ParameterReport:
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationReport:
-    """Configuration sets: which is active, and what each holds; what a set does not name is as in "default"."""
+    """Configuration sets: the active one, and the values of each; a value that a set does not name is as in
+    "default"."""
 
     active: str = "default"
     sets: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
@@ -88,11 +89,11 @@ class MachineReport:
     chart: str
     """The name of its table."""
     states: tuple[str, ...]
-    """The active ones, the outer before the inner; none while the component is not active."""
+    """The active states, the outer before the inner; none while the component is not active."""
     history: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
     """The states that each history stands for; nothing before its state was left once."""
     timers: Mapping[str, int] = field(default_factory=lambda: _NOTHING)
-    """When each that runs is due, on the kernel's monotonic clock, in nanoseconds."""
+    """The deadline of each running timer, on the kernel's monotonic clock, in nanoseconds."""
     ignored: int = 0
     """Events that led to nothing."""
     deferred: tuple[str, ...] = ()
@@ -101,7 +102,7 @@ class MachineReport:
 
 @dataclass(frozen=True, slots=True)
 class ModeReport:
-    """The modes of a component: which there are, and in which it is."""
+    """The modes of a component, and the one that it is in."""
 
     modes: tuple[str, ...]
     mode: str
@@ -113,19 +114,19 @@ class ModeReport:
 
 @dataclass(frozen=True, slots=True)
 class CompositeReport:
-    """What a composite is made of."""
+    """The members of a composite, its parts and its exported ports."""
 
     members: tuple[str, ...]
     """In the order stated."""
     parts: tuple[str, ...]
-    """What runs with it, in order of execution; those of composites in it in their place."""
+    """The components that run with it, in order of execution; a composite among them is replaced by its parts."""
     exported: Mapping[str, str]
     """The ports it shows: each name with the path of the member's port."""
     groups: tuple[tuple[str, ...], ...] = ()
-    """What runs side by side."""
+    """The members that run side by side, by group."""
     order: str = "stated"
     errors: str = "stop"
-    """What an error of one member means for the composite."""
+    """The effect of a member's error on the composite."""
     own_schedule: bool = False
 
 
@@ -136,14 +137,14 @@ class ComponentReport:
     type: str
     """"module:Class"."""
     doc: str
-    """The first line of what the class says of itself."""
+    """The first line of the class's docstring."""
     ports: Mapping[str, PortProfile]
     params: Mapping[str, ParameterReport]
     configuration: ConfigurationReport
     states: Mapping[str, str]
     """Lifecycle state by context."""
     last_error: str | None = None
-    """What made it fail last; None once it was reset, or activated again."""
+    """The error by which it failed last; None once it was reset, or activated again."""
     log: tuple[LogLine, ...] = ()
     """The last lines it logged, oldest first."""
     calls: Mapping[str, ServiceStatistics] = field(default_factory=lambda: _NOTHING)
@@ -159,7 +160,7 @@ class ComponentReport:
 
 @dataclass(frozen=True, slots=True)
 class ConnectorReport:
-    """A connector at one moment: between which ports, the options in force, the ledger."""
+    """A connector at one moment: its ports, the options in force, the ledger."""
 
     source: str
     target: str
@@ -177,7 +178,7 @@ class BindingReport:
     """The path of the interface that answers."""
     interface: str
     statistics: ServiceStatistics = field(default_factory=ServiceStatistics)
-    """Of the calls over this binding only."""
+    """The statistics of the calls over this binding only."""
     waiting: int = 0
     """Calls that wait or run."""
 
@@ -231,7 +232,7 @@ class SystemProfile:
     """"open", "closing" or "closed"."""
     clock: ClockReport
     versions: Mapping[str, str]
-    """Of aiorts and Python, and which Python it is."""
+    """The versions of aiorts and Python, and the implementation of Python."""
     components: Mapping[str, ComponentReport]
     connectors: Mapping[str, ConnectorReport]
     contexts: Mapping[str, ContextReport]
@@ -239,12 +240,13 @@ class SystemProfile:
     """Garbage collections by generation."""
     service_connectors: Mapping[str, ServiceConnectorReport] = field(default_factory=lambda: _NOTHING)
     services: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
-    """What services attached to the kernel say of themselves, by name."""
+    """The reports of services attached to the kernel, by name of the service."""
     lasting: str = ""
-    """The name by which it is known again after a restart: "host/NAME", or where it was given none "host/PROGRAM:FILE"
-    of what it runs. Several that run the same have the same. "" where clients cannot reach it."""
+    """The name by which the kernel is known again after a restart: "host/NAME", or without a given one
+    "host/PROGRAM:FILE" of what it runs. Kernels that run the same have the same name. "" where clients cannot reach
+    it."""
     assembled: bool | None = None
-    """Whether all that the run was to begin with is there; None: its program makes it, and does not say."""
+    """Whether all that the run begins with is there; None: its program makes it, and does not report that."""
     schema: int = PROFILE_VERSION
 
     def to_plain(self) -> dict[str, Any]:
@@ -257,8 +259,8 @@ class SystemProfile:
         return json.dumps(self.to_plain(), ensure_ascii=False, allow_nan=False, indent=indent)
 
     def structure(self) -> SystemProfile:
-        """The profile without what changes without an event: time, ledgers, statistics, log lines, pauses, hooks
-        that are late, what a state machine remembers, timers, modes that are pending."""
+        """The profile without the values that change without an event: time, ledgers, statistics, log lines, pauses,
+        late hooks, what a state machine remembers, timers, modes that are pending."""
         return replace(
             self,
             sequence=0,
@@ -273,7 +275,7 @@ class SystemProfile:
 
 
 def _lasting(one: ComponentReport) -> ComponentReport:
-    """What an event is about."""
+    """The report without the values that change without an event."""
     machine, modes = one.machine, one.modes
     if machine is not None:
         machine = MachineReport(machine.chart, machine.states)

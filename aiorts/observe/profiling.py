@@ -50,7 +50,7 @@ _KNOWN: Final[WeakKeyDictionary[type, _Kind]] = WeakKeyDictionary()
 
 
 class _Kind:
-    """What all components of a class have in common."""
+    """The parts of a report that all components of a class have in common."""
 
     __slots__ = ("doc", "name", "params")
 
@@ -62,7 +62,7 @@ class _Kind:
 
 
 def system_profile(kernel: Microkernel) -> SystemProfile:
-    """All there is at this moment."""
+    """The profile of the whole system at this moment."""
     components = kernel.components.items()
     return profile_with(
         kernel,
@@ -104,12 +104,12 @@ def profile_with(
 
 
 def visible(kernel: Microkernel, component: Component) -> bool:
-    """Whether it is in the system: not while its `on_initialize` runs, which may still fail."""
+    """Whether a component is in the system: not while its `on_initialize` runs, which may still fail."""
     return not kernel.registry.is_arriving(component)
 
 
 def component_report(component: Component) -> ComponentReport:
-    """A component at this moment."""
+    """The report of a component at this moment."""
     kind = _kind_of(type(component))
     error = standing_error(component)
     params, here = component.params, cell(component)
@@ -138,17 +138,17 @@ def declared_params(cls: type[Component]) -> dict[str, ParameterReport]:
 
 
 def connector_report(connector: Connector) -> ConnectorReport:
-    """A connector at this moment."""
+    """The report of a connector at this moment."""
     return ConnectorReport(connector.out.path, connector.in_.path, connector.profile, connector.statistics)
 
 
 def service_report(connector: ServiceConnector) -> ServiceConnectorReport:
-    """A connector of service ports at this moment."""
+    """The report of a connector of service ports at this moment."""
     return special_reports.service_connector(connector)
 
 
 def context_report(context: Context) -> ContextReport:
-    """A context at this moment."""
+    """The report of a context at this moment."""
     members = tuple(member.component.name for member in context.runner.members)
     return ContextReport(context.kind, context.rate, members, context.statistics)
 

@@ -37,7 +37,7 @@ def profile_from_plain(
 
     Keys that are not known, as a later version may write them, are put into `unknown` by their paths; fields that are
     missing have their defaults. Values of parameters have the types of the parameters again, but a member of an Enum
-    is its value. The event of a `Change` is an `PastEvent`.
+    is its value. The event of a `Change` is a `PastEvent`.
 
     Raises:
         RecordError: something is missing or of a wrong type, with its path; or a later aiorts wrote it, in a form that
@@ -93,7 +93,7 @@ class ToldSnapshot:
     kind: str
     """"ProfileSnapshot": a change has the name of its event here."""
     missed: int = 0
-    """Changes that this stands for."""
+    """Changes that this snapshot stands for."""
 
 
 def _read(form: type[T], kind: type, data: object, limits: PlainLimits, unknown: dict[str, Any] | None) -> T:
@@ -105,7 +105,7 @@ def _read(form: type[T], kind: type, data: object, limits: PlainLimits, unknown:
 
 
 def _typed(value: Any) -> Any:
-    """The same, with values of parameters as the parameters hold them."""
+    """A report or profile, with values of parameters as the parameters hold them."""
     if isinstance(value, SystemProfile):
         components = {name: _typed(one) for name, one in value.components.items()}
         return replace(value, components=MappingProxyType(components))
@@ -134,7 +134,7 @@ def _typed_component(report: ComponentReport) -> ComponentReport:
 
 
 def _held(value: Any, type_text: str) -> Any:
-    """A value as a parameter of that type holds it; as it is where the type is not known or another."""
+    """A value as a parameter of that type holds it; unchanged where the type is not known or does not fit."""
     kind = None if value is None or type_text in _AS_TOLD else _parameter_type(type_text)
     if kind is None or (kind is float and value.__class__ is float):
         return value

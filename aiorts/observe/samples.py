@@ -1,6 +1,6 @@
 """`kernel.samples(port)`: the samples of an out-port as an async iterator, for tests, WebSockets and notebooks.
 
-They come over a tap: the system is with it what it is without, and no writer waits.
+They come over a tap: the system is the same with it and without, and no writer waits.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class Samples(Closing, AsyncIterator[T], Generic[T]):
     """An async iterator of the samples that an out-port writes, for one task; see `Kernel.samples`.
 
     It ends with its kernel, with its port, with `close()` or `aclose()`, at the end of `async with`, and when nothing
-    refers to it any more, as after a `break` out of `async for sample in kernel.samples(...)`. What waits then is
-    still given, but not after `close`.
+    refers to it any more, as after a `break` out of `async for sample in kernel.samples(...)`. Samples that wait then
+    are still given, but not after `close`.
     """
 
     def __init__(self, feed: Feed[T]) -> None:
@@ -43,7 +43,7 @@ class Samples(Closing, AsyncIterator[T], Generic[T]):
 
     @property
     def dropped(self) -> int:
-        """Samples that were written and are not given here, since `length` others waited already: the oldest go."""
+        """Samples that were written and are not given here, since `length` others waited: the oldest are dropped."""
         return self._feed.dropped
 
     @property
@@ -52,7 +52,7 @@ class Samples(Closing, AsyncIterator[T], Generic[T]):
         return self._feed.ended
 
     def close(self) -> None:
-        """End it; what waits is not given any more. Idempotent."""
+        """End the iterator; samples that wait are not given any more. Idempotent."""
         self._forgotten.detach()
         self._feed.end()
         self._feed.clear()
@@ -94,11 +94,11 @@ class Feed(Generic[T]):
 
     @property
     def ended(self) -> bool:
-        """Whether nothing comes any more."""
+        """Whether no sample comes any more."""
         return self._connector.closed
 
     def end(self) -> None:
-        """Take nothing more; what waits is still given. Idempotent."""
+        """Take no more samples; those that wait are still given. Idempotent."""
         if not self.ended:
             self._rest.extend(self._connector.in_.drain())
             self._connector.close()
@@ -106,7 +106,7 @@ class Feed(Generic[T]):
         self._wake()
 
     def clear(self) -> None:
-        """Give nothing of what waits, once it has ended."""
+        """Forget the samples that wait, once the feed has ended."""
         self._rest.clear()
 
     def forget(self) -> None:
@@ -144,7 +144,7 @@ def out_port_of(kernel: Microkernel, path: str) -> OutPort[Any]:
 
 
 def when_removed(bus: Bus, path: str, call: Callable[[str], object]) -> Callable[[], None]:
-    """Call `call` with what was removed, the component of a port or the port; returns what ends this."""
+    """Call `call` with a text when a port or its component is removed; return a function that ends this."""
     component, _, name = path.rpartition("/")[2].partition(".")
 
     def component_removed(event: ComponentRemoved) -> None:

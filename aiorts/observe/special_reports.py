@@ -1,4 +1,4 @@
-"""What a profile says of services and writes of foreign threads, and of ports that a group shows for its members."""
+"""The parts of a profile on services, on writes of foreign threads, and on ports that a group shows for its members."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def thread_writes(ports: Mapping[str, Port[Any]]) -> Mapping[str, ThreadWriteSta
 
 
 def service_connector(connector: ServiceConnector) -> ServiceConnectorReport:
-    """Who is bound with whom, and what came of it."""
+    """The report of a service connector: its bindings, with the statistics of each."""
     bindings = tuple(
         BindingReport(
             link.required.path, link.provided.path, link.required.spec.name, link.tally.statistics, len(link.calls)

@@ -232,4 +232,4 @@ def keeps_to_its_limits(codec: Codec) -> None:
 
 
 CODEC_CHECKS: Mapping[str, str] = _SUITE.promises
-"""What `check_codec` demands: name of the check -> promise."""
+"""The promises that `check_codec` demands: name of the check -> promise."""

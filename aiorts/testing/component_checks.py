@@ -1,7 +1,6 @@
-"""The conformance suite of components: what each must hold to so that neighbours, contexts and kernels can rely on it.
-
-Each check plays a new component in virtual time, fed every cycle; only what blocks the loop is measured in real time.
-That comes first, and ends at the first cycle that takes too long: all other checks would take as long as its hooks do.
+"""The conformance suite of components: the promises on which neighbours, contexts and kernels rely. Each check runs a
+new component in virtual time, fed every cycle; only blocking of the loop is measured in real time. That check comes
+first, and ends at the first cycle that takes too long: all others would take as long as its hooks do.
 """
 
 from __future__ import annotations
@@ -36,9 +35,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _DEADLINE: Final = 0.001
-"""Seconds of virtual time that a hook gets before it is cancelled, where that is what is checked."""
+"""Seconds of virtual time that a hook gets before it is cancelled, in the check of that."""
 _ATTEMPTS: Final = 3
-"""A busy machine may hold up anybody: a loop is blocked when it is in each attempt."""
+"""Measurements of a loop, which is blocked only if it is in each: a busy machine may hold up one."""
 
 
 def check_component(
@@ -58,7 +57,7 @@ def check_component(
         make: a new component, in the state in which a kernel takes it.
         feed: in-port -> samples or their data, one for each cycle, from the start again when they are used up.
             By default each in-port gets a record as its type makes it without arguments.
-        make_context: the kind of context it is for; a ThreadContext needs a rate.
+        make_context: the kind of context that it is for; a ThreadContext needs a rate.
         cycles: how many a check runs. deterministic: the component claims that the same inputs give the same outputs.
         may_block: real seconds for which a hook may hold the event loop; one that may hold it long needs few `cycles`.
         only: names of the checks to run; by default all. skip: names of checks to leave out.
@@ -85,7 +84,7 @@ class _Case:
         return Rig(component, context=context or self.make_context(), strict=False, debug=debug)
 
     async def run(self, rig: Rig, on: Callable[[], bool] = lambda: True) -> None:
-        """Feed and tick, as long as `on` says so."""
+        """Feed and tick, as long as `on()` is true."""
         for cycle in range(self.cycles):
             if not on():
                 return
@@ -119,7 +118,7 @@ def does_not_block_the_loop(case: _Case) -> None:
 
 
 def _longest_step(case: _Case) -> tuple[float, str]:
-    """Real seconds of the longest step of any hook, and of which; a cycle with one that is too long is the last."""
+    """The real seconds of the longest step, and its hook; a cycle with a step that is too long is the last."""
     longest = [(0.0, "")]
 
     async def main(clock: SimulatedClock) -> None:
@@ -134,7 +133,7 @@ def _longest_step(case: _Case) -> tuple[float, str]:
 
 @contextmanager
 def _measured(cls: type[Component], steps: list[tuple[float, str]]) -> Iterator[None]:
-    """Meanwhile the hooks of this class note how long each of their steps takes."""
+    """Note how long each step of the hooks of this class takes, while entered."""
     kinds = hook_kinds(cls, Component)
     own = {hook: vars(cls).get(hook) for hook in HOOKS if kinds[hook]}
     for hook in own:
@@ -229,7 +228,7 @@ def can_be_activated_again(case: _Case) -> None:
             for _ in range(3):
                 await case.run(rig)
                 expect_no_failure(rig.failures)
-                # A source that has said finish() is inactive by itself.
+                # A source that has called finish() is inactive by itself.
                 if rig.context.state(component) is LifecycleState.ACTIVE:
                     await rig.context.deactivate(component)
                 expect_no_failure(rig.failures)
@@ -327,4 +326,4 @@ def is_deterministic(case: _Case) -> None:
 
 
 COMPONENT_CHECKS: Mapping[str, str] = _SUITE.promises
-"""What `check_component` demands: name of the check -> promise."""
+"""The promises that `check_component` demands: name of the check -> promise."""

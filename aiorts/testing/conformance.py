@@ -1,4 +1,4 @@
-"""What all conformance suites share: named checks, each a promise, and the error that says which one was broken.
+"""The common part of all conformance suites: named checks, each a promise, and the error that names a broken one.
 
 A suite is a table of checks, run in order; the first that fails ends it. A check that ends in any exception has failed.
 """
@@ -15,10 +15,10 @@ S = TypeVar("S")
 
 
 class ConformanceError(AiortsError, AssertionError):
-    """What was checked does not keep a promise of its kind.
+    """The subject of a check does not keep a promise of its kind.
 
     Attributes:
-        subject: what was checked. check: the name of the check. expected, got: in words.
+        subject: the name of what was checked. check: the name of the check. expected, got: in words.
     """
 
     code: ClassVar[str] = "E-CONFORM"
@@ -32,7 +32,7 @@ class ConformanceError(AiortsError, AssertionError):
 
 
 class _Unmet(AssertionError):
-    """A check's own finding, before it is known of whom."""
+    """A check's own finding, before its subject is known."""
 
     def __init__(self, expected: str, got: object) -> None:
         super().__init__(expected, got)
@@ -47,7 +47,7 @@ def expect(met: bool, expected: str, got: object) -> None:
 
 
 class Suite(Generic[S]):
-    """Checks by name; each is a function of what is checked, and the first line of its docstring is the promise."""
+    """Checks by name; each is a function of the subject, and the first line of its docstring is the promise."""
 
     def __init__(self) -> None:
         self._checks: dict[str, Callable[[S], Any]] = {}
@@ -59,7 +59,7 @@ class Suite(Generic[S]):
 
     @property
     def promises(self) -> Mapping[str, str]:
-        """What each check demands, by name, in the order of running."""
+        """The promise of each check, by name, in the order of running."""
         return MappingProxyType({name: _promise(function) for name, function in self._checks.items()})
 
     def run(self, subject: str, what: S, only: Iterable[str] | None, skip: Iterable[str]) -> None:
@@ -67,7 +67,7 @@ class Suite(Generic[S]):
 
         Raises:
             ConformanceError: the first check that failed.
-            ValueError: a name is none of a check.
+            ValueError: a name is not that of a check.
         """
         chosen, left_out = None if only is None else set(only), set(skip)
         unknown = (left_out | (chosen or set())) - self._checks.keys()

@@ -1,6 +1,5 @@
-"""The conformance suite of execution contexts: what every kind promises, played in virtual time.
-
-Members have plain `def` hooks wherever that serves, so that a context which runs in a thread is held to the same.
+"""The conformance suite of execution contexts: the promises of every kind, checked in virtual time. Members have plain
+`def` hooks wherever possible, so that a context that runs in a thread is held to the same promises.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ def check_context(make: MakeContext, *, only: Iterable[str] | None = None, skip:
 
 
 def _staged(check: Callable[[Stage], Coroutine[Any, Any, None]]) -> Callable[[MakeContext], None]:
-    """Add a check that plays on a stage of its own."""
+    """Add a check that runs on a stage of its own."""
 
     def run(make: MakeContext) -> None:
         async def main(clock: SimulatedClock) -> None:
@@ -257,4 +256,4 @@ async def ends_in_reverse_order(stage: Stage) -> None:
 
 
 CONTEXT_CHECKS: Mapping[str, str] = _SUITE.promises
-"""What `check_context` demands: name of the check -> promise."""
+"""The promises that `check_context` demands: name of the check -> promise."""

@@ -1,4 +1,4 @@
-"""The conformance suite of converters: what they make is of the right type, and they change and remember nothing."""
+"""The conformance suite of converters: their results have the right type, and they change and remember nothing."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ def check_converter(
     only: Iterable[str] | None = None,
     skip: Iterable[str] = (),
 ) -> None:
-    """Hold what a plugin offers as a converter to the promises of its kind; `CONVERTER_CHECKS` lists them.
+    """Hold a converter of a plugin to the promises of its kind; `CONVERTER_CHECKS` lists them.
 
     Args:
-        text: one that it takes. samples: at least one, of one type, all of which it converts. target: the type of
+        text: a text that it takes. samples: at least one, of one type, all of which it converts. target: the type of
             the in-port.
         only: names of the checks to run; by default all. skip: names of checks to leave out.
 
@@ -114,4 +114,4 @@ def refuses_a_text_with_an_error_of_aiorts(case: _Case) -> None:
 
 
 CONVERTER_CHECKS: Final[Mapping[str, str]] = _SUITE.promises
-"""What each check of `check_converter` demands, by name, in the order of running."""
+"""The promise of each check of `check_converter`, by name, in the order of running."""

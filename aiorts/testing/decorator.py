@@ -20,7 +20,7 @@ def simulated(test: Callable[P, Coroutine[Any, Any, T]]) -> Callable[P, T]:
     """A synchronous function that runs `test` on a simulated loop; fixtures and parametrisation work as before.
 
     The clock is the argument that is a SimulatedClock (the fixture `simulated_clock`), if there is one, else a new one;
-    `current_clock()` gives it inside.
+    inside, `current_clock()` returns it.
 
     Raises:
         TypeError: `test` is no coroutine function.

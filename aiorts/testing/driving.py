@@ -1,4 +1,4 @@
-"""How a cycle of a context comes about in virtual time, whatever kind of context it is and whatever loop it runs on.
+"""Cycles of a context in virtual time, for any kind of context and any loop.
 
 A context with `tick()` is ticked, one with a rate gets the time it needs, any other runs when it has a cause.
 """
@@ -24,7 +24,7 @@ _LONGEST_NS: Final = 3600 * 10**9
 
 
 def is_ticked(context: Context) -> bool:
-    """Whether somebody else drives this context, by `tick()`."""
+    """Whether this context is driven from outside, by `tick()`."""
     return callable(getattr(context, "tick", None))
 
 
@@ -35,7 +35,7 @@ def period_ns(rate: float) -> int:
 
 
 async def one_cycle(context: Context, clock: SimulatedClock) -> None:
-    """Let one cycle happen and everything it leads to at this moment.
+    """Run one cycle, and everything that follows from it at this moment.
 
     Raises:
         StateError: the context has a rate and no deadline is pending, or a hook waits for an hour of virtual time.

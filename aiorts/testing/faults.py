@@ -1,4 +1,5 @@
-"""Components that misbehave in one way each, for tests of what is around them. Each takes the hook in which it does so.
+"""Components that misbehave in one way each, for tests of what is around them. Each takes the hook in which it
+misbehaves.
 
     await kernel.add(Failing("on_execute", ValueError("no camera"), name="camera0"))
 
@@ -62,7 +63,7 @@ class _Faulty(Component):
         return self.calls > self._first and (self._last is None or self.calls <= self._last)
 
     def _fault(self) -> Any:
-        """What goes wrong."""
+        """Misbehave, and return what the hook is to return."""
         raise NotImplementedError
 
     locals().update({hook: _plain(hook) for hook in HOOKS})
@@ -102,7 +103,7 @@ class Returning(_Faulty):
 
 
 class Blocking(_Faulty):
-    """Blocks its thread, and with it the event loop unless it has one of its own, for real `seconds`."""
+    """Blocks its thread for `seconds` of real time: that of the event loop, unless it has one of its own."""
 
     def __init__(self, hook: str, seconds: float, *, name: str = "", after: int = 0, times: int | None = None) -> None:
         super().__init__(hook, name=name, after=after, times=times)

@@ -1,6 +1,6 @@
 """The hidden component of a rig: its out-ports feed in-ports, its in-ports tap out-ports. It is in no context.
 
-A tap takes each sample in the very call that wrote it, so the moment it notes is exact and no buffer can overflow.
+A tap takes each sample in the very call that writes it, so the time that it notes is exact and no buffer can overflow.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ _LENGTH: Final = 1_000_000
 """Samples that may be fed at once; a tap needs as many only where the writer is in another thread."""
 
 _ENOUGH: Final = 60.0
-"""Virtual seconds that a test waits for what it calls."""
+"""Virtual seconds that a test waits for the answer to a call."""
 
 
 class Tap:
-    """What one out-port has written, and when (nanoseconds of the kernel clock's `monotonic_ns`)."""
+    """The samples that one out-port has written, and their times (nanoseconds of the kernel clock's `monotonic_ns`)."""
 
     def __init__(self, out: OutPort[Any], now_ns: Callable[[], int], note: Callable[[Any], bytes] | None) -> None:
         self.out = out
         self.samples: list[Any] = []
         self.times: list[int] = []
         self.notes: list[bytes] = []
-        """What `note` made of each sample as it arrived."""
+        """The result of `note` for each sample as it arrived."""
         self._now_ns = now_ns
         self._note = note
 
     def take(self, port: InPort[Any]) -> bool:
-        """Take what has arrived; called by the port itself."""
+        """Take the samples that have arrived; called by the port itself."""
         for sample in port.drain():
             self.samples.append(sample)
             self.times.append(self._now_ns())
@@ -52,7 +52,7 @@ class Tap:
 
 
 class Instruments(Component):
-    """What a rig puts into its kernel beside the components under test."""
+    """The component that a rig adds to its kernel, besides the components under test."""
 
     def __init__(self, note: Callable[[Any], bytes] | None = None) -> None:
         super().__init__("rig_instruments")
@@ -63,7 +63,7 @@ class Instruments(Component):
         self._made = 0
 
     def tap(self, out: OutPort[Any]) -> None:
-        """Take from now on what `out` writes, if it has a connector left."""
+        """Take what `out` writes from now on, if it can have one more connector."""
         if out in self.taps or (out.max_connectors is not None and len(out.connectors) >= out.max_connectors):
             return
         port = self.add_port(self._name("tap"), InPort(out.type, unit=out.unit, shape=out.shape))
@@ -72,7 +72,7 @@ class Instruments(Component):
         receiver_of(port).add_callback(tap.take)
 
     def make_room(self, out: OutPort[Any]) -> None:
-        """Give up the tap of an out-port that has no connector left for anybody else."""
+        """Give up the tap of an out-port that can have no connector besides."""
         tap = self.taps.get(out)
         if tap is None or out.max_connectors is None or len(out.connectors) < out.max_connectors:
             return
@@ -91,12 +91,12 @@ class Instruments(Component):
         return self._feeds[port]
 
     def provide(self, end: ServiceEnd[Any], fake: object) -> None:
-        """Have `fake` answer a required interface."""
+        """Connect `fake` as the provider of a required interface."""
         provided: Any = Provided[end.interface]  # type: ignore[name-defined] # known when it runs
         at_once(self.kernel.connect(end, self.add_port(self._name("fake"), provided(fake, concurrent=True))))
 
     def ask(self, end: ServiceEnd[Any]) -> Required[Any]:
-        """What calls a provided interface."""
+        """The required interface that calls a provided one, made at the first call."""
         if end not in self._asks:
             required: Any = Required[end.interface]  # type: ignore[name-defined] # known when it runs
             self._asks[end] = self.add_port(self._name("ask"), required(timeout=_ENOUGH))

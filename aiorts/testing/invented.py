@@ -126,4 +126,5 @@ _MAKERS: Final[tuple[tuple[type, Any], ...]] = (
     (NDArrayKind, _ndarray),
     (ArrayKind, lambda kind, dice: _array(_DTYPES[kind.element], (dice.choice((0, 1, 7, 300)),), dice)),
 )
-"""Sort of field -> how a value is invented; the first that fits, so derived sorts come first."""
+"""The kinds of fields, each with a function that invents a value; the first that fits counts, so derived kinds come
+first."""

@@ -1,10 +1,10 @@
-"""A transport between kernels of one loop, whose faults are asked for and come again with the same seed.
+"""A transport between kernels of one loop, whose faults are chosen and repeat with the same seed.
 
     network = MemoryNetwork(seed=7, loss=0.1, duplicate=0.05)
     one.service(Links).use(network.transport("one"))
     two.service(Links).use(network.transport("two"))
 
-It goes by the time of the loop, so in a simulated loop it goes by virtual time. Faults hit the frames of channels
+It uses the time of the loop, which is virtual in a simulated loop. Faults hit the frames of channels
 alone: questions and answers are delayed, and lost only with the connection.
 """
 
@@ -26,18 +26,18 @@ if TYPE_CHECKING:
     from aiorts.links import Channel, ChannelEvents, KernelFace, LinkOffer, Transport
 
 _FULL: Final = 1 << 20
-"""Bytes of a channel under way beyond which it takes no more."""
+"""Bytes under way beyond which a channel takes no more."""
 _ASKED: Final = 1_000
-"""Questions of one kernel that are not answered yet, at the most."""
+"""The most questions of one kernel that are not answered yet."""
 _OVERTAKEN: Final = 0.02
-"""Seconds by which a frame that others overtake is late, at the most."""
+"""The most seconds by which a frame that others overtake is late."""
 _HOST: Final = "memory"
 
 _Frame = tuple[bytes, tuple[memoryview, ...]]
 
 
 class MemoryNetwork:
-    """Kernels that reach each other in memory, and what goes wrong between them.
+    """Kernels that reach each other in memory, and the faults between them.
 
     `loss`, `duplicate`, `reorder` and `delay` can be set at any time; they hold for frames that are sent from then on.
 
@@ -58,7 +58,7 @@ class MemoryNetwork:
         self._stopped: set[str] = set()
 
     def transport(self, kernel: str) -> Transport:
-        """A new transport for the kernel that others reach by this name; for each start of a kernel another one."""
+        """A new transport for the kernel that others reach by this name; each start of a kernel needs another one."""
         return _MemoryTransport(self, kernel)
 
     def cut(self, one: str, other: str) -> None:
@@ -74,7 +74,7 @@ class MemoryNetwork:
             self._open[one].meet(self._open[other])
 
     def stop(self, kernel: str) -> None:
-        """Deliver nothing to a kernel, and nothing of what it sends, until `go`; no connection ends by that."""
+        """Deliver nothing to a kernel and nothing from it until `go`; no connection ends by that."""
         self._stopped.add(kernel)
 
     def go(self, kernel: str) -> None:
@@ -90,7 +90,7 @@ class MemoryNetwork:
         return any(one.name in self._stopped for one in transports)
 
     def _enter(self, newcomer: _MemoryTransport) -> None:
-        """Let all that are open find it. LinkError: one of that name is open."""
+        """Let all open transports find `newcomer`. LinkError: one of that name is open."""
         if newcomer.name in self._open:
             raise LinkError(f"a kernel named {newcomer.name!r} runs already; give this one another name")
         others = tuple(self._open.values())
@@ -100,7 +100,7 @@ class MemoryNetwork:
                 newcomer.meet(other)
 
     def _leave(self, transport: _MemoryTransport) -> None:
-        """Let no other kernel find it any more."""
+        """Let no other kernel find `transport` any more."""
         if self._open.get(transport.name) is transport:
             del self._open[transport.name]
 
@@ -120,7 +120,7 @@ class _Sent(NamedTuple):
 
 
 class _Line:
-    """What is under way from one kernel to another."""
+    """The frames and calls under way from one kernel to another."""
 
     def __init__(self, network: MemoryNetwork, near: _MemoryTransport, far: _MemoryTransport) -> None:
         self._network, self._near, self.far = network, near, far
@@ -140,7 +140,7 @@ class _Line:
         self.wake()
 
     def wake(self) -> None:
-        """Wait for the first of what is under way."""
+        """Set the timer for the first arrival."""
         if self._under_way and (self._timer is None or self._under_way[0][0] < self._due):
             self._stop_waiting()
             self._due = self._under_way[0][0]
@@ -185,7 +185,7 @@ class _MemoryTransport(BaseTransport["_MemoryChannel"]):
         self.peer = Peer(_HOST, name, 0)
         self._lines: dict[Peer, _Line] = {}
         self._notices: deque[Callable[[], None]] = deque()
-        """What its kernel is told next, in this order, in steps of the loop's own."""
+        """The next notices to its kernel, in this order, each in a step of the loop of its own."""
 
     async def open(self, kernel: KernelFace) -> None:
         """See `Transport`. LinkError: the kernel has another name than this transport, or one of that name is open."""
@@ -196,7 +196,7 @@ class _MemoryTransport(BaseTransport["_MemoryChannel"]):
         self.network._enter(self)
 
     async def close(self) -> None:
-        """See `Transport`. What was sent before arrives, but for what the network delays."""
+        """See `Transport`. Frames that were sent before arrive, except those that the network delays."""
         for line in tuple(self._lines.values()):
             line.arrive()
         self.network._leave(self)
@@ -213,7 +213,7 @@ class _MemoryTransport(BaseTransport["_MemoryChannel"]):
         return self.peer
 
     def meet(self, other: _MemoryTransport) -> None:
-        """Connect the two, unless they are connected."""
+        """Connect the two transports, unless they are connected."""
         if other.peer not in self._lines:
             for near, far in ((self, other), (other, self)):
                 near._lines[far.peer] = _Line(self.network, near, far)
@@ -227,7 +227,7 @@ class _MemoryTransport(BaseTransport["_MemoryChannel"]):
                 near.tell(partial(near.lost, far.peer, why))
 
     def tell(self, notice: Callable[[], None]) -> None:
-        """Call it in a step of the loop of its own, after those before it; not before `go` while this is stopped."""
+        """Call `notice` in a step of the loop of its own, after earlier ones; while stopped, not before `go`."""
         self._notices.append(notice)
         self.loop.call_soon(self._tell_next)
 
@@ -257,7 +257,7 @@ class _MemoryTransport(BaseTransport["_MemoryChannel"]):
         return self.keep(key, _MemoryChannel(self, key, events))
 
     def take(self, peer: Peer, key: tuple[bool, int], frames: list[_Frame]) -> None:
-        """Frames have arrived; those of a channel that is not open here are lost."""
+        """Pass on frames that have arrived; those of a channel that is not open here are lost."""
         if (channel := self.channels.get((peer, *key))) is not None:
             channel.events.on_frames(frames)
 
@@ -279,7 +279,7 @@ class _MemoryTransport(BaseTransport["_MemoryChannel"]):
             line.asked -= 1
 
     def hear(self, asker: _MemoryTransport, number: int, what: str, body: bytes) -> None:
-        """A question has arrived."""
+        """Answer a question that has arrived."""
         self.kernel.run_in_background(self._reply(asker, number, what, body), f"aiorts answer {what:.20}")
 
     async def _reply(self, asker: _MemoryTransport, number: int, what: str, body: bytes) -> None:
@@ -297,7 +297,7 @@ class _MemoryChannel(BaseChannel):
         self._line = transport.line_to(key[0])
         self.far_key = (not key[1], key[2])
         self._under_way = 0
-        """Bytes."""
+        """Bytes under way."""
         self._refused = False
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
@@ -315,7 +315,7 @@ class _MemoryChannel(BaseChannel):
         return True
 
     def is_delivered(self, size: int) -> None:
-        """A frame is no longer under way."""
+        """Count a frame as no longer under way."""
         self._under_way -= size
         if self._refused and self._under_way <= _FULL // 2:
             self._refused = False

@@ -1,15 +1,15 @@
-"""Another order for what is ready at one instant: one that asyncio allows as well as the usual one.
+"""Another order of the tasks that are ready at one instant, which asyncio allows as well as the usual one.
 
-In each turn of a loop the tasks that are ready change places, at random and reproducibly. What may be relied on stays:
+In each turn of a loop the tasks that are ready change places, at random and reproducibly. Orders that asyncio promises
+stay:
 
-- Callbacks run in the order in which `call_soon` took them, as asyncio documents, and no task passes one: what was
-  ready before a callback runs before it, what came after it runs after it. Done callbacks of a future, the wake-up of
-  who awaits it and what a task asks for before it goes on keep their order by this.
-- Who gives up its turn (`sleep(0)`) goes on after everything that was ready when it did.
-- Nothing moves from one turn to another.
+- Callbacks run in the order in which `call_soon` took them, as asyncio documents, and no task passes one: tasks that
+were ready before a callback run before it, later ones after it. So a future's done callbacks, the wake-up of the task
+that awaits it, and calls that a task schedules before it goes on keep their order. - A task that gives up its turn
+(`sleep(0)`) goes on after everything that was ready then. - Nothing moves from one turn to another.
 
-Which of several tasks that were woken or made meanwhile goes first is nobody's promise, and neither is the order of
-loop timers of the same moment (asyncio: "the order in which they are called is undefined").
+asyncio promises no order of tasks that were woken or made meanwhile, nor of loop timers of the same moment (asyncio:
+"the order in which they are called is undefined").
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ _WAKE_UPS: Final = ("task_wakeup", "__wakeup")
 
 
 class Shuffle:
-    """Changes the order of what is ready, as `seed` says: the same seed and the same turns give the same order."""
+    """Changes the order of ready handles by `seed`: the same seed and the same turns give the same order."""
 
     def __init__(self, seed: int) -> None:
         self._random = Random(seed)  # noqa: S311 - an order is no secret
 
     def __call__(self, ready: deque[asyncio.Handle]) -> None:
-        """Reorder what is ready in this turn, in place."""
+        """Reorder the handles that are ready in this turn, in place."""
         if len(ready) < 2:
             return
         order: list[asyncio.Handle] = []
         first = 0
-        """Where the first of those stands that may still change places."""
+        """The index of the first handle that may still change places."""
         # One by one: a thread may append meanwhile, and what it appends is run after these.
         for handle in [ready.popleft() for _ in range(len(ready))]:
             if _moves(handle):
@@ -51,7 +51,7 @@ class Shuffle:
 
 
 def _moves(handle: asyncio.Handle) -> bool:
-    """Whether this may change places with what became ready before it in the same turn."""
+    """Whether this handle may change places with those that became ready before it in the same turn."""
     if isinstance(handle, asyncio.TimerHandle):
         return True
     task = _task_of(handle)

@@ -1,4 +1,4 @@
-"""What goes on outside of a simulated loop and must be waited for: worker threads of anyio, connected sockets."""
+"""Activities outside of a simulated loop that stop its time: worker threads of anyio, connected sockets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _log = KernelLog(__name__)
 
 
 def listens(fd: int) -> bool:
-    """A listening socket waits for strangers: nobody can say that one is on the way."""
+    """Whether a socket listens: its clients come from outside, and may never come."""
     option = getattr(socket, "SO_ACCEPTCONN", None)
     if option is None:
         return False

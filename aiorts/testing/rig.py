@@ -37,7 +37,7 @@ T = TypeVar("T")
 
 
 class Caught:
-    """What `Rig.expect_error` has caught; `error` is the exception that the hook raised."""
+    """The failure that `Rig.expect_error` has caught; `error` is the exception that the hook raised."""
 
     error: BaseException
 
@@ -52,14 +52,14 @@ class Rig:
     Args:
         components: in order of execution, all in one context.
         params: values of parameters of the only component, in force before its `on_initialize`, as in `Kernel.create`;
-            ConfigurationError when it is opened and one does not fit.
+            opening raises ConfigurationError when one does not fit.
         rate: Hz of an external context: each tick is one period later than the last. None: ticks take no time.
-        context: the context they run in; an ExternalContext by default.
+        context: the context of the components; an ExternalContext by default.
         clock: simulated; by default that of the loop, or a new one at 0.
-        strict: a hook that fails makes the next `tick`, `advance` or `activate` raise what it raised; one that makes
-            a coroutine and does not await it makes them raise a ComponentError with hook and line.
+        strict: the next `tick`, `advance` or `activate` raises what a failed hook raised, or a ComponentError with hook
+            and line where a hook made a coroutine and did not await it.
         debug: the kernel's debug mode: checks the thread of each port call and copies each sample.
-        activate: have the components active from the start.
+        activate: whether the components are active from the start.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class Rig:
 
     @property
     def is_open(self) -> bool:
-        """Whether it was opened and not closed."""
+        """Whether the rig was opened and not closed."""
         return self._is_open
 
     @property
@@ -223,10 +223,10 @@ class Rig:
     def received(self, port: str | Port[Any]) -> list[Any]:
         """Every sample that an out-port has written since the start or `clear()`, the oldest first.
 
-        Of an in-port: what its component has left unread, which is taken out; together with what was taken before.
+        For an in-port: the samples that its component left unread, which are taken out, and those taken out before.
 
         Raises:
-            WiringError: the out-port takes no further connector (`max_connectors`), so it could not be listened to.
+            WiringError: the out-port takes no further connector (`max_connectors`), so that no tap could listen to it.
         """
         target = self.port(port)
         if isinstance(target, OutPort):
@@ -236,14 +236,14 @@ class Rig:
         return list(taken)
 
     def values(self, port: str | Port[Any]) -> list[Any]:
-        """The data of what `received` gives."""
+        """The data of the samples that `received` returns."""
         return [value_of(sample) for sample in self.received(port)]
 
     def times(self, port: str | Port[Any]) -> list[float]:
-        """When an out-port wrote each sample: seconds of virtual time since the clock's start.
+        """The time of each sample that an out-port wrote: seconds of virtual time since the clock's start.
 
         Raises:
-            WiringError: it is an in-port, or an out-port that takes no further connector.
+            WiringError: the port is an in-port, or an out-port that takes no further connector.
         """
         target = self.port(port)
         if not isinstance(target, OutPort):
@@ -275,16 +275,16 @@ class Rig:
     # -- services --------------------------------------------------------------------------------------------------
 
     def provide(self, end: str | ServicePort | ServiceEnd[Any], fake: object) -> None:
-        """Have `fake` answer what a component requires: an object with the methods of the interface.
+        """Connect `fake`, an object with the methods of the interface, to what a component requires.
 
         Raises:
-            DeclarationError: it does not have them.
-            WiringError: nothing is required there, or it is answered already.
+            DeclarationError: `fake` does not have them.
+            WiringError: no interface is required there, or it is connected already.
         """
         self._tools.provide(self._end(end, "required"), fake)
 
     async def call(self, end: str | ServicePort | ServiceEnd[Any], method: str, *args: Any, **kwargs: Any) -> Any:
-        """Call a method that a component provides; time passes meanwhile, 60 s at the most.
+        """Call a method that a component provides; time passes meanwhile, at most 60 s.
 
         Raises:
             WiringError: the component provides no such interface, or several.
@@ -317,10 +317,10 @@ class Rig:
     # -- time and lifecycle ---------------------------------------------------------------------------------------
 
     async def tick(self, count: int = 1) -> None:
-        """Let `count` cycles happen, each with the time it takes; of a context without a rate, whatever has a cause.
+        """Run `count` cycles, each with the time that it takes; an event context runs members that have a cause.
 
         Raises:
-            BaseException: what a hook raised in it, unless `strict` is False or it is expected.
+            BaseException: the exception that a hook raised, unless `strict` is False or the exception is expected.
         """
         for _ in range(count):
             if self._rate is not None:
@@ -358,7 +358,7 @@ class Rig:
         try:
             await while_time_passes(self.clock, request)
         except ComponentError:
-            # Said once more by the failure itself, which is what a test wants to see.
+            # The failure of the hook is raised below instead: a test wants to see that one.
             if self._reported == len(self._failures) and not self._expecting:
                 raise
         await self.clock.advance(0)
@@ -372,10 +372,10 @@ class Rig:
 
     @contextmanager
     def expect_error(self, kind: type[BaseException] = Exception) -> Iterator[Caught]:
-        """Within this block a hook must fail with `kind`; its exception is then in `error` and nothing is raised.
+        """A block in which a hook must fail with `kind`; its exception is then in `error` and nothing is raised.
 
         Raises:
-            AssertionError: none did. What was raised: it is of another kind.
+            AssertionError: no hook failed. The exception of the hook: it is of another kind.
         """
         caught, before = Caught(), len(self._failures)
         self._expecting += 1
@@ -394,7 +394,7 @@ class Rig:
         self._reported = len(self._failures)
 
     def _take_unawaited(self, line: str, owner: Component | None) -> bool:
-        """Keep it for the next `_raise_failure`; what is no component's own, or not to be raised, is warned of."""
+        """Keep a line for the next `_raise_failure`; False: it is no component's, or not to be raised: a warning."""
         is_ours = self.strict and owner is not None and owner.name in self.kernel.components
         if is_ours:
             self._unawaited.append(line)

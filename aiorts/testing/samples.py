@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def sample_of(cls: type, value: Any, tm: int) -> Any:
     """A sample of `cls`: `value` itself if it is one, else a new one stamped `tm` (ns) with `value` as its data.
 
-    A mapping gives the fields by name. The data of a record is its field `data`, else its only field beside `tm`.
+    A mapping gives the fields by name. The data of a record is its field `data`, else its only field besides `tm`.
 
     Raises:
         RecordTypeError: the record has several fields and `value` is no mapping.
@@ -31,7 +31,7 @@ def sample_of(cls: type, value: Any, tm: int) -> Any:
 
 
 def value_of(sample: Any) -> Any:
-    """The data of a sample: its field `data`, else its only field beside `tm`, else the sample itself."""
+    """The data of a sample: its field `data`, else its only field besides `tm`, else the sample itself."""
     if type(sample) in PLAIN_TYPES:
         return sample
     name = _find_data_field(original(type(sample)))
@@ -59,7 +59,7 @@ def _takes_mapping(cls: type) -> bool:
 
 
 def difference(left: Any, right: Any, where: str = "") -> str | None:
-    """Where two samples differ, as "path: this, not that"; None when they are the same bit by bit.
+    """The first difference of two samples, as "path: this, not that"; None when they are the same bit by bit.
 
     Stricter than `==`: -0.0 is not 0.0, a NaN equals only one with the same payload, an array has a type and a shape.
     """
@@ -76,7 +76,7 @@ def difference(left: Any, right: Any, where: str = "") -> str | None:
 
 
 def _parts(left: Any, right: Any, where: str) -> Iterator[tuple[Any, Any, str]] | None:
-    """What two values of one class consist of; None for scalars."""
+    """The parts of two values of one class, in pairs; None for scalars."""
     if isinstance(left, RecordArray):
         left, right = left.array, right.array
     if type(left).__module__ == "numpy" and hasattr(left, "tobytes"):

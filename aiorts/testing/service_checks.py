@@ -1,4 +1,5 @@
-"""The conformance suite of services: what a kernel, and everything else in it, relies on; played in virtual time."""
+"""The conformance suite of services: the promises on which a kernel and all else in it rely; checked in virtual
+time."""
 
 from __future__ import annotations
 
@@ -47,7 +48,7 @@ def check_service(
 
     Args:
         kind: the class, as it is offered.
-        settings: what to try it with, as its table of a system file has it; its defaults by default.
+        settings: the settings to check it with, as in its table of a system file; its defaults by default.
         only: names of the checks to run; by default all. skip: names of checks to leave out.
 
     Raises:
@@ -57,7 +58,7 @@ def check_service(
 
 
 class _Source(Component):
-    """Gives a number in each cycle."""
+    """Writes a number in each cycle."""
 
     out = OutPort(float)
 
@@ -66,7 +67,7 @@ class _Source(Component):
 
 
 class _Sink(Component):
-    """Takes it."""
+    """Reads the numbers."""
 
     inp = InPort(float)
 
@@ -75,7 +76,7 @@ class _Sink(Component):
 
 
 class _Faults(logging.Handler):
-    """While it is entered: what the kernel logs of services whose methods raised."""
+    """Collects, while entered, what the kernel logs of services whose methods raised."""
 
     def __init__(self) -> None:
         super().__init__(logging.ERROR)
@@ -94,7 +95,7 @@ class _Faults(logging.Handler):
 
 
 def _played(check: Callable[[_Case, Kernel], Coroutine[Any, Any, None]]) -> Callable[[_Case], None]:
-    """Add a check that plays in an open kernel of its own; nothing that the service's methods raise goes unseen."""
+    """Add a check that runs in an open kernel of its own, and fails when a method of the service raises."""
 
     def run(case: _Case) -> None:
         async def main() -> None:
@@ -110,7 +111,7 @@ def _played(check: Callable[[_Case, Kernel], Coroutine[Any, Any, None]]) -> Call
 
 
 async def _life(case: _Case, kernel: Kernel) -> KernelService:
-    """A service attached before anything is there, and a small system that comes, runs and goes."""
+    """Attach a service to an empty kernel, then start, run and end a small system; return the service."""
     service = kernel.service(case.kind)
     service.configure(settings_of(case.kind.settings, case.given))
     source, sink = await kernel.add(_Source("source")), await kernel.add(_Sink("sink"))
@@ -236,7 +237,7 @@ def closes_after_a_fault(case: _Case) -> None:
 
 
 def _failing(method: Callable[..., Any], hook: str) -> Callable[..., Any]:
-    """The method, which raises when it is done."""
+    """The method, changed to raise when it is done."""
 
     def fail(self: KernelService, *args: Any) -> Any:
         method(self, *args)
@@ -250,4 +251,4 @@ def _failing(method: Callable[..., Any], hook: str) -> Callable[..., Any]:
 
 
 SERVICE_CHECKS: Mapping[str, str] = _SUITE.promises
-"""What `check_service` demands: name of the check -> promise."""
+"""The promises that `check_service` demands: name of the check -> promise."""

@@ -2,9 +2,9 @@
 
 The rule of a jump, in this order: callbacks that are ready run; while a thread, a connected socket or a hold is waited
 for, time stands still; then the kernel timers of the earliest deadline fire, all together in the order of their
-creation; what they made ready runs; then the loop's own timers (`asyncio.sleep`, time-outs) of that moment fire. When
-nothing is left that could ever happen, StateError says who is waiting for what, instead of hanging. What other threads
-hand over (`call_between_instants`) is called before a jump, one at a time, and never holds time.
+creation; callbacks that they made ready run; then the loop's own timers (`asyncio.sleep`, timeouts) of that moment
+fire. When nothing is left that could ever happen, StateError names the tasks that wait, instead of hanging. Callbacks
+from other threads (`call_between_instants`) run before a jump, one at a time, and never hold time.
 
     async def main(clock: SimulatedClock) -> float:
         await asyncio.sleep(3600)
@@ -13,7 +13,7 @@ hand over (`call_between_instants`) is called before a jump, one at a time, and 
     assert simulate(main) == 3600.0
 
 With a seed, tasks that are ready at one instant run in another order, always the same one (`order.py` says what stays):
-code that fails under some seed relies on an order that nobody promised.
+code that fails under some seed relies on an order that asyncio does not promise.
 """
 
 from __future__ import annotations
@@ -67,14 +67,13 @@ def simulate(
     clock: SimulatedClock | None = None,
     seed: int | None = None,
 ) -> T:
-    """Runs `main` to its end on a new `SimulatedLoop` and returns its result; `asyncio.run` in virtual time.
+    """Run `main` to its end on a new `SimulatedLoop` and return its result; `asyncio.run` in virtual time.
 
     `main` is a coroutine, or a function that is given the clock and returns something to await: `simulate(main())` for
     `async def main()`, `simulate(main)` for `async def main(clock)`. Tasks left over are cancelled, asynchronous
-    generators and the default executor shut down, the event loop policy is never touched. `seed` shuffles what is ready
-    at one instant (see `SimulatedLoop`); what fails then says the seed.
-    Raises StateError when called from a running loop, or when nothing will ever happen again; TypeError when `main` is
-    neither of the two.
+    generators and the default executor shut down, the event loop policy is never touched. `seed` shuffles the tasks
+    ready at one instant (see `SimulatedLoop`); an exception then names the seed. Raises StateError when called from a
+    running loop, or when nothing will ever happen again; TypeError when `main` is neither of the two.
     """
     clock = SimulatedClock() if clock is None else clock
     coroutine = main if isinstance(main, Coroutine) else _call(_taking_a_clock(main), clock)
@@ -105,7 +104,7 @@ def _taking_a_clock(main: Callable[[SimulatedClock], Awaitable[T]]) -> Callable[
     try:
         signature = inspect.signature(main)
     except ValueError:
-        return main  # written in C: it says itself what it takes
+        return main  # written in C: the call itself refuses a wrong argument
     name = getattr(main, "__name__", "main")
     try:
         signature.bind(None)
@@ -160,9 +159,9 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
         self._timers_cancelled = 0
         self._anyio = AnyioThreads(self)
         self._outside: deque[Callable[[], object]] = deque()
-        """What other threads want done between two instants."""
+        """Callbacks from other threads, to be called between two instants."""
         self._ways: list[Callable[[], bool]] = []
-        """Whether threads want to run that a loop which never waits would keep from it."""
+        """Functions that say whether a thread wants to run: a loop that never waits would not let it."""
         super().__init__(_JumpingSelector(self))
         if seed is not None:
             self._process_events = partial(_shuffled, self, self._process_events, Shuffle(seed))
@@ -197,7 +196,7 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
         if when >= _NEVER_S:
             return self._call_at_ns(None, callback, args, context)
         deadline = to_ns(when, "when")
-        # Whoever asked for `when` must find loop.time() >= when, or would ask again and again.
+        # The callback must find loop.time() >= when, or it would set a timer again and again.
         step = 1
         while deadline / 1e9 < when:
             deadline += step
@@ -211,7 +210,7 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
         args: tuple[*Ts],
         context: Context | None,
     ) -> asyncio.TimerHandle:
-        """`deadline_ns` None: never."""
+        """Make a timer; with `deadline_ns` None it never fires."""
         self._check_closed()
         when = math.inf if deadline_ns is None else deadline_ns / 1e9
         handle = _OwnTimer(when, callback, args, self, context)
@@ -250,7 +249,7 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
         return None
 
     def _jump(self) -> bool:
-        """To the next moment at which something happens; False when there is none."""
+        """Move time to the next moment at which something happens; False when there is none."""
         clock = self.aiorts_clock
         kernel, own = clock.next_deadline(), self._next_own()
         if kernel is not None and (own is None or kernel <= max(own, clock.now_ns)):
@@ -275,7 +274,7 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
     # -- calls from outside ---------------------------------------------------------------------------------------
 
     def call_between_instants(self, callback: Callable[[], object]) -> None:
-        """Call back before time goes on, when nothing is ready any more. From any thread; it holds no time.
+        """Call `callback` before time goes on, when nothing is ready any more. From any thread; it holds no time.
 
         RuntimeError when the loop is closed.
         """
@@ -284,7 +283,7 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
         self._write_to_self()
 
     def give_way(self, wanted: Callable[[], bool]) -> Callable[[], None]:
-        """Let a thread run whenever `wanted()` says that it has something to do, until what is returned is called."""
+        """Let a thread run whenever `wanted()` says that it has work, until the returned function is called."""
         self._ways.append(wanted)
         return lambda: self._ways.remove(wanted)
 
@@ -294,7 +293,7 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
                 time.sleep(_WAY_S)
 
     def _take_outside(self) -> bool:
-        """Make the next such call ready; False when there is none."""
+        """Make the next callback from outside ready; False when there is none."""
         if not self._outside:
             return False
         self.call_soon(self._outside.popleft())
@@ -349,13 +348,13 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
 def _shuffled(
     loop: SimulatedLoop, process_events: Callable[[list[Any]], None], shuffle: Shuffle, event_list: list[Any]
 ) -> None:
-    """What a loop with a seed does last before it runs what is ready."""
+    """Process events, then shuffle: the last step of a loop with a seed before it runs the ready handles."""
     process_events(event_list)
     shuffle(loop._ready)
 
 
 def _until_exit(protocol_factory: Callable[[], Any], hold: Hold) -> Callable[[], Any]:
-    """The same factory, with protocols that let go of `hold` when their process has exited."""
+    """A factory of the same protocols, which release `hold` when their process has exited."""
 
     def factory() -> Any:
         protocol = protocol_factory()
@@ -372,7 +371,7 @@ def _until_exit(protocol_factory: Callable[[], Any], hold: Hold) -> Callable[[],
 
 
 def _nothing() -> None:
-    """Wakes a loop."""
+    """Do nothing: the call itself wakes a loop."""
 
 
 def _wake_future(future: asyncio.Future[None]) -> None:
@@ -404,7 +403,7 @@ class _JumpingSelector(selectors.BaseSelector):
 
     def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
         key = self._real.register(fileobj, events, data)
-        # The first to come is the loop's own wake-up socket.
+        # The first descriptor is the loop's own wake-up socket.
         if len(self._real.get_map()) == 1 or listens(key.fd):
             self._passive.add(key.fd)
         else:
@@ -443,7 +442,7 @@ class _JumpingSelector(selectors.BaseSelector):
             return []
         if self._awaited or loop._standing_still():
             return self._wait()
-        # Looked at after the holds: what a thread handed over before it let go comes before the jump.
+        # Looked at after the holds: a callback that a thread handed over before its release precedes the jump.
         if loop._ready or loop._jump():
             return []
         if len(self._passive) > 1:

@@ -1,4 +1,4 @@
-"""Where conformance checks of contexts are played: recording members, and what they do while they are inside a hook."""
+"""The stage of conformance checks of contexts: recording members, and what they do inside a hook."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Stage:
             self.calls.clear()
 
     async def cycle(self) -> list[str]:
-        """Drive one cycle; the hooks that ran."""
+        """Drive one cycle and return the hooks that ran."""
         self.calls.clear()
         trigger = getattr(self.context, "trigger", None)
         if trigger is not None:
@@ -77,7 +77,7 @@ class Stage:
 
 
 class AskedInside:
-    """Somebody else asks, once, for the deactivation of b while a hook of a runs."""
+    """A request from outside, made once, to deactivate b while a hook of a runs."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
@@ -85,7 +85,7 @@ class AskedInside:
         self._request: asyncio.Future[None] | None = None
 
     def ask(self) -> None:
-        """On the loop."""
+        """Make the request, on the loop."""
         if self._request is None:
             self._request = self._loop.create_future()
             # Not in a task of the hook: what a hook asks for itself is queued and answered at once.
@@ -96,7 +96,7 @@ class AskedInside:
         asking.add_done_callback(lambda done: answer.set_result(done.result()))
 
     def from_thread(self) -> None:
-        """In the thread of the context: returns when the request was submitted."""
+        """Make the request, in the thread of the context; return when it was submitted."""
         submitted = threading.Event()
 
         def submit() -> None:
@@ -113,7 +113,7 @@ class AskedInside:
 
 
 class Inside:
-    """How many hooks run at once, and at most."""
+    """Counts the hooks that run at once, now and at most."""
 
     def __init__(self) -> None:
         self.now = self.most = self.entered = 0
@@ -124,18 +124,18 @@ class Inside:
         self.leave()
 
     def leave(self) -> None:
-        """A hook ends."""
+        """Count a hook as ended."""
         self.now -= 1
 
     def enter(self) -> None:
-        """A hook begins."""
+        """Count a hook as begun."""
         self.now += 1
         self.entered += 1
         self.most = max(self.most, self.now)
 
 
 class Waiting(Recorder):
-    """Its on_execute waits for virtual time."""
+    """A recorder whose on_execute waits for virtual time."""
 
     def __init__(self, name: str, calls: list[str], inside: Inside) -> None:
         super().__init__(name, calls)
@@ -148,7 +148,7 @@ class Waiting(Recorder):
 
 
 class Asking(Recorder):
-    """Waits a little in its on_execute after somebody asked for something."""
+    """A recorder whose on_execute has the request made, then waits a little."""
 
     def __init__(self, name: str, calls: list[str], asked: AskedInside) -> None:
         super().__init__(name, calls)

@@ -1,6 +1,6 @@
-"""The conformance suite of transports: what the ends of links rely on; played with two kernels' faces on one loop.
-
-A channel may lose, double and reorder frames, so a check sends again what has not come. Nothing else is forgiven.
+"""The conformance suite of transports: the promises on which the ends of links rely; checked with two stand-ins for
+kernels. A channel may lose, double and reorder frames, so a check sends missing frames again. No other fault is
+accepted.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 _WAIT_SECONDS: Final = 2.0
 _AGAIN_SECONDS: Final = 0.1
 _QUIET_SECONDS: Final = 0.05
-"""How long nothing may happen where nothing is to happen."""
+"""Seconds in which nothing may happen, where nothing is expected."""
 _SLOW_SECONDS: Final = 0.05
-"""Sending one frame takes microseconds; a busy machine may hold up one of three."""
+"""Seconds allowed for sending a frame: it takes microseconds, and a busy machine may hold up one of three."""
 _CLOSE_SECONDS: Final = 5.0
 _ENDLESS: Final = 1_024
-"""Frames of 64 KiB in one step of the loop: far more than anyone may keep."""
+"""Frames of 64 KiB in one step of the loop: far more than a transport may keep."""
 
 _Frame = tuple[bytes, tuple[bytes, ...]]
 
@@ -76,11 +76,11 @@ class _Face:
         return self.tasks[-1]
 
     def report(self, text: str) -> None:
-        """Reports are not looked at."""
+        """Ignore a report."""
 
 
 class _Events:
-    """The end of a link: what came, in order."""
+    """The end of a link: notes its events, in order."""
 
     def __init__(self) -> None:
         self.frames: list[_Frame] = []
@@ -127,7 +127,7 @@ class _End:
         self.channel, self.events, self._others = channel, events, others
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
-        """Send a frame; what is called meanwhile, at any end, is a fault."""
+        """Send a frame; an event that is called meanwhile, at any end, is a fault."""
         for one in self._others:
             one.is_sending = True
         taken = self.channel.send(head, parts)
@@ -157,12 +157,12 @@ class _Pair:
 
     @property
     def peer_of_two(self) -> Peer:
-        """Two, as one knows it."""
+        """The kernel "two", as "one" knows it."""
         return self.told[0][0][0]
 
     @property
     def peer_of_one(self) -> Peer:
-        """One, as two knows it."""
+        """The kernel "one", as "two" knows it."""
         return self.told[1][0][0]
 
     async def channel(self, number: int = 1, *, back: bool = False) -> tuple[_End, _End]:
@@ -197,7 +197,7 @@ class _Pair:
 
 
 async def _until(met: Callable[[], bool], expected: str, step: Callable[[], object] | None = None) -> None:
-    """Wait until it is so; `step` is done at once and every 0.1 s."""
+    """Wait until `met()` is true; `step` is called at once and every 0.1 s."""
     loop = asyncio.get_running_loop()
     end, again = loop.time() + _WAIT_SECONDS, loop.time()
     while not met():
@@ -217,7 +217,7 @@ async def _closed(transport: Transport) -> None:
 
 
 def _played(check: Callable[[_Pair], Coroutine[Any, Any, None]]) -> Callable[[_Case], None]:
-    """Add a check that plays with an open pair; faults that any end of a channel has noted fail it."""
+    """Add a check that runs with an open pair; faults that any end of a channel has noted fail it."""
 
     def run(case: _Case) -> None:
         async def main() -> None:
@@ -228,7 +228,7 @@ def _played(check: Callable[[_Pair], Coroutine[Any, Any, None]]) -> Callable[[_C
                 faults = [fault for events in pair.ends for fault in events.faults]
                 expect(not faults, "events in steps of the loop's own, while open, with read-only buffers", str(faults))
             except BaseException:
-                # The finding counts, not what closing says after it; but nothing may be left behind.
+                # This finding counts, not an error of closing after it; but nothing may be left behind.
                 await asyncio.wait((asyncio.ensure_future(pair.close()),), timeout=0.5)
                 raise
             await pair.close()
@@ -393,7 +393,7 @@ async def answers_questions(pair: _Pair) -> None:
 
 
 async def _refusal(pair: _Pair, what: str) -> str:
-    """Why a question was not answered."""
+    """The reason why a question was not answered."""
     try:
         await pair.one.ask(pair.peer_of_two, what, b"?", within=_WAIT_SECONDS)
     except LinkTimeout:
@@ -539,4 +539,4 @@ async def ends_in_time(pair: _Pair) -> None:
 
 
 TRANSPORT_CHECKS: Mapping[str, str] = _SUITE.promises
-"""What `check_transport` demands: name of the check -> promise."""
+"""The promises that `check_transport` demands: name of the check -> promise."""

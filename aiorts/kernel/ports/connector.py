@@ -1,7 +1,7 @@
 """A connector: one out-port, one in-port, the options both agreed on, and the transport that carries its samples.
 
-`Connector` is what users hold. `Transport` (`transport.py`) is what stands behind it. It is replaced, with what is in
-it, when a real-time thread or a listener comes or goes; the connector stays.
+Users hold a `Connector`. A `Transport` (`transport.py`) carries its samples. The transport is replaced, with all that
+it holds, when a real-time thread or a listener comes or goes; the connector stays.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 
 class Connector:
-    """One live connection. Made by `Kernel.connect`, ended by `Kernel.disconnect`.
+    """One live connection, made by `Kernel.connect` and ended by `Kernel.disconnect`.
 
     Attributes:
         profile: the options in force, frozen.
         out: the out-port.
         in_: the in-port.
-        parked: whether it is out of force for a time: nothing is written to it, what is unread stays.
+        parked: whether it is out of force for a time: no sample is written to it, unread ones stay.
     """
 
     __slots__ = ("_transport", "in_", "out", "parked", "profile")
@@ -86,11 +86,11 @@ class Connector:
         full: Literal["overwrite", "reject", "block"] | FullPolicy | None = None,
         **others: Never,
     ) -> None:
-        """Change options while connected: all that are given or, where one is refused, none. Nothing is lost by it.
+        """Change options while connected: all that are given or, where one is refused, none. No sample is lost.
 
-        What is unread stays, though it be more than the new length: a write then meets a full buffer, which by `full`
-        overwrites one, rejects, or waits until fewer than `length` are unread. Writers that wait for room go on as far
-        as a larger `length` has room; where `full` is "block" no more, all of them do, in order, also beyond the
+        Unread samples stay, even if they are more than the new length: a write then meets a full buffer, and by `full`
+        overwrites one, is rejected, or waits until fewer than `length` are unread. Writers that wait for room go on as
+        far as a larger `length` has room. If `full` is no longer "block", all of them go on, in order, also beyond the
         length. A `push_rate` begins a period: the n-th after it ends n / push_rate seconds after the change.
 
         Args:
@@ -100,8 +100,8 @@ class Connector:
 
         Raises:
             WiringError: names the option that is wrong or cannot be changed, or says that none was given.
-            StateError: a real-time thread is at it.
-            ClosedError: it was disconnected.
+            StateError: a real-time thread uses the connector.
+            ClosedError: the connector was disconnected.
             ThreadError: called in another thread than the loop's.
         """
         host = self.out._host
@@ -119,7 +119,7 @@ class Connector:
 
 
 def transport_of(connector: Connector) -> Transport:
-    """What carries the samples of a connector now; ask each time, it may be replaced."""
+    """The transport of a connector at this moment; ask each time, it may be replaced."""
     return connector._transport
 
 

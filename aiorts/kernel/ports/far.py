@@ -1,4 +1,4 @@
-"""Far ports: what stands in this kernel for a port of another one, as one end of an ordinary connector.
+"""Far ports: stand-ins for ports of other kernels, each as one end of an ordinary connector of this kernel.
 
 A service drains a far in-port and sends on what it reads, or writes at a far out-port what it received. The connector
 is a part of the system like any other: it is in `Kernel.connectors`, in profiles, and has its options and its ledger.
@@ -22,26 +22,26 @@ if TYPE_CHECKING:
 
 
 class FarInPort(InPort[Any]):
-    """Stands for an in-port of another kernel: what is written to it is sent there."""
+    """A stand-in for an in-port of another kernel: a sample written to it is sent there."""
 
     __slots__ = ("far",)
     is_far = True
     far: Path
-    """Which port it stands for; `path` may say it otherwise."""
+    """The path of the port that it stands for; its own `path` may differ."""
 
 
 class FarOutPort(OutPort[Any]):
-    """Stands for an out-port of another kernel: what is received from there is written at it."""
+    """A stand-in for an out-port of another kernel: a sample received from there is written at it."""
 
     __slots__ = ("clock", "far", "held")
     is_far = True
     far: Path
-    """Which port it stands for; `path` may say it otherwise."""
+    """The path of the port that it stands for; its own `path` may differ."""
     held: Callable[[], int]
-    """How many samples have come that are not written yet, since a reader has no room; set by the service."""
+    """A function, set by the service: how many received samples are not written yet, since a reader has no room."""
     clock: tuple[int, int] | None
-    """How far the writer's clock is ahead of this kernel's, and how much that may be off, in ns; None: it is the same
-    clock. Set by the service."""
+    """The lead of the writer's clock over this kernel's, and its uncertainty, in ns; None: both use one clock. Set by
+    the service."""
 
 
 class RemoteInPort(InPort[Any]):
@@ -105,7 +105,7 @@ def _not_here(port: Port[Any]) -> StateError:
 
 
 class FarLedger(Protocol):
-    """The counts of both ends of a connector; its text says them."""
+    """The counts of both ends of a connector; `str()` shows them."""
 
     @property
     def buffered(self) -> int:
@@ -114,12 +114,13 @@ class FarLedger(Protocol):
 
     @property
     def read(self) -> Mapping[str, Sequence[int]] | None:
-        """How old samples were as the reader read them, where that is measured; None: its end does not say it."""
+        """The ages of samples when the reader read them, where measured; None: the reader's end does not report
+        them."""
         ...
 
 
 class FarPorts(Protocol):
-    """Who makes far ports of paths."""
+    """The maker of far ports from paths."""
 
     def is_far(self, path: str) -> bool:
         """Whether this is the path of a port in another kernel."""
@@ -130,15 +131,15 @@ class FarPorts(Protocol):
         ...
 
     async def ledger(self, connector: Connector) -> FarLedger:
-        """The counts of both ends of a connector. LinkError: the other kernel says nothing."""
+        """The counts of both ends of a connector. LinkError: the other kernel does not answer."""
         ...
 
     def resolve(self, ports: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], Mapping[str, Any]]:
-        """The ports, of data or of services, with a far one for each path of another kernel, and the options with
-        what is usual there.
+        """The ports, of data or of services, with a far port for each path of another kernel, and the options with the
+        defaults of links.
 
         Raises:
-            WiringError: they do not go together.
+            WiringError: the ports do not go together.
         """
         ...
 
@@ -152,14 +153,14 @@ class FarPorts(Protocol):
 
 
 def far_ends(kernel: KernelSide, where: str, ports: Sequence[Any]) -> list[Any]:
-    """These ports, with what stands for each that is in another kernel.
+    """These ports, with a stand-in for each that is in another kernel.
 
     Args:
-        ports: ports, and paths of ports in other kernels; one that is connected with another of them already gets the
-            same far port.
+        ports: ports, and paths of ports in other kernels; a port that is connected with another of these already gets
+            the same far port.
 
     Raises:
-        WiringError: they do not go together.
+        WiringError: the ports do not go together.
     """
     known = [port for port in ports if not isinstance(port, str)]
     near = [port for port in known if port.elsewhere is None]
@@ -182,7 +183,7 @@ def far_ends(kernel: KernelSide, where: str, ports: Sequence[Any]) -> list[Any]:
 
 
 def _far_end(kernel: KernelSide, like: InPort[Any] | OutPort[Any], given: str | Port[Any]) -> Port[Any]:
-    """What stands for a port of another kernel; the same that is connected already with this one, if one is."""
+    """The stand-in for a port of another kernel: the one that is connected with `like` already, or a new one."""
     path = _path(given)
     if not path.port:
         raise WiringError(f"{given}: is a component; give one of its ports")
@@ -197,7 +198,7 @@ def _far_end(kernel: KernelSide, like: InPort[Any] | OutPort[Any], given: str | 
 
 
 def _path(port: str | Port[Any]) -> Path:
-    """Of a port in another kernel, as others find it."""
+    """The path of a port in another kernel, by which all kernels find it."""
     if isinstance(port, str):
         return Path.parse(port)
     assert port.elsewhere is not None  # noqa: S101 - else it is in this kernel
@@ -212,24 +213,24 @@ def far_port(
     shape: tuple[int, ...] | None,
     shown: str = "",
 ) -> FarInPort | FarOutPort:
-    """What stands for the port of this path at the other end of a connector of `like`, a port of this kernel.
+    """The stand-in for the port of this path, as the other end of a connector of `like`, a port of this kernel.
 
     Args:
-        shown: the path of the port of this kernel that it looks like; "" where it is one of another kernel.
+        shown: the path that the stand-in shows, where that is one of this kernel; "" shows `path`.
     """
     kind = FarInPort if isinstance(like, OutPort) else FarOutPort
     return _made(kernel, kind(like.type, unit=unit, shape=shape), path, shown or str(path))
 
 
 def stand_in(kernel: KernelSide, port: Port[Any]) -> FarInPort | FarOutPort:
-    """What stands for a port of a component that runs in another kernel, where its other end is there, too."""
+    """A stand-in for a port of a component in another kernel, where no component of this kernel has the other end."""
     kind = FarInPort if isinstance(port, InPort) else FarOutPort
     made = kind(port.type, unit=port.unit, shape=port.shape)
     return _as_long(_made(kernel, made, _path(port), port.path), port)
 
 
 def _as_long(made: FarInPort | FarOutPort, port: Port[Any]) -> FarInPort | FarOutPort:
-    """With the length that the in-port says of its connectors."""
+    """The stand-in `made`, with the connector length that the in-port declares."""
     if isinstance(made, InPort) and isinstance(port, InPort):
         made.length = port.length
     return made

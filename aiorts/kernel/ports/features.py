@@ -1,7 +1,7 @@
-"""What carries samples: the table of transports, and the features that options of a connector add to them.
+"""The table of transports, which carry samples, and the features that options of a connector add to them.
 
-A feature is a mixin of `Transport` and a row that says which connectors have it. Every other connector and port runs
-the code it ran before: nothing there asks for features. The rows are in a room above (`kernel/quality/`).
+A feature is a mixin of `Transport` and a row that says which connectors have it. Other connectors and ports run code
+that never asks for features. The rows are in a room above (`kernel/quality/`).
 """
 
 from __future__ import annotations
@@ -29,32 +29,33 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """A row of the table of features: which connectors have it, and what their transports do besides."""
+    """A row of the table of features: which connectors have the feature, and what it adds to their transports."""
 
     key: str
-    """The option that asks for it, for messages: no real-time thread has features at its ports."""
+    """The option that asks for the feature, for the message that no real-time thread has features at its ports."""
     wanted: Callable[[ConnectorProfile], bool]
-    """Whether a connector with these options has it."""
+    """Whether a connector with these options has the feature."""
     mixins: Callable[[], tuple[type[FeaturedTransport], type[FeaturedTransport]]]
-    """The classes for connectors that carry samples at once, and at each period; asked for where it is wanted first."""
+    """The classes for connectors that carry samples at once, and at each period; called only where the feature is
+    wanted."""
     settles: bool = False
-    """Whether the reader's queue is settled (`Transport.settle`) before anybody looks at it, and `take` called."""
+    """Whether the reader's queue is settled (`Transport.settle`) before each look at it, and `take` is called."""
     asks: bool = False
-    """Whether it is settled also while it holds nothing: a look at it may ask for a sample."""
+    """Whether an empty queue is settled, too: a look at it may ask for a sample."""
     lock_free: bool = False
-    """Whether a real-time thread may be at such a connector: as long as it is, the connector is without the feature."""
+    """Whether a real-time thread may use such a connector: while one does, the connector is without the feature."""
 
 
 _FEATURES: Final[list[Feature]] = []
 
 
 def offer(*features: Feature) -> None:
-    """From now on there are these features; of several at one connector the first is the outermost."""
+    """Add features to the table; of several at one connector the first is the outermost."""
     _FEATURES.extend(feature for feature in features if feature not in _FEATURES)
 
 
 def features_of(profile: ConnectorProfile) -> list[Feature]:
-    """Those that a connector with these options has."""
+    """The features of a connector with these options."""
     return [feature for feature in _FEATURES if feature.wanted(profile)]
 
 
@@ -63,12 +64,12 @@ class TransportKind:
 
     An option that changes how samples are carried has no class here: `of` puts the mixins of its `Feature` before the
     class. A mixin derives from `FeaturedTransport`, has empty `__slots__`, keeps its state in `extra` under its key,
-    and calls `super()` in whatever it overrides, so that it goes with listeners, periods and other features.
+    and calls `super()` in each method that it overrides, so that it goes with listeners, periods and other features.
 
     Args:
-        receiver: of the in-port.
-        at_once: of a connector whose samples can be read as soon as they are written.
-        periodic: of one whose samples move at each period of its `push_rate`.
+        receiver: the class of the in-port's receiver.
+        at_once: the transport of a connector whose samples can be read as soon as they are written.
+        periodic: the transport of a connector whose samples move at each period of its `push_rate`.
         featured: whether features are added.
     """
 
@@ -86,7 +87,7 @@ class TransportKind:
     def of(self, profile: ConnectorProfile) -> type[Transport]:
         """The class for connectors with these options."""
         periodic = profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH
-        periodic = periodic and profile.far_end != "writer"  # else it is the writer's end that has the period
+        periodic = periodic and profile.far_end != "writer"  # over a link, the writer's end has the period
         plain = self.periodic if periodic else self.at_once
         found = features_of(profile) if self.featured else ()
         return _composed(plain, tuple(feature.mixins()[periodic] for feature in found))
@@ -97,7 +98,7 @@ class TransportKind:
 
 
 class FeaturedTransport(Transport):
-    """A transport with a feature: a write asks it first, and never goes straight into the queue. See `Transport`."""
+    """A transport with a feature: each write goes through `offer`, never straight into the queue. See `Transport`."""
 
     __slots__ = ()
     admits_plainly = False
@@ -129,7 +130,7 @@ class FeaturedTransport(Transport):
 
 
 class SettlingReceiver(Receiver):
-    """The receiver of an in-port where a queue is settled before anybody looks at it. See `Receiver`."""
+    """The receiver of an in-port whose queues are settled before each look. See `Receiver`."""
 
     __slots__ = ()
     has_fast_path = False
@@ -143,7 +144,7 @@ class SettlingReceiver(Receiver):
             if self.sole is not None:
                 self.sole.settle()
             return super().next()
-        # Of several connectors the one whose sample is the oldest, again while settling took that away.
+        # The connector with the oldest sample is searched again while settling took that sample away.
         while (found := super().next()) is not None:
             found.settle()
             if found is super().next():
@@ -157,7 +158,7 @@ class SettlingReceiver(Receiver):
 
     def drain(self) -> list[Any]:
         samples: list[Any] = []
-        with self.guard(), suppress(WouldBlock):  # the last one was there, and has expired in this moment
+        with self.guard(), suppress(WouldBlock):  # the last sample was there, and expired just now
             if (now := self.port._receiver) is not self:
                 return now.drain()
             while self.unread():
@@ -188,7 +189,7 @@ class AskingReceiver(SettlingReceiver):
 
 
 def fit_receiver(port: InPort[Any]) -> Receiver:
-    """Have the in-port's queues settled while one of its connectors needs it; the caller holds the lock, refreshes."""
+    """Give the in-port the receiver that its connectors need; the caller holds the lock and refreshes."""
     receiver = port._receiver
     kind = type(receiver).kind
     if type(receiver) is not kind.receiver_of(port._connectors):
@@ -206,7 +207,7 @@ def _receiver_mixins(connectors: Iterable[Connector]) -> tuple[type[Receiver], .
 
 
 def settles(profile: ConnectorProfile) -> bool:
-    """Whether the reader of such a connector has its queue settled first."""
+    """Whether the reader's queue of such a connector is settled before each look."""
     return any(feature.settles for feature in features_of(profile))
 
 
@@ -214,7 +215,7 @@ _COMPOSED: Final[dict[tuple[type[Any], ...], Any]] = {}
 
 
 def _composed(plain: type[T], mixins: tuple[type[Any], ...]) -> type[T]:
-    """The class with these mixins before it; one for each choice."""
+    """The class `plain` with these mixins before it, made once for each choice."""
     bases = (*mixins, plain)
     if not mixins:
         return plain
@@ -225,4 +226,4 @@ def _composed(plain: type[T], mixins: tuple[type[Any], ...]) -> type[T]:
 
 
 PLAIN = TransportKind(Receiver, Transport, PeriodicTransport)
-"""What carries samples where no real-time thread and no listener is."""
+"""The transports of connectors without a real-time thread and without a listener."""

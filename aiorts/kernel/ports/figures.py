@@ -26,7 +26,7 @@ class Counted(Protocol):
 def statistics_of(
     transport: Counted, written: int, delivered: int, buffered: int, dropped: Mapping[str, int]
 ) -> ConnectorStatistics:
-    """These counts, which are of this moment, with what was measured."""
+    """The statistics of these counts, which are of this moment, and of the measured times."""
     now_ns, connector, times = transport.clock.monotonic_ns(), transport.connector, transport.times
     latency = age = rate = within = None
     if times is not None:

@@ -1,4 +1,4 @@
-"""What a port needs of the component and the kernel it belongs to, and nothing else of them.
+"""The host of ports: all that a port uses of its component and its kernel.
 
 A component has one host from its construction on; the kernel fills in the rest when the component is added.
 """
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class KernelSide(Protocol):
-    """What the kernel gives to a component's host."""
+    """The kernel, as far as the hosts of ports use it."""
 
     debug: bool
     name: str
@@ -33,12 +33,12 @@ class KernelSide(Protocol):
     @property
     def clock(self) -> Clock: ...
 
-    """The clock that all periods and time-outs go by."""
+    """The clock of all periods and timeouts."""
 
     @property
     def loop(self) -> asyncio.AbstractEventLoop: ...
 
-    """The loop it was opened on."""
+    """The loop that the kernel was opened on."""
 
     def time_ns(self) -> int: ...
 
@@ -57,26 +57,26 @@ class PortHost:
 
     __slots__ = ("__dict__", "kernel", "name", "ports", "retired", "thread_id", "turns")
 
-    # What few components ever have stands in the class until then: a host without it is smaller.
+    # Attributes that few components ever set are defaults of the class: a host without them is smaller.
     alive: bool = True
     threaded: bool = False
     """Whether the component runs in a thread of its own."""
     locked: bool = False
-    """Whether its ports have locks: such a thread uses them, or is about to."""
+    """Whether its ports have locks: the component's thread uses them, or is about to."""
     writing: bool = False
-    """Whether such a thread is in the middle of a write."""
+    """Whether the component's thread is in the middle of a write."""
     realtime: bool = False
     """Whether the component runs in a real-time thread, which never waits."""
     prepare: Callable[[Any], None] | None = None
-    """What such a thread has done to an in-port that its component reads or writes to."""
+    """Prepares an in-port that the component reads or writes to for its real-time thread; else None."""
     trial: tuple[object, ...] = ()
-    """Members whose component takes samples even in error: new code that failed, until the old one is back."""
+    """Members whose component takes samples even in error: new code that failed, until the old code is back."""
     was_active: bool = False
-    """Whether its component was active at any time, or the one whose place it took."""
+    """Whether the component, or the one that it replaced, was ever active."""
     stopping: bool = False
-    """Whether that thread is to end: what blocks there gives up."""
+    """Whether the component's thread is to end: calls that block there give up."""
     blocking: Blocking | None = None
-    """How that thread waits at a port; None until it runs."""
+    """The way in which the component's thread waits at a port; None until it runs."""
 
     def __init__(self, name: str, turns: Turns) -> None:
         self.name = name
@@ -89,7 +89,7 @@ class PortHost:
         """The thread of a ThreadContext that this component runs in; None means the kernel's loop."""
 
     def dropped_first(self, connector: Any) -> None:
-        """A connector to its component has dropped a sample for the first time, since that was not active."""
+        """Report that a connector to the component dropped its first sample, since the component was not active."""
         if self.kernel is not None:
             self.kernel.connections.early.dropped_first(connector)
 
@@ -112,15 +112,15 @@ class PortHost:
         return self._kernel().time_ns()
 
     def call_later(self, seconds: float, callback: Callable[[], None]) -> Cancellable:
-        """Call back on the kernel's clock."""
+        """Call `callback` after so many seconds of the kernel's clock."""
         return self._kernel().call_later(seconds, callback)
 
     def deadline_ns(self, seconds: float | None) -> int | None:
-        """`seconds` from now on the kernel's clock; None is never."""
+        """The time `seconds` from now on the kernel's clock, in ns; None is never."""
         return None if seconds is None else self._kernel().clock.monotonic_ns() + to_ns(seconds)
 
     def wait_in_thread(self, lock: PortLock, ready: Callable[[], bool], deadline_ns: int | None) -> bool:
-        """Block this thread, which is not the loop's, until `ready`; False when the deadline has passed before."""
+        """Block this thread, which is not the loop's, until `ready`; False when the deadline passed first."""
         blocking = self.blocking
         if blocking is None:
             raise StateError(f"{self.name}: only a hook of a ThreadContext may block, in that context's thread")

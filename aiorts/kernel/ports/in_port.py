@@ -1,8 +1,8 @@
 """The reading end of a stream.
 
-`InPort` is what users hold; `read` and `read_nowait` write the common case out in full: one connector, no lock, nobody
-who waits for room. Its `Receiver` (`receiver.py`) does the rest; another kind replaces it when a real-time thread or a
-listener comes or goes.
+Users hold an `InPort`. Its `read` and `read_nowait` write the common case out in full: one connector, no lock, no
+writer that waits for room. Its `Receiver` (`receiver.py`) does the rest; a receiver of another kind replaces it when a
+real-time thread or a listener comes or goes.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ class InPort(Port[T]):
 
     Args:
         type, unit, shape, doc, name, max_connectors: see `Port`.
-        length: where every sample is wanted, how many a connector holds unless the connection says otherwise.
+        length: samples that a connector holds, unless the connection gives a length: for readers that want every one.
     """
 
     __slots__ = ("_before", "_last", "_receiver", "length")
 
     direction: ClassVar[str] = "in"
     is_tap: ClassVar[bool] = False
-    """Whether a service reads here, and no component."""
+    """Whether a service reads at this port, and no component."""
 
     @property
     def connectors(self) -> tuple[Connector, ...]:
-        """The live connectors of this port, in order of connection; those of services are none of the system's."""
+        """The live connectors of this port, in order of connection, without those of services and parked ones."""
         found = self._connectors
         while found and (found[-1].out.is_tap or found[-1].parked):
             found = found[:-1]
@@ -97,7 +97,7 @@ class InPort(Port[T]):
         """The oldest unread sample, waiting for one. A cancelled read takes nothing.
 
         Args:
-            timeout: seconds of the kernel's clock that it waits at the most; 0 takes what is there; None is forever.
+            timeout: seconds of the kernel's clock that it waits at most; 0 takes what is there; None is forever.
 
         Raises:
             ReadTimeout: no sample arrived in time.
@@ -122,7 +122,7 @@ class InPort(Port[T]):
                     sample = self._last = receiver.read()
                     return sample
                 except WouldBlock:
-                    continue  # gone in this moment, as may be where threads meet without a lock
+                    continue  # taken just now, as may be where threads meet without a lock
             if timeout is not None:
                 return await self._read_within(timeout)
             if (waiter := receiver.begin_wait()) is None:
@@ -136,7 +136,7 @@ class InPort(Port[T]):
 
     @property
     def latest(self) -> T | None:
-        """The newest unread sample, dropping older ones; the same until the next arrives; None before the first."""
+        """The newest sample, dropping older unread ones; it stays until the next arrives; None before the first."""
         queue = self._fast
         if len(queue) == 1:
             sample = self._last = queue.popleft()
@@ -194,7 +194,7 @@ class InPort(Port[T]):
         Raises:
             ReadTimeout: no sample arrived in time.
             ClosedError: the port was removed or its context is stopping.
-            StateError: it is called on the loop, or the component is in no `ThreadContext`.
+            StateError: called on the loop, or the component is in no `ThreadContext`.
         """
         host = self._bound()
         if host.on_loop_thread():
@@ -209,7 +209,7 @@ class InPort(Port[T]):
                     sample = self._last = cast("T", self._receiver.read())
                     return sample
                 except WouldBlock:
-                    self._open_host()  # else as in `read`
+                    self._open_host()  # else the sample was taken just now, as in `read`
             self._receiver.gave_up()
             raise ReadTimeout(f"{self.path}: no sample within {timeout} s")
 
@@ -217,12 +217,12 @@ class InPort(Port[T]):
         return _Samples(self)
 
     async def _read_within(self, seconds: float) -> T:
-        """Wait for a sample; there was none."""
+        """Wait at most `seconds` for a sample, where there is none yet."""
         host = self._bound()
         if not isinstance(seconds, int | float) or not 0 <= seconds < inf:
             raise ConfigurationError(f"{self.path}: read: timeout = {seconds!r}: expected seconds from 0 on, or None")
         if not host.on_loop_thread():
-            await self._receiver.wait()  # which says why not
+            await self._receiver.wait()  # raises the reason
         is_over = False
 
         def end() -> None:
@@ -266,7 +266,7 @@ class InPort(Port[T]):
 
 
 class _Samples(AsyncIterator[T]):
-    """The samples of a port as they come; it ends when the port is closed."""
+    """The samples of a port as they come; the iteration ends when the port is closed."""
 
     __slots__ = ("_port",)
 
@@ -281,7 +281,7 @@ class _Samples(AsyncIterator[T]):
 
 
 def read_all(port: InPort[Any], count: int) -> None:
-    """Take so many samples of the queue that the port reads straight from (`Receiver.direct`), which has them."""
+    """Take `count` samples from the queue that the port reads directly (`Receiver.direct`), which holds as many."""
     receiver = port._receiver
     queue = receiver.direct
     for _ in repeat(None, count - 1):
@@ -292,7 +292,7 @@ def read_all(port: InPort[Any], count: int) -> None:
 
 
 def read_alone(port: InPort[Any]) -> Any:
-    """The only sample of the queue that the port reads straight from, while no writer waits; NOTHING: not so."""
+    """The only sample of the queue that the port reads directly, while no writer waits; else NOTHING."""
     queue = port._fast
     if len(queue) != 1:
         return NOTHING
@@ -301,16 +301,16 @@ def read_alone(port: InPort[Any]) -> Any:
 
 
 def receiver_of(port: InPort[Any]) -> Receiver:
-    """What stands behind an in-port now; ask each time, it may be replaced."""
+    """The receiver of an in-port at this moment; ask each time, it may be replaced."""
     return port._receiver
 
 
 def set_open(port: InPort[Any], is_open: bool) -> None:
-    """Take samples from now on, with empty buffers, or drop what is unread as inactive and what comes after it."""
+    """Take samples from now on, with empty buffers, or drop unread and later samples as inactive."""
     if port._receiver.open is not is_open:
         port._receiver.set_open(is_open)
 
 
 def in_ports_at(port: Port[Any]) -> tuple[InPort[Any], ...]:
-    """The in-ports that a thread uses which has this port: itself, or those that it writes to."""
+    """The in-ports that the thread of this port's owner uses: this one, or those that this out-port writes to."""
     return (port,) if isinstance(port, InPort) else tuple(dict.fromkeys(each.in_ for each in port._connectors))

@@ -1,9 +1,9 @@
-"""The sample that a writer wrote last: for a connector with `keep_last`, and for who looks at an out-port.
+"""The sample that a writer wrote last, for connectors with `keep_last` and for looks at an out-port.
 
-Nothing is stored when a sample is written and carried. It is the newest in a connector's queue, or what its reader took
-last (`Transport.held`). Each write goes to every connector, so any of them has it, but for those where it was lost:
-that transport gives it to the out-port (`Transport.miss`) and says so of itself (`missed`). An out-port without
-connectors has a `NoReader` to keep it.
+A write stores no copy: its sample is the newest in a connector's queue, or the one that the reader took last
+(`Transport.held`). Each write goes to every connector, so any of them has the sample, unless it was lost there: that
+transport gives it to the out-port (`Transport.miss`) and notes the loss (`missed`). An out-port without connectors has
+a `NoReader` to keep it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.out_port import OutPort
 
 _PATIENCE: Final = 1000
-"""Looks at an out-port that a thread is in the middle of writing at."""
+"""The most looks at an out-port while a thread is in the middle of a write there."""
 
 
 def last_written(out: OutPort[Any]) -> Any:
@@ -34,7 +34,7 @@ def last_written(out: OutPort[Any]) -> Any:
 def offer_last(connector: Connector, written: int) -> None:
     """Offer the writer's last sample to a connector from which nothing was read yet, if its reader takes samples.
 
-    `written` were written when it began to take them: one that came since is the writer's last.
+    `written` samples were written when the reader began to take them: a later one is itself the writer's last.
     """
     transport, out = connector._transport, connector.out
     if not transport.receiver.open or transport.delivered():
@@ -43,7 +43,7 @@ def offer_last(connector: Connector, written: int) -> None:
     for _ in range(_PATIENCE):
         if host is None or not host.writing:
             break
-        time.sleep(50e-6)  # lets the thread end its write, which is at some connectors and not at others
+        time.sleep(50e-6)  # lets the thread end its write, which has reached only some connectors
     sample = last_written(out)
     if sample is NOTHING:
         return
@@ -59,9 +59,9 @@ def to_be_offered(port: InPort[Any]) -> list[tuple[Connector, int]]:
 
 
 class Beginning:
-    """The first of the transports of an out-port that a thread writes at: says that a write is not everywhere yet.
+    """The first transport of an out-port at which a thread writes: marks a write as not at all connectors yet.
 
-    A connector that came while the way was chosen has the sample, too: who made it may have looked before.
+    A connector made since the path was chosen gets the sample, too: its maker may have looked for it before.
     """
 
     __slots__ = ("_connectors", "_host", "_out")
@@ -71,11 +71,11 @@ class Beginning:
         self._connectors = out._connectors
 
     def must_wait(self) -> bool:
-        """Nobody is to be waited for."""
+        """Whether a write has to wait: never."""
         return False
 
     def offer(self, sample: Any) -> bool:
-        """A write begins."""
+        """Mark the beginning of a write."""
         out = self._out
         self._host.writing = True
         if out._connectors is self._connectors:
@@ -85,7 +85,7 @@ class Beginning:
 
 
 class Ending:
-    """The last of them."""
+    """The last transport of such an out-port: marks the end of a write."""
 
     __slots__ = ("_host",)
 
@@ -93,17 +93,17 @@ class Ending:
         self._host = host
 
     def must_wait(self) -> bool:
-        """Nobody is to be waited for."""
+        """Whether a write has to wait: never."""
         return False
 
     def offer(self, sample: Any) -> bool:
-        """It is everywhere."""
+        """Mark the write as ended: all connectors have the sample."""
         self._host.writing = False
         return True
 
 
 class NoReader:
-    """In the place of the transports of an out-port that has none."""
+    """The stand-in for the transports of an out-port that has none."""
 
     __slots__ = ("_out",)
 
@@ -111,10 +111,10 @@ class NoReader:
         self._out = out
 
     def must_wait(self) -> bool:
-        """Nobody is to be waited for."""
+        """Whether a write has to wait: never."""
         return False
 
     def offer(self, sample: Any) -> bool:
-        """Keep it."""
+        """Keep the sample."""
         self._out._saved = sample
         return True

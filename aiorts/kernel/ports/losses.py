@@ -1,13 +1,13 @@
-"""Logs that a connector loses samples: the first one with the reason, then counts, ever rarer.
+"""Log messages on samples that connectors lose: the first loss with its reason, then counts, ever rarer.
 
-A connector with default options drops the oldest sample when its reader is too slow, and any drops what its converter
-fails on. How many more it has dropped is logged after 10 s, after twice as long each time while it goes on, and when it
-ends; after a time without a loss it begins anew. One look names 8 connectors at the most. Where `connect` (`full`,
-`length`, `push`) or the port's own length chose what a slow reader loses, nothing is logged of that: the ledger has
-every count.
+A connector with default options drops the oldest sample when its reader is too slow, and any connector drops samples on
+which its converter fails. The count of further losses is logged after 10 s, after twice as long each time while losses
+go on, and when the connector ends; after a time without a loss the next one is a first again. One look names at most 8
+connectors. Where `connect` (`full`, `length`, `push`) or the port's own length chose what a slow reader loses, that is
+not logged: the ledger has every count.
 
-A sample that came before its reader was active for the first time is lost in silence, and a system may wait for it
-forever: the first one of a kernel is logged, with what helps, unless the next ones come through soon.
+A sample that comes before its reader was ever active is lost silently, and a system may wait for it forever: the first
+such loss in a kernel is logged, with a remedy, unless the next samples come through soon.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ WHY_DROPPED: Final = {
     "inactive": "unread when the reader ended, or written while it was not active",
     "disconnected": "unread when the connection ended",
 }
-"""By the reason for which a connector dropped samples: how that comes, and what helps."""
+"""The explanation and the remedy, by the reason for which a connector dropped samples."""
 _LOG = KernelLog()
 _NEXT: Final = 1.0
-"""Seconds of the kernel's clock in which a writer that goes on writing makes good for a sample that came too early."""
+"""Seconds of the kernel's clock within which a writer that goes on makes up for a sample that came too early."""
 _MOST_NAMED: Final = 8
 _SUMMARISED: Final = "further losses are summarised here, all are counted in connector.statistics"
 
@@ -51,7 +51,7 @@ _LATER: Final = ', or have the writer start later (start.after = "%s active")'
 
 
 class Losses:
-    """What one kernel's connectors have lost and was not reported yet."""
+    """The losses of one kernel's connectors, and the reports of them."""
 
     reason: ClassVar[str] = "overwritten"
     lost: ClassVar[str] = "lost"
@@ -61,19 +61,19 @@ class Losses:
     def __init__(self, kernel: KernelSide) -> None:
         self._kernel = kernel
         self._reported: dict[Connector, int] = {}
-        """The connectors that lose samples, with how many were reported."""
+        """The connectors that lose samples, with the count of reported losses."""
         self._timer: Cancellable | None = None
         self._wait = distances.FIRST
         """Seconds of the kernel's clock to the next look at connectors that lose samples."""
         self._named = self._unnamed = 0
 
     def listen(self, connector: Connector) -> None:
-        """Hear of the next sample that it loses."""
+        """Listen for the next sample that the connector loses."""
         connector._transport.losses = self
         connector.out._refresh()
 
     def begin(self, connector: Connector) -> None:
-        """It has lost a sample, in this thread: report it soon, and those after it in summary."""
+        """Report a connector's first loss, in this thread, soon, and the losses after it in summary."""
         connector._transport.losses = False
         connector.out._refresh()
         self._kernel.loop.call_soon_threadsafe(
@@ -83,19 +83,19 @@ class Losses:
         )
 
     def stop(self, connector: Connector) -> None:
-        """Its user has chosen what is lost: report what was not reported yet, and nothing from now on."""
+        """Report losses not reported yet, and none from now on: the user has chosen what is lost."""
         connector._transport.losses = None
         connector.out._refresh()
         self.end(connector)
 
     def end(self, connector: Connector) -> None:
-        """It is closed: report what was not reported yet."""
+        """Report losses not reported yet: the connector has closed."""
         reported = self._reported.pop(connector, None)
         if reported is not None:
             self._report_more(connector, reported)
 
     def close(self) -> None:
-        """All connectors have ended."""
+        """End the reports: all connectors have ended."""
         if self._timer is not None:
             self._timer.cancel()
         self._report_unnamed()
@@ -171,7 +171,7 @@ class Unconverted(Losses):
         self._failing.discard(connector)
 
     def failed(self, connector: Connector, explain: Callable[[], str]) -> None:
-        """Its converter has failed, in this thread: report the first time, and those after it in summary."""
+        """Report a connector's first failed conversion, in this thread, and the failures after it in summary."""
         if connector not in self._failing:
             self._failing.add(connector)
             self._kernel.loop.call_soon_threadsafe(self._first, connector, explain())
@@ -189,7 +189,7 @@ class Unconverted(Losses):
 
 
 class Early:
-    """Reports the first sample of a kernel that came before its reader ever was active, and that no other followed."""
+    """The report of a kernel's first sample that came before its reader ever was active, if no other got through."""
 
     __slots__ = ("_kernel", "_missed", "_said", "_timer")
 
@@ -197,14 +197,14 @@ class Early:
         self._kernel = kernel
         self._said = False
         self._missed: list[Connector] = []
-        """Connectors that have dropped their first sample so, until the next look."""
+        """Connectors that have dropped such a first sample, until the next look."""
         self._timer: Cancellable | None = None
 
     def dropped_first(self, connector: Connector) -> None:
-        """It has dropped its first sample, in this thread, since its reader is not active.
+        """Note that a connector dropped its first sample, in this thread, since its reader is not active.
 
         Samples that no component waits for are not reported: those for a reader that was active before or joins a
-        stream, and those of a tool. Of a link the reader's kernel reports them, since the writer's end drops none.
+        stream, and those of a tool. Over a link the reader's kernel reports them, since the writer's end drops none.
         """
         out, host = connector.out, connector.in_._host
         if self._said or self._kernel.closed or host is None or host.was_active or out._saved is not NOTHING:
@@ -213,7 +213,7 @@ class Early:
             self._kernel.loop.call_soon_threadsafe(self._begun, connector)
 
     def close(self) -> None:
-        """All connectors are about to end: nothing follows."""
+        """Report what is due: all connectors are about to end, and no sample follows."""
         if self._timer is not None:
             self._timer.cancel()
             self._look()

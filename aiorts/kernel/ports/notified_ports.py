@@ -1,4 +1,4 @@
-"""The in-ports of one member of an event context: which have notified it, and whether it took what came."""
+"""The in-ports of one member of an event context: which have notified it, and whether it read their samples."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from aiorts.kernel.ports.in_port import InPort
 from aiorts.kernel.ports.port import NOTHING, OFF
 
 _UNKNOWN: Final[deque[Any]] = deque((None,))
-"""Stands for a queue that cannot be looked at directly: the receiver knows."""
+"""The stand-in for a queue that cannot be looked at directly: the receiver is asked."""
 
 
 class NotifiedPorts(list[InPort[Any]]):
@@ -19,13 +19,13 @@ class NotifiedPorts(list[InPort[Any]]):
 
     def __init__(self) -> None:
         self.notified: list[InPort[Any]] = []
-        """Those with a sample since they were enabled to notify."""
+        """The ports that got a sample since they were enabled to notify."""
         self.queue: deque[Any] = OFF
-        """Empty when nothing is left for `left_unread` to find after this cycle."""
+        """A queue that is empty when `left_unread` has nothing to find after this cycle."""
 
     def begin_alone(self) -> bool:
-        """Begin a cycle where one port has notified and its one connector has data; False: it is not so simple."""
-        # Written out: this stands between a sample and the hook it is for.
+        """Begin a cycle where one port has notified and its one connector has data; False: call `begin` instead."""
+        # Written out: every sample waits for this before its hook runs.
         notified = self.notified
         if len(notified) != 1:
             return False
@@ -42,7 +42,7 @@ class NotifiedPorts(list[InPort[Any]]):
         return True
 
     def begin(self) -> None:
-        """Begin a cycle that was triggered, or for data that came some other way."""
+        """Begin any other cycle: one that was triggered, or that `begin_alone` does not handle."""
         if self.notified:
             self.enable_notify()
         for port in self:
@@ -51,7 +51,7 @@ class NotifiedPorts(list[InPort[Any]]):
         self.queue = _UNKNOWN
 
     def left_unread(self) -> bool:
-        """Whether a sample was read in this cycle and there are more."""
+        """Whether a sample was read in this cycle and others are unread."""
         for port in self:  # no generator: that is a call for each port, in each cycle that leaves something unread
             if port._last is not NOTHING:
                 break
@@ -64,14 +64,15 @@ class NotifiedPorts(list[InPort[Any]]):
         return False
 
     def enable_notify(self) -> None:
-        """Let the next sample at each that has notified do so again."""
+        """Enable each port that has notified to do so again at its next sample."""
         for port in self.notified:
             port._receiver.enable_notify()
         self.notified.clear()
 
     def find_data(self) -> bool:
-        """Enable all that have notified again; whether one of them still has data: it counts as having notified."""
-        # Enabled before looked at: what a thread writes in between notifies again, and is not left lying.
+        """Enable all ports that have notified again; return whether one still has data: it counts as having
+        notified."""
+        # Enabled before the look: a sample that a thread writes in between notifies again, and is not missed.
         notified, self.notified = self.notified, []
         for port in notified:
             port._receiver.enable_notify()

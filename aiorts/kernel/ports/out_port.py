@@ -2,8 +2,8 @@
 
 `write` and `write_nowait` write the common case out in full: one connector, one reader, open, room. A Python call
 costs 25-40 ns, so a chain port -> connector -> buffer does not fit the budget. `_deliver` does the same for a full
-buffer and for any number of connectors. `_update_fast_path` decides at the first write after a change what goes which
-way; nothing on these paths asks again.
+buffer and for any number of connectors. `_update_fast_path` decides at the first write after a change which connectors
+take which path; no write asks again.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class OutPort(Port[T]):
 
     Args:
         type, unit, shape, doc, name, max_connectors: see `Port`.
-        stamp: "write" puts the kernel's clock into `tm` of a copy; by default `tm` is what the writer said.
+        stamp: "write" puts the kernel's clock into `tm` of a copy; by default `tm` is the writer's.
 
     Raises:
         DeclarationError: `stamp` is neither "write" nor None.
@@ -68,7 +68,7 @@ class OutPort(Port[T]):
 
     direction: ClassVar[str] = "out"
     is_tap: ClassVar[bool] = False
-    """Whether a service writes here, and no component."""
+    """Whether a service writes at this port, and no component."""
 
     def __init__(
         self,
@@ -86,21 +86,21 @@ class OutPort(Port[T]):
             raise DeclarationError(f'{name or "out-port"}: stamp is "write" or None, got {stamp!r}')
         self.stamp = stamp
         self._class: Any = _NoClass
-        """The class of the samples that need no check; none while there must be one."""
+        """The class of the samples that need no check; `_NoClass` while all need one."""
         self._look: Callable[[Any], Any] | None = None
-        """The only check that samples of the port's very class need; None while they need none, or another."""
+        """The only check that samples of exactly the port's class need; None while they need none, or a full one."""
         self._receiver: Receiver | None = None
         self._room = 0
         self._saved: Any = NOTHING
         """The sample written last, where no connector has it (`last_sample.py`)."""
         self._sent = 0
-        """Samples written to all direct connectors at once; each of them counts them as its own."""
+        """The count of samples written to all direct connectors alike; each of them counts these as its own."""
         self._stale = True
         """Whether the connectors changed since the path was chosen."""
         self._shared: tuple[Transport, ...] = ()
         """The direct transports, which `_sent` counts for."""
         self._fan: tuple[tuple[deque[Any], int, bool | LossListener, Receiver], ...] = ()
-        """Of the direct transports those whose reader has no other: it is the receiver's `sole`."""
+        """The direct transports whose reader has no other: each is its receiver's `sole`."""
         self._merged: tuple[_Way, ...] = ()
         """The direct transports whose reader has several, and keeps the order of arrival."""
         self._others: tuple[Transport, ...] = ()
@@ -110,13 +110,13 @@ class OutPort(Port[T]):
         self._blocking: tuple[_Way, ...] = ()
         """The direct transports with full = block."""
         self._shapes: tuple[tuple[Port[Any], tuple[int, ...]], ...] = ()
-        """Shapes that a sample must have, and which port says so: this one or a reader."""
+        """Shapes that a sample must have, each with the port that declares it: this one or a reader."""
         self._unlocked: tuple[Transport, ...] = ()
         """The transports to receivers without a lock, whose readers are woken on the loop alone."""
         self._thread = 0
-        """The thread of that loop, where there is such a receiver."""
+        """The loop's thread, where there is such a receiver."""
         self._thread_writes: ThreadWrites | None = None
-        """What foreign threads wrote; None before the first did."""
+        """The writes of foreign threads; None before the first."""
 
     def bind(self, host: PortHost, name: str) -> OutPort[T]:
         """A live port of `host` made after this declaration.
@@ -142,7 +142,7 @@ class OutPort(Port[T]):
 
     @property
     def connectors(self) -> tuple[Connector, ...]:
-        """The live connectors of this port, in order of connection; taps of services are none of the system's."""
+        """The live connectors of this port, in order of connection, without taps of services."""
         found = self._connectors
         while found and found[-1].in_.is_tap:
             found = found[:-1]
@@ -155,10 +155,10 @@ class OutPort(Port[T]):
             False when a connector with full = reject had no room (its statistics say which one), else True.
 
         Raises:
-            WouldBlock: a reader with full = block has no room, or none waits at one with length = 0; no reader got the
-                sample.
+            WouldBlock: a reader with full = block has no room, or no read waits at one with length = 0; no reader got
+                the sample.
             PortTypeError: the sample is not of the port's type or shape; nothing was sent.
-            RecordError: a field of a dataclass is not what it says; nothing was sent.
+            RecordError: a field of a dataclass does not match its declaration; nothing was sent.
             ThreadError: called in a foreign thread, which cannot wake a reader that sleeps; nothing was sent.
         """
         if sample.__class__ is self._class:
@@ -180,8 +180,8 @@ class OutPort(Port[T]):
     async def write(self, sample: T) -> bool:
         """Send `sample` to every reader, waiting for those with full = block.
 
-        Readers with room have the sample at once; the others are waited for together, each to its timeout. A
-        cancelled write wrote nothing to the connectors it was still waiting for.
+        Readers with room have the sample at once; the write waits for the others together, each to its timeout. A
+        cancelled write wrote nothing to the connectors for which it was still waiting.
 
         Returns:
             False when a connector with full = reject had no room, else True.
@@ -228,7 +228,7 @@ class OutPort(Port[T]):
         Raises:
             WriteTimeout: names the connectors that had no room in time.
             PortTypeError: the sample is not of the port's type or shape; nothing was sent.
-            StateError: it is called on the loop, or the component is in no `ThreadContext`.
+            StateError: called on the loop, or the component is in no `ThreadContext`.
             ClosedError: the port was removed or its context is stopping.
         """
         host = self._bound()
@@ -263,7 +263,7 @@ class OutPort(Port[T]):
 
         The sample is checked, copied and stamped in the calling thread. At most 1,024 samples wait for the loop, which
         takes at most 256 in one turn. The samples of one thread stay in their order; a write on the loop overtakes
-        those that wait. While a reader with full = block has no room, the rest waits, each sample to the connector's
+        those that wait. While a reader with full = block has no room, the other samples wait, each to the connector's
         timeout. `thread_writes` has the counts.
 
         Args:
@@ -276,7 +276,7 @@ class OutPort(Port[T]):
             ThreadError: `full` is "block" on the loop's own thread, which would wait for itself.
             ClosedError: the kernel is closing, or the component or port is being removed; also while it blocks.
             PortTypeError: the sample is not of the port's type or shape; nothing was sent.
-            RecordError: a field of a dataclass is not what it says; nothing was sent.
+            RecordError: a field of a dataclass does not match its declaration; nothing was sent.
             ConfigurationError: `full` is another word.
             StateError: the component runs in a `ThreadContext` or `RealtimeContext`, whose thread alone writes there.
         """
@@ -301,7 +301,7 @@ class OutPort(Port[T]):
         return self._write_checked(sample)
 
     def _write_checked(self, sample: T) -> bool:
-        """Send a sample that is as it travels, by the paths that are chosen."""
+        """Send a sample that needs no further check, by the chosen paths."""
         if get_ident() != self._thread and self._unlocked:
             self._check_can_wake()
         if (self._blocking or self._others) and self._without_room() is not None:
@@ -338,7 +338,7 @@ class OutPort(Port[T]):
                 )
 
     def _deliver(self, sample: T) -> bool:
-        """To every connector; none has to be waited for. All have the sample before anybody is woken."""
+        """Write to every connector, none of which lacks room. All have the sample before any reader is woken."""
         done = True
         notified: list[Receiver] = []
         for queue, room, keeps, receiver in self._fan:
@@ -409,7 +409,7 @@ class OutPort(Port[T]):
         return True
 
     async def _wait_for_answer(self, entry: Waiting) -> bool:
-        """Wait until the reader has the sample, or has refused it; its transport sees to the time."""
+        """Wait until the reader has the sample, or has refused it; its transport keeps the timeout."""
         assert entry.future is not None  # noqa: S101 - `send_now` has made it
         try:
             await entry.future
@@ -421,7 +421,7 @@ class OutPort(Port[T]):
         return not entry.refused
 
     def _offer(self, sample: T, loop: asyncio.AbstractEventLoop | None) -> tuple[bool, list[Waiting]]:
-        """Deliver where there is room and queue up where there is none; without a loop a thread is to wait."""
+        """Deliver where there is room and queue up where there is none; without a loop a thread waits."""
         done = True
         entries: list[Waiting] = []
         for connector in self._connectors:
@@ -435,7 +435,7 @@ class OutPort(Port[T]):
         return done, entries if len(entries) == len(self._connectors) else _Others(entries)
 
     async def _wait_for(self, entries: list[Waiting]) -> None:
-        """Wait until each entry was moved or its time is over; whatever happens, no entry is abandoned."""
+        """Wait until each entry was moved or its time is over; in any case no entry is abandoned."""
         host = self._bound()
         late: list[tuple[Connector, float | None]] = []
 
@@ -478,7 +478,7 @@ class OutPort(Port[T]):
     def _checked(self, sample: T, host: PortHost | None = None) -> T:
         """The sample as it will travel: of the port's type and shape, stamped, immutable.
 
-        Checked for `host` in a foreign thread, it relies on nothing that the loop changes.
+        With `host`, in a foreign thread, the check relies on nothing that the loop changes.
         """
         look = self._look
         try:
@@ -516,14 +516,14 @@ class OutPort(Port[T]):
         return stamped
 
     def _refresh(self) -> None:
-        """The connectors or their options have changed."""
-        # Only noted: with many connectors each change would else cost as much as all of them.
+        """Note that the connectors or their options have changed."""
+        # Only noted: else each change of one connector would cost as much as all connectors.
         self._stale = True
         self._class, self._look, self._fast, self._room = _NoClass, None, OFF, 0
 
     def _update_fast_path(self) -> None:
         """Decide which transports a write reaches directly, and whether the fast path is on."""
-        self._stale = False  # first: what another thread changes from here on marks it once more
+        self._stale = False  # first: a change by another thread from here on sets it again
         self._class, self._look, self._fast, self._room = _NoClass, None, OFF, 0
         host, connectors = self._host, self._connectors
         if host is None:
@@ -581,7 +581,7 @@ class OutPort(Port[T]):
 
 
 def write_alone(port: OutPort[Any], sample: Any) -> bool:
-    """`write_nowait` in the loop's thread, of what goes straight into one queue; False: it was not sent."""
+    """`write_nowait` in the loop's thread, of a sample that goes straight into one queue; False: it was not sent."""
     queue = port._fast
     if sample.__class__ is not port._class or len(queue) >= port._room:
         return False
@@ -594,9 +594,9 @@ def write_alone(port: OutPort[Any], sample: Any) -> bool:
 
 
 def write_all(port: OutPort[Any], samples: Sequence[Any]) -> int:
-    """Write the first of these samples as far as they go straight into one queue; how many that were.
+    """Write the first of these samples, as many as go straight into one queue; return how many.
 
-    Only the first one notifies. Where the reader hears of each, one is written, or none.
+    Only the first one notifies. Where each sample notifies the reader, one is written, or none.
     """
     if port._stale:
         port._update_fast_path()
@@ -617,11 +617,11 @@ def write_all(port: OutPort[Any], samples: Sequence[Any]) -> int:
 
 
 class _Others(list["Waiting"]):
-    """Those where a write waits, while other connectors have taken its sample."""
+    """The entries of a write that waits at some connectors, while others have taken its sample."""
 
 
 def _give_up_all(entries: list[Waiting], late: bool) -> None:
-    """Let none of these wait any more; `late`: one has timed out."""
+    """End the waiting of all these entries; `late`: one has timed out."""
     written = late or isinstance(entries, _Others) or any(entry.done for entry in entries)
     for entry in entries:
         if not entry.done:
@@ -629,7 +629,7 @@ def _give_up_all(entries: list[Waiting], late: bool) -> None:
 
 
 def _give_up(entry: Waiting, written: bool) -> bool:
-    """Let it wait no more; `written`: other connectors have the sample, or its time is over."""
+    """End the waiting of an entry; `written`: other connectors have the sample, or its time is over."""
     transport = entry.connector._transport
     with transport.guard():
         missed = transport.missed == transport.position
@@ -644,7 +644,7 @@ def _give_up(entry: Waiting, written: bool) -> bool:
 
 
 def time_out(entry: Waiting) -> bool:
-    """Let a write wait no more whose time is over; False when its sample was moved in the meantime."""
+    """End the waiting of a write whose time is over; False when its sample was moved in the meantime."""
     transport = entry.connector._transport
     with transport.guard():
         if not _give_up(entry, True):
@@ -661,8 +661,8 @@ class _NoClass:
 
 
 _Way: TypeAlias = "tuple[deque[Any], int, bool | LossListener, Receiver, Transport]"
-"""A direct transport: the queue, how many samples fit, whether it keeps them when full (or who is to hear of the first
-that it does not), who to wake, who counts."""
+"""A direct transport: its queue, its room, whether it keeps its samples when full (or the listener for the first that
+it does not keep), the receiver to wake, the transport that counts."""
 
 
 def _raise_late(path: str, late: list[tuple[Connector, float | None]]) -> None:

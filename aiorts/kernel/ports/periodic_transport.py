@@ -2,7 +2,7 @@
 
 Periods are counted from the connection, or from a change of `push_rate`: the n-th is over at `start + n / push_rate`,
 so they do not drift. No timer runs while nothing waits. The writer never waits; with full = block a sample that finds
-no room at the reader stays where it is.
+no room at the reader stays at the writer.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ class PeriodicTransport(Transport):
         self.first = 1
         """The number since the connection of the oldest sample in the backlog."""
         self.sent = False
-        """Whether the period that is over has sent anything."""
+        """Whether the last period sent a sample."""
         self.spared = 0
-        """The number of the sample that is sent whatever the push policy says; 0: none is."""
+        """The number of the sample that is sent even against the push policy; 0: none."""
         self.timer_requested = False
         """Whether a timer was requested that the loop has not set yet."""
         self.call_at = kernel.call_at
@@ -172,7 +172,7 @@ class PeriodicTransport(Transport):
             super().lose(sample)
 
     def set_timer(self) -> None:
-        """Have the period that is running end."""
+        """Set the timer for the end of the present period."""
         if self.timer is not None or self.closed:
             return
         elapsed = self.now_ns() - self.start_ns
@@ -181,7 +181,7 @@ class PeriodicTransport(Transport):
         self.timer = self.call_at(deadline, partial(self.on_loop, methodcaller("end_period")))
 
     def end_period(self) -> None:
-        """A period is over: send, and measure how long that took where `measure` was given."""
+        """Send at the end of a period, and measure how long that took where `measure` was given."""
         if self.times is None:
             self.work_off()
             return
@@ -192,7 +192,7 @@ class PeriodicTransport(Transport):
                 self.times.add(began_ns, self.now_ns())
 
     def work_off(self) -> None:
-        """The period is over: send what the push policy says."""
+        """Send the samples that the push policy chooses."""
         with self.guard():
             self.timer = None
             if self.push is _ALL and self.takes_all():
@@ -243,6 +243,6 @@ class PeriodicTransport(Transport):
 
 
 def _set_timer(transport: Any) -> None:
-    """On the loop, a moment after it was asked for: the connector may have got other options."""
+    """Set a requested timer, on the loop: the connector may have got other options since."""
     if isinstance(transport, PeriodicTransport):
         transport.set_timer()

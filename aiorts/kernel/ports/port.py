@@ -1,4 +1,4 @@
-"""What in-ports and out-ports have in common: the declaration, the binding, the way to the kernel."""
+"""The common base of in-ports and out-ports: the declaration, the binding, the way to the kernel."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ UNSUSPENDED: Final = 255
 UNLOCKED: Final = nullcontext()
 
 OFF: Final[deque[Any]] = deque(maxlen=0)
-"""What a port has for a queue while its fast path is off: there is never anything in it."""
+"""The queue of a port while its fast path is off: always empty."""
 
 NOTHING: Final[Any] = object()
-"""In the place of an in-port's sample read last, while a cycle of an event context has read none."""
+"""The value of no sample: an in-port's last read one, while a cycle of an event context has read none."""
 
 
 class Turns:
-    """What is left of a component's share of uninterrupted awaited reads and writes."""
+    """A component's remaining share of uninterrupted awaited reads and writes."""
 
     __slots__ = ("left",)
 
@@ -51,14 +51,14 @@ def give_turn() -> Generator[None, None, None]:
 
 
 class PortDeclaration:
-    """What a class body may declare as a port: it knows how a component gets the live port."""
+    """A port as a class body declares it: it knows how a component gets the live port."""
 
     __slots__ = ()
 
     name: str
     """The port's name; "" where it is the attribute's."""
     elsewhere: Path | None = None
-    """Of a port of a component that runs in another kernel: where it is. Only what is connected with it is here."""
+    """The path of a port whose component runs in another kernel: only its connectors are in this one. Else None."""
 
     def check_declared(self, cls: type[Any], attribute: str) -> None:
         """Raise DeclarationError when this class, or one derived from it, cannot have such a port."""
@@ -73,14 +73,14 @@ class PortDeclaration:
 
     @property
     def connecting(self) -> Connecting | None:
-        """Who connects ports of this kind; None: connectors of data ports."""
+        """The maker of connectors for ports of this kind; None: they are data ports."""
         return None
 
 
 if TYPE_CHECKING:
 
     class End(Protocol[C]):
-        """What can be connected: a port, or an interface of one, with the kind of its connectors."""
+        """A port, or an interface of one, that can be connected, with the kind of its connectors."""
 
         @property
         def connecting(self) -> Connecting | None: ...
@@ -90,7 +90,7 @@ if TYPE_CHECKING:
 
 
 class Connecting(Protocol):
-    """Makes connectors that are none of data ports."""
+    """The maker of connectors for ports that are no data ports."""
 
     def plan(self, kernel: Any, ports: Sequence[Any], options: Mapping[str, Any], /) -> Sequence[tuple[str, Any]]: ...
 
@@ -104,7 +104,7 @@ class Connecting(Protocol):
 
 
 class Port(PortDeclaration, Generic[T]):
-    """What in-ports and out-ports have in common. Unbound it is a declaration, bound it belongs to a component.
+    """The common base of in-ports and out-ports: a declaration while unbound, a component's live port once bound.
 
     Args:
         type: the record (or dataclass, or scalar type) that travels.
@@ -112,7 +112,7 @@ class Port(PortDeclaration, Generic[T]):
         shape: shape of the data, such as (3,), -1 for any length; checked at every write.
         doc: one line for tools.
         name: the port's name where it is not the attribute's.
-        max_connectors: connectors the port takes at the most; None is unlimited.
+        max_connectors: connectors that the port takes at most; None is unlimited.
     """
 
     __slots__ = (
@@ -131,7 +131,7 @@ class Port(PortDeclaration, Generic[T]):
 
     direction: ClassVar[str] = ""
     is_far: ClassVar[bool] = False
-    """Whether it stands for a port of another kernel, as one end of a connector."""
+    """Whether the port stands for one of another kernel, as one end of a connector."""
 
     def __init__(
         self,
@@ -166,7 +166,7 @@ class Port(PortDeclaration, Generic[T]):
         try:
             check_port_type(self.type)
         except UnresolvedName:
-            return  # defined further down in its module, maybe: then it is known when the port is made
+            return  # maybe defined further down in its module: then the name is known when the port is made
         except DeclarationError as error:
             raise DeclarationError(f"{cls.__qualname__}.{attribute}: {error}") from None
         if self.unit and (own := sole_unit(self.type)) not in ("", self.unit):
@@ -209,7 +209,7 @@ class Port(PortDeclaration, Generic[T]):
 
     @property
     def profile(self) -> PortProfile:
-        """What this port is, frozen."""
+        """A frozen description of this port."""
         from aiorts.types import type_name
 
         return PortProfile(
@@ -243,26 +243,26 @@ class Port(PortDeclaration, Generic[T]):
         return host
 
     def _wake_waiter(self) -> None:
-        """Whoever waits at this port looks again."""
+        """Wake all that wait at this port: they look again."""
 
     def _make_locked(self) -> None:
-        """From now on more than one thread uses this port."""
+        """Add a lock: from now on more than one thread uses this port."""
 
     def _give_up_blocking(self) -> None:
-        """The thread of its component is to end: what blocks at this port, or at the far end, gives up."""
+        """End calls that block at this port or at its far ends: the component's thread is to end."""
         for connector in self._connectors:
             connector.in_._wake_waiter()
         self._wake_waiter()
 
     def _vacate(self, leaving: bool = True) -> None:
-        """Its component is about to go, or stays after all."""
+        """Note that the component is about to go, or stays after all."""
 
     def _unanswerable(self) -> Iterator[str]:
-        """What this port offers that a thread, which has no event loop, cannot do."""
+        """The names of calls that this port offers and a thread, which has no event loop, cannot answer."""
         return iter(())
 
     def _removed(self) -> bool:
-        """Whether this live port was taken away, or its component was."""
+        """Whether this live port, or its component, was removed."""
         host = self._host
         return host is not None and not (host.alive and host.ports.get(self.name) is self)
 
@@ -279,11 +279,12 @@ class Port(PortDeclaration, Generic[T]):
             host.loop.call_soon_threadsafe(callback)
 
     def _refresh(self) -> None:
-        """The connectors or their options have changed."""
+        """Note that the connectors or their options have changed."""
         raise NotImplementedError
 
 
-# -- what the rooms that run components do with a port: no names that a user completes ---------------------------------
+# -- functions for the rooms that run components: no methods that a user's editor offers
+# ---------------------------------
 
 
 def host_of(port: Port[Any]) -> PortHost | None:
@@ -292,18 +293,18 @@ def host_of(port: Port[Any]) -> PortHost | None:
 
 
 def move_to(port: Port[Any], host: PortHost) -> None:
-    """Have another owner: the ports of new code are the old component's."""
+    """Give a port another owner: ports of new code go to the old component's host."""
     port._host, port._turns = host, host.turns
     port._refresh()
 
 
 def is_removed(port: Port[Any]) -> bool:
-    """Whether this live port was taken away, or its component was."""
+    """Whether this live port, or its component, was removed."""
     return port._removed()
 
 
 def refresh(port: Port[Any]) -> None:
-    """Something that the port's fast path relies on has changed: it is chosen anew."""
+    """Choose the port's fast path again: something that it relies on has changed."""
     port._refresh()
 
 
@@ -313,24 +314,24 @@ def wake_waiter(port: Port[Any]) -> None:
 
 
 def vacate(port: Port[Any], leaving: bool = True) -> None:
-    """The component of the port is about to go, or stays after all."""
+    """Note that the component of the port is about to go, or stays after all."""
     port._vacate(leaving)
 
 
 def lock_all(port: Port[Any]) -> None:
-    """From now on more than one thread uses what hangs on the port."""
+    """Lock a port, or the in-ports that it writes to: from now on more than one thread uses them."""
     port._make_locked()
     for connector in port._connectors:
         connector.in_._make_locked()
 
 
 def give_up_blocking(port: Port[Any]) -> None:
-    """The thread of the component is to end: what blocks at the port, or at the far end, gives up."""
+    """End calls that block at the port or at its far ends: the component's thread is to end."""
     port._give_up_blocking()
 
 
 def unanswerable(ports: Iterable[Port[Any]]) -> tuple[str, ...]:
-    """What these ports offer that a thread, which has no event loop, cannot do."""
+    """The names of calls that these ports offer and a thread, which has no event loop, cannot answer."""
     return tuple(name for port in ports for name in port._unanswerable())
 
 

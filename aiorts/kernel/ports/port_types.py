@@ -1,4 +1,4 @@
-"""What a port knows about the type that travels: decided when the port is bound, used on the general path only."""
+"""The checks and copies of a port's type: chosen when the port is bound, used on the general path only."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class PortType:
 
         check_port_type(cls)
         self.look = look_at(cls)
-        """Makes of a value of this very class what travels; None where each is that already."""
+        """Makes the value that travels from one of exactly this class; None where the two are the same."""
         self.has_tm = has_tm(cls)
         self._plain = None if is_dataclass(cls) else cls
 
@@ -35,8 +35,8 @@ class PortType:
     def snapshot(self, sample: Any) -> Any:
         """The sample as it may travel: checked, and a copy where it could still change.
 
-        A subclass of a plain type (numpy's float64 is a float) travels as the plain value. RecordError: it is not what
-        it says.
+        A subclass of a plain type (numpy's float64 is a float) travels as the plain value. RecordError: it does not
+        match its type.
         """
         from aiorts.types import snapshot
 
@@ -64,7 +64,7 @@ _KNOWN: WeakKeyDictionary[type[Any], PortType] = WeakKeyDictionary()
 
 
 def port_type(cls: type[Any]) -> PortType:
-    """What ports of this type know about it, made once.
+    """The checks and copies for ports of this type, made once.
 
     Raises:
         DeclarationError: a value of this type cannot travel.

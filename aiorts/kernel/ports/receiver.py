@@ -1,9 +1,8 @@
-"""What stands behind an in-port: one bounded queue for each connector, read in the order of arrival.
+"""The receiver of an in-port: one bounded queue for each connector, read in the order of arrival.
 
 With several connectors the receiver keeps one token, the transport, for each unread sample, so that reading in order
-costs the same at any number of them. The token of a sample that was overwritten is dead: the oldest tokens of a
-transport are, as many as it counts in `dead`, and who meets one passes over it. The new sample has a token of its own,
-at the end.
+costs the same at any number of them. The token of an overwritten sample is dead: a transport counts in `dead` how many
+of its oldest tokens are, and a read passes over them. The new sample has a token of its own, at the end.
 """
 
 from __future__ import annotations
@@ -37,11 +36,11 @@ _THE_WRITER: Final = "the writer, which waits on the kernel's loop for room, and
 
 
 class EndingError(ClosedError):
-    """Ends a hook that waits for a sample when its component is to end: its writers have ended, and none will come."""
+    """Ends a hook that waits for a sample when its component is to end: the writers have ended, no sample will come."""
 
 
 class Receiver:
-    """The general path of an in-port: which sample is the next, who waits for it, who is notified.
+    """The general path of an in-port: which sample is the next, which task waits for it, which callbacks are notified.
 
     The classes of a `Kind` derive from it. `replace` puts one of another kind in its place.
     """
@@ -88,14 +87,14 @@ class Receiver:
         self.sole: Transport | None = None
         self.sole_delivered = 0
         self.thread = 0
-        """The loop's: who waits at a port without a lock is woken there."""
+        """The loop's thread: tasks that wait at a port without a lock are woken there."""
         self.waiter: asyncio.Future[None] | None = None
         self.callback: Callable[[InPort[Any]], object] | None = None
         """The callback: one, or `_Callbacks` for several. Most in-ports have one; a tuple would take 64 bytes."""
         self.notify_enabled = False
         """Whether the next sample wakes waiting readers and calls the callbacks."""
         self.extra: Any = None
-        """What another kind of receiver keeps besides."""
+        """Data that another kind of receiver keeps in addition."""
 
     def replace(self, kind: Kind, *, all_transports: bool) -> Receiver:
         """Put a receiver of another kind in the place of this one, with all that it holds; and transports of that kind.
@@ -118,13 +117,13 @@ class Receiver:
         """Bring what this holds into the form that every kind takes over."""
 
     def take_over(self, old: Receiver) -> None:
-        """Be in the state of another receiver, which reads nothing any more."""
+        """Take the state of another receiver, which reads no more."""
         for name in Receiver.__slots__:
             setattr(self, name, getattr(old, name))
         self.extra = None
 
     def exchange(self, old: Transport, new: Transport) -> None:
-        """One transport stands in the place of another."""
+        """Put one transport in the place of another."""
         if self.sole is old:
             self.sole = new
         if self.tokens is not None:
@@ -132,7 +131,7 @@ class Receiver:
 
     @property
     def transports(self) -> tuple[Transport, ...]:
-        """Of the port's connectors, in order of connection."""
+        """The transports of the port's connectors, in order of connection."""
         return tuple(connector._transport for connector in self.port._connectors)
 
     # -- reading ---------------------------------------------------------------------------------------------------
@@ -144,7 +143,7 @@ class Receiver:
             self.port._bound()
 
     def empty(self) -> WouldBlock:
-        """What to raise where there is no sample. ClosedError: the port was removed."""
+        """The exception to raise where there is no sample. ClosedError: the port was removed."""
         self.port._raise_if_removed()
         return WouldBlock(f"{self.port.path}: no unread sample")
 
@@ -172,13 +171,13 @@ class Receiver:
 
     def newest(self) -> Transport | None:
         """The transport whose sample arrived last of all that are unread; the caller holds the lock."""
-        # What a transport still holds ends with its last arrival: reading takes the oldest.
+        # A queue that is not empty ends with its transport's last arrival: reading takes the oldest.
         return max((one for one in self.transports if one.queue), key=attrgetter("arrived_at"), default=None)
 
     def read(self) -> Any:
         """The oldest unread sample. WouldBlock: there is none."""
         if self.plain:
-            # Several connectors, or somebody waits for room: still no lock and nothing to stamp.
+            # Several connectors, or a writer waits for room: still no lock and nothing to stamp.
             transport: Transport | None
             if tokens := self.tokens:
                 transport = tokens.popleft()
@@ -299,9 +298,9 @@ class Receiver:
             transport.dead = 0
 
     def bury(self, transport: Transport) -> None:
-        """Take the dead tokens of `transport` away: it has more of them than it can have samples.
+        """Remove the dead tokens of `transport`, which has more of them than it can have samples.
 
-        Only as far back as its oldest one lies, and with them those of others on the way.
+        The search goes back to its oldest dead token, and removes those of others on the way.
         """
         if transport.dead <= len(transport.queue):
             return  # it has more samples than its length, which was larger before
@@ -325,7 +324,7 @@ class Receiver:
         Raises:
             BusyError: another task waits.
             ClosedError: the port was removed.
-            WouldBlock: its thread never waits.
+            WouldBlock: the component's thread never waits.
         """
         waiter = self.port._open_host().loop.create_future()
         try:
@@ -335,14 +334,14 @@ class Receiver:
             self.port._receiver.stand_down(waiter)
 
     def begin_wait(self) -> asyncio.Future[None] | None:
-        """The future that the next sample ends, where a task of the loop waits at a port without a lock, as most do.
+        """The future that the next sample completes, if a task of the loop waits at a port without a lock, as most do.
 
-        None: `wait` waits, or says why it does not. The ten calls of `wait` take as long as the wake-up itself.
+        None: `wait` waits, or raises the reason. The ten calls of `wait` take as long as the wake-up itself.
         """
         port = self.port
         host = port._host
         if (
-            not self.plain  # which it is not in a thread, real-time or other
+            not self.plain  # it is not plain in a thread, real-time or other
             or self.waiter is not None
             or host is None
             or (kernel := host.kernel) is None
@@ -356,13 +355,13 @@ class Receiver:
         return waiter
 
     def stand_by(self, waiter: asyncio.Future[None]) -> bool:
-        """Have `waiter` done when a sample comes or the port is removed; whether a sample is there already.
+        """Complete `waiter` when a sample comes or the port is removed; return whether a sample is there already.
 
-        Who stands by calls `stand_down` in any case, of the receiver that is there then.
+        The caller calls `stand_down` in any case, of the receiver that the port has then.
 
         Raises:
             BusyError: another task waits.
-            WouldBlock: its thread never waits.
+            WouldBlock: the component's thread never waits.
         """
         port = self.port
         host = port._bound()
@@ -371,7 +370,7 @@ class Receiver:
         if self.waiter is not None:
             raise BusyError(f"{port.path}: another task waits on this port; one at a time")
         with self.guard():
-            # Enabled before looked at: what a writer in another thread writes in between wakes this up.
+            # Enabled before the look: a sample that another thread writes in between completes the waiter.
             self.waiter = waiter
             self.notify_enabled = True
             return self.unread()
@@ -383,15 +382,15 @@ class Receiver:
             waiter.set_exception(EndingError(f"{self.port.path}: its component ends, and no sample has come"))
 
     def stand_down(self, waiter: asyncio.Future[None]) -> None:
-        """`waiter` waits no more, if it ever did."""
+        """End the waiting of `waiter`, if it ever waited."""
         if self.waiter is waiter:
             self.waiter = None
             self.enable_notify()
 
     def rest(self, wanted: Callable[[], bool], deadline_ns: int | None, *, for_data: bool) -> None:
-        """Block this thread, which has one of its own, until the port is removed, its context stops or `wanted`.
+        """Block this thread of a ThreadContext until the port is removed, its context stops or `wanted` is true.
 
-        Or until there is data, where that is asked for; at most to the deadline.
+        With `for_data` also until there is data; at most to the deadline.
         """
         host, lock = self.port._bound(), self.lock
         if lock is not None:
@@ -403,10 +402,10 @@ class Receiver:
                 )
 
     def gave_up(self) -> None:
-        """A reader waited for nothing."""
+        """Note that a reader waited in vain."""
 
     def arrived(self, transport: Transport, displaced: int) -> None:
-        """A sample of `transport` is in its queue, and so many of the oldest ones are `displaced`.
+        """Note a new sample in the queue of `transport`, and that so many of the oldest ones were `displaced`.
 
         The writer holds the lock.
         """
@@ -425,7 +424,7 @@ class Receiver:
 
     def notify_across(self) -> None:
         """Notify, from any thread."""
-        # One wake-up for all that is written until the reader runs: it enables the next.
+        # One wake-up for all samples written until the reader runs, which enables the next.
         self.notify_enabled = False
         self.on_loop(lambda: self.port._receiver.notify())
 
@@ -433,7 +432,7 @@ class Receiver:
         """Wake readers that wait for data and call the callbacks; reading on enables the next notification.
 
         Raises:
-            ThreadError: called in another thread than the loop's, which would wake nobody; it stays enabled.
+            ThreadError: called in another thread than the loop's, which would wake no reader; it stays enabled.
         """
         if get_ident() != self.thread:
             raise self.cannot_wake()
@@ -458,7 +457,7 @@ class Receiver:
         self._call_each((*self._callbacks, callback))
 
     def remove_callback(self, callback: Callable[[InPort[Any]], object]) -> None:
-        """Call it no more."""
+        """Call `callback` no more."""
         self._call_each(tuple(each for each in self._callbacks if each != callback))
 
     @property
@@ -475,7 +474,7 @@ class Receiver:
         self.notify_enabled = self.waiter is not None or self.callback is not None
 
     def end_waiting(self) -> None:
-        """Who waited and was woken waits no more, though it has not run yet: another may wait."""
+        """Take out a waiter that was woken, though its task has not run yet: another task may wait."""
         if self.waiter is not None and self.waiter.done():
             self.waiter = None
             self.enable_notify()
@@ -488,13 +487,13 @@ class Receiver:
             waiter.set_result(None)
 
     def wake_threads(self) -> None:
-        """Let who sleeps at this port in a thread look again."""
+        """Wake threads that sleep at this port: they look again."""
         if self.lock is not None:
             with self.lock:
                 self.lock.notify_all()
 
     def room_made(self) -> None:
-        """A queue has room again; the caller holds the lock."""
+        """Wake threads: a queue has room again; the caller holds the lock."""
         if self.lock is not None:
             self.lock.notify_all()
 
@@ -524,24 +523,24 @@ class Receiver:
         self.port._on_loop(callback)
 
     def make_locked(self) -> None:
-        """From now on more than one thread uses this port's queues."""
+        """Add a lock: from now on more than one thread uses this port's queues."""
         if self.lock is None:
             self.lock = PortLock()
             self.refresh_all()
 
     def fit(self, transport: Transport) -> None:
-        """A connector is new at this port: make its transport one of the receiver's kind."""
+        """Make the transport of a new connector one of the receiver's kind."""
 
     def connector_ended(self) -> None:
-        """A connector of this port has ended."""
+        """Note that a connector of this port has ended."""
 
     def mute(self) -> None:
-        """Nobody can listen here from now on."""
+        """Silence all listeners at this port from now on."""
         for transport in self.transports:
             transport.mute()
 
     def set_open(self, is_open: bool) -> None:
-        """Open with empty buffers, or close and drop what is unread as inactive."""
+        """Open with empty buffers, or close and drop unread samples as inactive."""
         with self.guard():
             if (now := self.port._receiver) is not self:
                 return now.set_open(is_open)
@@ -560,27 +559,27 @@ class Receiver:
             offer_last(connector, written)
 
     def forget(self) -> None:
-        """Nothing has been read yet."""
+        """Forget the samples read before: nothing counts as read yet."""
         port = self.port
         port._last, port._before = NOTHING, None
         self.source = self.sole = None
 
     def refresh_all(self) -> None:
-        """The ways of this port and of all that write to it may be others now."""
+        """Choose the paths of this port, and of all that write to it, again."""
         self.refresh()
         self.refresh_writers()
 
     def refresh_writers(self) -> None:
-        """The ways of all that write to this port may be others now."""
+        """Choose the paths of all that write to this port again."""
         for connector in self.port._connectors:
             connector.out._refresh()
 
     def refresh(self) -> None:
-        """The connectors or their options have changed."""
-        connectors = self.port._connectors  # of ten thousand none is looked at
+        """Adapt to changed connectors or options."""
+        connectors = self.port._connectors  # ten thousand of them cost nothing: none is looked at
         source = self.source = self.last_source
         if self.plain and source is not None and not source.closed:
-            source._transport.last = self.last_read  # the port's own will be of another connector, maybe
+            source._transport.last = self.last_read  # the port's own last sample may be of another connector soon
         self.sole = connectors[0]._transport if len(connectors) == 1 else None
         self.sole_delivered = 0 if self.sole is None else self.sole.delivered()
         if len(connectors) > 1 and self.tokens is None:
@@ -605,7 +604,7 @@ class Receiver:
 
 
 class _Callbacks:
-    """Several that are called as one."""
+    """Several callbacks that are called as one."""
 
     __slots__ = ("each",)
 

@@ -1,7 +1,7 @@
 """Taps: a service takes what an out-port writes, or gives an in-port samples, without being a part of the system.
 
 A tap is a port of no component. `Port.connectors`, `Kernel.connectors`, profiles, supervision and the end of a run do
-not know it: with a tap a system is what it is without. It reads and writes like any port, also across threads.
+not know it: a system is the same with a tap and without. A tap reads and writes like any port, also across threads.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from aiorts.model.profile import ConnectorProfile
 
 _NUMBERS: Final = count(1)
-"""Of connectors over links: both kernels know each by its name."""
+"""The numbers of connectors over links: both kernels know each by its name."""
 
 
 class Tap(InPort[Any]):
@@ -45,7 +45,7 @@ class Injector(OutPort[Any]):
 
 
 def make_injector(kernel: KernelSide, owner: str, in_: InPort[Any], profile: ConnectorProfile) -> Connector:
-    """Connect an out-port of its own to an in-port."""
+    """Connect a new out-port of a service to an in-port."""
     host = PortHost(owner, Turns())
     host.kernel = kernel
     injector, name, end = Injector(in_.type), in_.path, in_
@@ -59,7 +59,7 @@ def make_injector(kernel: KernelSide, owner: str, in_: InPort[Any], profile: Con
 def make_tap(
     kernel: KernelSide, owner: str, out: OutPort[Any], profile: ConnectorProfile, take: Callable[[InPort[Any]], object]
 ) -> Connector:
-    """Connect a tap of its own to an out-port; `take` is called with it when there is something to read."""
+    """Connect a new tap to an out-port; `take` is called with the tap when there is a sample to read."""
     host = PortHost(owner, Turns())
     host.kernel = kernel
     tap, name, end = Tap(out.type), out.path, out
@@ -73,7 +73,7 @@ def make_tap(
 
 
 def _beyond(kernel: KernelSide, port: Port[Any], profile: ConnectorProfile) -> tuple[Any, ConnectorProfile, str]:
-    """What stands for a port in another process, the options of a connector to it, and a port name of its own."""
+    """A stand-in for a port in another process, the options of a connector to it, and a port name of its own."""
     number = str(next(_NUMBERS))
     end = stand_in(kernel, port)
     linked = replace(
@@ -88,7 +88,7 @@ def _beyond(kernel: KernelSide, port: Port[Any], profile: ConnectorProfile) -> t
 
 
 def resize(connector: Connector, length: int) -> None:
-    """Let a tap hold so many samples; the next write of a thread may still go by the length before."""
+    """Set how many samples a tap holds; the next write of a thread may still use the length before."""
     transport_of(connector).length = length
     connector.profile = replace(connector.profile, length=length)
     refresh(connector.out)
@@ -96,4 +96,4 @@ def resize(connector: Connector, length: int) -> None:
 
 def _taken(take: Callable[[InPort[Any]], object], tap: InPort[Any]) -> bool:
     take(tap)
-    return True  # also the next sample is told
+    return True  # the next sample notifies, too

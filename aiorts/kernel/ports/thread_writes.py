@@ -1,8 +1,8 @@
-"""What foreign threads write at an out-port: a bounded queue that the loop empties, with counts of its own.
+"""The writes of foreign threads at an out-port: a bounded queue that the loop empties, with counts of its own.
 
 Neither side takes a lock that the other may hold: a thread that is not scheduled would stop the loop. A deque's `pop`,
-`popleft` and `append` are atomic, so each right is an item that only one can take: of `_free` there is one for each
-sample that may still wait, in `_idle` the right to start the task that empties the queue.
+`popleft` and `append` are atomic, so each right is an item that only one thread can take: `_free` has one for each
+sample that may still wait, `_idle` has the right to start the task that empties the queue.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from aiorts.model.profile import ThreadWriteStatistics
 from aiorts.model.timing import mean_rate
 
 LIMIT: Final = 1024
-"""Samples that wait at one out-port at the most."""
+"""Samples that wait at one out-port at most."""
 BATCH: Final = 256
-"""Samples that the loop takes in one turn at the most."""
+"""Samples that the loop takes in one turn at most."""
 
 _MAKING: Final = threading.Lock()
 """Held while an out-port gets its queue, which two threads may ask for at once."""
@@ -35,15 +35,15 @@ class ThreadWrites:
         self._port = port
         self._open = True
         self._since_ns: int | None = None
-        """When the first sample came."""
+        """The time of the first sample."""
         self._samples: deque[Any] = deque()
         self._free = deque(repeat(None, LIMIT))
         self._idle = deque((None,))
         self._blocked: deque[threading.Lock] = deque()
-        """The threads that wait for room, each at a lock that whoever makes room releases."""
+        """The threads that wait for room, each as a lock that is released when there is room."""
         self._refusing = threading.Lock()
         self._refused = 0
-        # What follows is the loop's alone.
+        # The following attributes are the loop's alone.
         self._held = 0
         """Whether a sample is out of the queue and waits for room at a reader."""
         self._written = 0
@@ -97,7 +97,7 @@ class ThreadWrites:
         gate = threading.Lock()
         gate.acquire()
         self._blocked.append(gate)
-        if not self._free and self._open:  # else who made room may not have seen this thread
+        if not self._free and self._open:  # else the loop may have made room and not seen this thread
             gate.acquire()
 
     def _raise_if_closed(self) -> None:
@@ -115,7 +115,7 @@ class ThreadWrites:
     # -- on the loop -----------------------------------------------------------------------------------------------
 
     def set_open(self, is_open: bool) -> None:
-        """Accept samples, or drop what waits as closed and refuse what comes."""
+        """Accept samples, or drop those that wait as closed and refuse later ones."""
         self._open = is_open
         if not is_open:
             self._drop_all()
@@ -124,7 +124,7 @@ class ThreadWrites:
         kernel_task(self._host().loop, self._pass_on(), f"aiorts writes of threads at {self._port.path}")
 
     async def _pass_on(self) -> None:
-        """Write what waits, until nothing does."""
+        """Write the samples that wait, until none does."""
         left = BATCH
         try:
             while self._samples and self._open:
@@ -135,7 +135,7 @@ class ThreadWrites:
                     left = BATCH
                     self._let_in()
                     await asyncio.sleep(0)
-        except asyncio.CancelledError:  # by who ends all tasks of the loop: there is no other turn
+        except asyncio.CancelledError:  # all tasks of the loop are ended: there is no other turn
             self.set_open(False)
             raise
         finally:
@@ -151,7 +151,7 @@ class ThreadWrites:
         self._held = 1
         reason = "closed"
         try:
-            if host.threaded or host.realtime:  # since it was accepted
+            if host.threaded or host.realtime:  # it joined a thread after the sample was accepted
                 return
             if port._stale:
                 port._update_fast_path()
@@ -179,13 +179,13 @@ class ThreadWrites:
         self._let_in()
 
     def _let_in(self) -> None:
-        """Have the threads that wait for room look again."""
+        """Wake the threads that wait for room: they look again."""
         for _ in range(len(self._blocked)):
             self._blocked.popleft().release()
 
 
 def thread_writes_of(port: Any) -> ThreadWrites:
-    """What foreign threads write at this out-port; made at the first call. ClosedError: it belongs to no component."""
+    """The writes of foreign threads at this out-port, made at the first call. ClosedError: it has no component."""
     found: ThreadWrites | None = port._thread_writes
     if found is None:
         if port._host is None:

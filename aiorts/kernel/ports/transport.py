@@ -3,11 +3,11 @@
 `OutPort` and `InPort` inline the common case (`out_port.py`, `in_port.py`) and come here for everything else.
 
 Only `written` and drops are counted; what was delivered follows from them, so the ledger balances at any moment. An
-out-port counts once what it gives to all its direct connectors alike (`OutPort._sent`), and in one number what full
-buffers displace there (`displaced`): a look at the counts puts both in place. `model/` decides; this file carries out.
+out-port counts once the samples that it gives to all direct connectors alike (`OutPort._sent`); those that full buffers
+displace there are one number (`displaced`). A look at the counts adds both. `model/` decides; this file carries out.
 
 Across threads the receiver has a lock, and every path here that touches its queues takes it: its fast path is off. A
-method that has waited for the lock asks whether this is still the connector's transport (of a receiver: the port's).
+method that has waited for the lock asks whether this is still the connector's transport (or the port's receiver).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _DISPLACED: Final = {FullPolicy.OVERWRITE: "overwritten", FullPolicy.REJECT: "re
 _CARRIED_ON: Final = (
     "arrived_at", "dead", "dropped", "last", "listeners", "losses", "missed", "offered", "queue", "written",
 )  # fmt: skip
-"""What a connector keeps when it gets other options."""
+"""The attributes that a connector keeps when it gets other options."""
 _NO_DROPS: Final[Mapping[str, int]] = MappingProxyType({})
 
 
@@ -60,7 +60,7 @@ class Kind(Protocol):
 
 
 class LossListener(Protocol):
-    """Hears of the first sample that a transport loses."""
+    """A listener for the first sample that a transport loses."""
 
     def begin(self, connector: Connector) -> None: ...
 
@@ -79,11 +79,11 @@ class Waiting:
     refused: ClassVar[bool] = False
     """Whether the reader had no room for it after all, so that the write returns False."""
     late: ClassVar[bool] = False
-    """Whether its time was over before, where the transport sees to that (`send_now`)."""
+    """Whether its time was over first, where the transport keeps the timeout (`send_now`)."""
 
 
 class Transport:
-    """Carries the samples of one connector: a bounded queue, in which a sample is as soon as it is written.
+    """Carries the samples of one connector in a bounded queue, which a sample enters as soon as it is written.
 
     The classes of a `TransportKind` (`features.py`) derive from it. `replace` puts one of another kind in its place.
     """
@@ -115,7 +115,7 @@ class Transport:
     kind: ClassVar[Kind]
     """The row of the table of transports that names this class."""
     admits_plainly: ClassVar[bool] = True
-    """Whether who waits for room may be moved in without a call for each."""
+    """Whether samples that wait for room may be moved in without a call for each."""
     answers: ClassVar[bool] = False
     """Whether a write waits for an answer: `send_now` may send its sample."""
     listenable: ClassVar[bool] = True
@@ -128,7 +128,7 @@ class Transport:
         self.closed = False
         self.queue: deque[Any] = deque()
         self.length = profile.length
-        # Pull: the writer keeps its latest unread sample, the reader asks for it; nobody is woken by data.
+        # Pull: the writer keeps its latest unread sample, the reader asks for it; data wake no reader.
         chosen = Push.ALL if profile.subscription is Subscription.FLUSH else profile.push
         if profile.far_end == "writer" and chosen is _SKIP:
             chosen = Push.ALL  # the writer's end leaves out what is skipped
@@ -136,28 +136,27 @@ class Transport:
         self.arrived_at = 0
         """When the newest sample arrived, counted at a receiver with several connectors."""
         self.dead = 0
-        """Tokens that such a receiver still has for samples that were overwritten: `length` at the most, or as many as
-        are unread."""
+        """Tokens that such a receiver still has for overwritten samples: at most `length`, or as many as are unread."""
         self.waiting: OrderedDict[Waiting, None] | None = None  # no deque: thousands that give up would search it
         """The writers that wait for room; the buffer is full as long as there is one. None before the first."""
         self.clock = kernel.clock
         self.times = ConnectorTimes(profile.measure, kernel.clock.monotonic_ns()) if profile.measure else None
         self.losses: LossListener | Literal[False] | None = None
-        """What is notified of the next sample that is overwritten, where `full` was not chosen; False: it has been."""
+        """The listener for the next overwritten sample, where `full` was not chosen; False: it was notified."""
         self.last: Any = NOTHING
         """The sample of this connector that was read last, where reading takes the general path."""
         self.missed = 0
-        """The `position` at which the newest sample is not to be had here: the out-port keeps it."""
+        """The `position` at which the newest sample is missing here: the out-port keeps it."""
         self.offered = 0
         """How many of the samples written are the writer's last, offered by `keep_last`: no push policy counts them."""
         self.extra: Any = None
-        """What another kind of transport, or a feature, keeps besides."""
+        """Data that another kind of transport, or a feature, keeps in addition."""
         self.listeners: Any = None
-        """Who listens (`observe/listening.py`), even while a real-time thread is there and they cannot hear."""
+        """The listeners (`observe/listening.py`), also while a real-time thread is there and they get no samples."""
         self.written = 0
         """Samples written, without those that the out-port counts for all of its direct connectors."""
         self.shared = False
-        """Whether the out-port's count goes for this connector too."""
+        """Whether the out-port counts for this connector, too."""
         self.displaced = 0
         """Samples that a full buffer displaced or refused and `dropped` does not have yet."""
         self.dropped: Mapping[str, int] = _NO_DROPS
@@ -167,7 +166,7 @@ class Transport:
 
         On the loop; the caller holds the lock, and has the ports update their fast path afterwards.
         """
-        # What the out-port counts for several connectors it cannot count for one that is not direct.
+        # The out-port's count for several connectors cannot include one that is not direct.
         self.share(False, self.connector.out._sent)
         self.count_displaced()
         self.hand_over()
@@ -181,14 +180,14 @@ class Transport:
         """Bring what this holds into the form that every kind takes over."""
 
     def take_over(self, old: Transport, receiver: Receiver) -> None:
-        """Be in the state of another transport, which carries nothing any more."""
+        """Take the state of another transport, which carries no more samples."""
         for name in Transport.__slots__:
             setattr(self, name, getattr(old, name))
         self.receiver = receiver
         self.extra = None
 
     def change(self, profile: ConnectorProfile) -> None:
-        """Have other options in force: on the loop. Who waits for room and need not any more is let in before."""
+        """Put other options in force, on the loop. Writers that need not wait any more are let in before."""
         with self.guard():
             self.settle()
             self.count_displaced()
@@ -200,7 +199,7 @@ class Transport:
         self.connector.out._refresh()
 
     def carry_on(self, old: Transport) -> None:
-        """Go on where a transport with other options was, which carries nothing any more; the caller holds the lock."""
+        """Continue the work of a transport with other options, which carries no more; the caller holds the lock."""
         for name in _CARRIED_ON:
             setattr(self, name, getattr(old, name))
         if old.times is not None and self.times is not None and old.times.ages.maxlen == self.times.ages.maxlen:
@@ -210,7 +209,7 @@ class Transport:
             self.receiver.arrived(self, 0)
 
     def leave_off(self) -> Iterable[Any]:
-        """Stop what would be done later on, and return what has not reached the reader's queue; the caller locks."""
+        """Cancel later work, and return the samples that have not reached the reader's queue; the caller locks."""
         return ()
 
     # -- the ledger ------------------------------------------------------------------------------------------------
@@ -238,7 +237,7 @@ class Transport:
     def glance(self) -> tuple[int, int, Mapping[str, int]]:
         """Written, buffered, and dropped by reason, from any thread, without a lock and without counting anything.
 
-        For a look into a process that is stuck; inexact while the connector is used, other than `statistics`.
+        For a look into a process that is stuck; inexact while the connector is used, unlike `statistics`.
         """
         dropped = dict(self.dropped)
         if displaced := self.displaced:
@@ -256,7 +255,7 @@ class Transport:
         return self.written + self.connector.out._sent if self.shared else self.written
 
     def share(self, shared: bool, sent: int) -> None:
-        """From now on the out-port counts for this connector, or no longer: it has counted `sent`."""
+        """Let the out-port count for this connector from now on, or no longer; its count so far is `sent`."""
         if shared is not self.shared:
             self.shared = shared
             self.written += -sent if shared else sent
@@ -269,7 +268,7 @@ class Transport:
             self._note_drop(reason, displaced)
 
     def settle(self) -> None:
-        """Have what is queued be what may still be read: somebody looks."""
+        """Bring the queue to what may still be read, before a look at it."""
 
     def drop(self, reason: str, count: int = 1) -> None:
         """Count so many samples as dropped."""
@@ -329,7 +328,7 @@ class Transport:
 
     @property
     def when_full(self) -> bool | LossListener:
-        """Whether a full buffer keeps what it has; or who is to hear that it does not."""
+        """Whether a full buffer keeps what it has; or the listener to notify that it does not."""
         return self.keeps or self.losses or False
 
     @property
@@ -339,7 +338,7 @@ class Transport:
 
     @property
     def retired(self) -> bool:
-        """Whether no context runs the reader any more: what has no room is dropped{inactive}, and no writer waits."""
+        """Whether no context runs the reader any more: samples without room are dropped{inactive}, no writer waits."""
         host = self.connector.in_._host
         return host is not None and host.retired
 
@@ -357,7 +356,7 @@ class Transport:
 
     @property
     def is_awaited(self) -> bool:
-        """Whether a write that must not wait may be made though `must_wait`: a read waits that will take the sample."""
+        """Whether a write that must not wait is possible despite `must_wait`: a waiting read will take the sample."""
         return False
 
     def admits_next(self) -> bool:
@@ -395,7 +394,7 @@ class Transport:
         sample = self.last = self.queue.popleft()
         if self.waiting:
             self.admit_waiting()
-        # `stamp_out` in part, written out: this is the way of every sample that is not read directly.
+        # `stamp_out` in part, written out: every sample that is not read directly passes here.
         return sample if self.connector.profile.stamp is not _READ else self.stamp_out(sample)
 
     def take_newest(self) -> Any:
@@ -427,7 +426,7 @@ class Transport:
             self.end_all("disconnected")
 
     def suspend(self) -> None:
-        """The reader takes nothing any more: drop what is queued or waits; the caller holds the lock."""
+        """Drop what is queued or waits, since the reader takes no more; the caller holds the lock."""
         if self.offered:
             self.take_back()
         self.end_all("inactive")
@@ -448,10 +447,10 @@ class Transport:
     # -- listeners -------------------------------------------------------------------------------------------------
 
     def mute(self) -> None:
-        """Nobody can listen from now on."""
+        """Silence all listeners from now on."""
 
     def unmute(self) -> None:
-        """Those who listened before hear again."""
+        """Resume the listeners that were silenced."""
         if self.listeners is not None:
             self.listeners.resume(self.connector)
 
@@ -471,11 +470,11 @@ class Transport:
             return None
 
     def send_now(self, sample: Any) -> Waiting | None:
-        """Send a sample whose write waits for an answer, and see to its time; None: it is to wait as others do."""
+        """Send a sample whose write waits for an answer, and keep its timeout; None: the write waits as others do."""
         return None
 
     def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
-        """Queue up for room that there is known not to be; across threads the caller holds the lock."""
+        """Queue up for room, which there is none of for certain; across threads the caller holds the lock."""
         entry = Waiting(self.connector, sample, future)
         if self.waiting is None:
             self.waiting = OrderedDict()
@@ -484,7 +483,7 @@ class Transport:
         return entry
 
     def moved(self, entry: Waiting) -> bool:
-        """Whether the sample of a waiting thread is in; called in that thread."""
+        """Whether the sample of a waiting thread was moved in; called in that thread."""
         return entry.done
 
     def give_up(self, entry: Waiting) -> bool:
@@ -498,15 +497,15 @@ class Transport:
             return left
 
     def leave_line(self, entry: Waiting) -> bool:
-        """Take a writer out of those that wait, wherever it stands; False: it is not one of them."""
+        """Take a writer out of the line of those that wait; False: it is not in that line."""
         if self.waiting is None or entry not in self.waiting:
             return False
         del self.waiting[entry]
         return True
 
     def admit_waiting(self) -> None:
-        """Move in who waits, as far as there is room. A sample has its number when it comes in, not when it queued up:
-        one that gave up in the meantime was never written."""
+        """Move in the samples that wait, as far as there is room. A sample gets its number when it comes in, not when
+        it queues up: one whose writer gave up before was never written."""
         waiting = self.waiting
         if not waiting:
             return
@@ -535,14 +534,14 @@ class Transport:
         receiver.room_made()
 
     def admit_all(self) -> None:
-        """Let in all who wait, whether there is room or not; the caller holds the lock."""
+        """Move in all samples that wait, with or without room; the caller holds the lock."""
         if self.waiting:
             length, self.length = self.length, len(self.queue) + len(self.waiting)
             self.admit_waiting()
             self.length = length
 
     def _admit_each(self, waiting: OrderedDict[Waiting, None]) -> None:
-        """Move in who waits, as far as there is room; those that the push policy leaves out need none."""
+        """Move in the samples that wait, as far as there is room; those that the push policy leaves out need none."""
         while waiting:
             sent = self.admits_next()
             if sent and len(self.queue) >= self.length:
@@ -560,7 +559,7 @@ class Transport:
         """Let the writer go on; the caller holds the lock and calls `room_made`."""
         entry.done = True
         if entry.future is None:
-            return  # a thread: woken by `room_made` of whoever called
+            return  # a thread: the caller's `room_made` wakes it
         if self.receiver.lock is None:
             _set_done(entry.future)
         else:
@@ -574,7 +573,7 @@ class Transport:
         return self.total() + (len(self.waiting) if self.waiting else 0)
 
     def held(self) -> Any:
-        """The last sample that the writer wrote, if it is to be had here; else NOTHING."""
+        """The last sample that the writer wrote, if this transport has it; else NOTHING."""
         with self.guard():
             if (now := self.connector._transport) is not self:
                 return now.held()
@@ -592,12 +591,12 @@ class Transport:
         return self.last
 
     def lose(self, sample: Any) -> None:
-        """This sample came in last, or was to come in now, and is not to be had here any more."""
+        """Note that this sample, which came in last or was to come in now, is lost here."""
         if not self.waiting and self.missed != self.position:
             self.miss(sample)
 
     def miss(self, sample: Any, coming: int = 0) -> None:
-        """The writer's last sample is not to be had here: the out-port keeps it; so many are not counted yet."""
+        """Give the writer's last sample, lost here, to the out-port; `coming` samples are not counted yet."""
         self.connector.out._saved = sample
         self.missed = self.position + coming
 
@@ -608,10 +607,10 @@ class Transport:
         self.push_in(self.stamp_in(sample))
 
     def spare_newest(self) -> None:
-        """The newest sample that waits is sent whatever the push policy says; the caller holds the lock."""
+        """Send the newest waiting sample even against the push policy; the caller holds the lock."""
 
     def take_back(self) -> None:
-        """What was offered and lies unread, with nothing taken or lost, was not written; the caller holds the lock."""
+        """Take back the offered sample that is unread, if none was taken or lost; the caller holds the lock."""
         if self.queue and self.total() == self.buffered:
             newest = self.held()
             self.queue.popleft()
@@ -652,7 +651,7 @@ class Transport:
             self.drop("inactive")
             self.miss(sample)
             return True
-        # Else the options changed since `must_wait` has said no, in the loop's thread: it is stored, nothing is lost.
+        # Else the options changed since `must_wait` was False, in the loop's thread: it is stored, nothing is lost.
         replaces = verdict is _REPLACE_OLDEST
         if replaces:
             self.queue.popleft()
@@ -689,7 +688,8 @@ class Transport:
         self.times.add(began_ns, self.clock.monotonic_ns())
 
     def on_loop(self, callback: Callable[[Any], object]) -> None:
-        """Call back with what is the connector's transport then, on the kernel's loop: now if this is its thread."""
+        """Call `callback` with the transport that the connector then has, on the kernel's loop: now if on its
+        thread."""
         connector = self.connector
         connector.out._on_loop(lambda: callback(connector._transport))
 

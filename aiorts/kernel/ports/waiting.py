@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 class Looking(asyncio.Future[None]):
-    """A task that waits for a sample and takes none: no sample can be handed to it."""
+    """The future of a task that waits for a sample and takes none: no sample can be handed to it."""
 
 
 async def wait_any(*ports: InPort[Any], timeout: float | None = None) -> tuple[InPort[Any], ...]:
@@ -43,7 +43,8 @@ async def wait_any(*ports: InPort[Any], timeout: float | None = None) -> tuple[I
 async def wait_until(
     ports: tuple[InPort[Any], ...], look: Callable[[], T | None], where: str, missing: str, timeout: float | None
 ) -> T:
-    """The finding of `look`, which is called at once and whenever a sample comes to one of the ports, until it has one.
+    """The first result of `look` that is not None: it is called at once and whenever a sample comes to one of the
+    ports.
 
     `where` and `missing` are for messages. For the rest see `wait_any`.
     """

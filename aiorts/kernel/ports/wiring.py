@@ -1,4 +1,4 @@
-"""Connecting ports: every check that says no stands here, before anything is changed.
+"""Connecting ports: every check that may refuse runs here, before anything is changed.
 
 Either all connectors of one `connect` come into being or none.
 """
@@ -92,7 +92,7 @@ def wire(kernel: KernelSide, out: OutPort[Any], in_: InPort[Any], profile: Conne
     connector._transport = PLAIN.of(profile)(connector, receiver, kernel)
     receiver.fit(connector._transport)
     several = receiver.tokens is not None
-    # The kernel's own number: each call of `get_ident` makes another, of 32 bytes.
+    # The kernel's own thread number: each call of `get_ident` makes another object, of 32 bytes.
     receiver.thread = kernel.thread_id or get_ident()
     alone = (connector,)  # one object for both ends, where neither has another
     before = in_.connectors  # without those of services, which come last
@@ -216,7 +216,7 @@ def renew(kernel: KernelSide, connector: Connector, profile: ConnectorProfile) -
 
 
 def keep_newest(transport: Transport) -> None:
-    """Supersede what is unread but for the newest, where no more than that counts; the caller holds the lock."""
+    """Supersede all unread samples but the newest, where only that one counts; the caller holds the lock."""
     queue, periodic = transport.queue, transport.connector.profile.subscription is Subscription.PERIODIC
     if len(queue) > 1 and transport.push is Push.NEW and not periodic:
         newest = queue.pop()
@@ -242,19 +242,19 @@ def measure(connector: Connector, count: int) -> None:
 
 
 def _refresh_writers(out: OutPort[Any], receiver: Receiver, several: bool) -> None:
-    """The way of a write depends on its port's own connectors and on whether its reader has others."""
+    """Choose the paths of writes again: they depend on the port's connectors, and on whether its reader has others."""
     out._refresh()
     if several is (receiver.tokens is None):
         receiver.refresh_writers()
 
 
 def _after(shown: tuple[Connector, ...], one: Connector, those: tuple[Connector, ...]) -> tuple[Connector, ...]:
-    """One more behind those that are shown, before those that are not."""
+    """The connectors with `one` behind those that are shown, before those that are not."""
     return (*shown, one, *those[len(shown) :])
 
 
 def _without(those: tuple[T, ...], one: T) -> tuple[T, ...]:
-    """The connectors without one. Ten thousand end in their order, or in reverse: mostly the first or the last goes."""
+    """The connectors without `one`, mostly the first or the last: ten thousand end in their order, or in reverse."""
     if those[-1] == one:
         return those[:-1]
     index = those.index(one)
@@ -273,7 +273,7 @@ def _check_alive(kernel: KernelSide, port: Port[Any]) -> None:
 
 
 def _connected(out: OutPort[Any], in_: InPort[Any]) -> bool:
-    # A thousand may hang on one of the two.
+    # The shorter side is searched: the other may have a thousand.
     if len(out.connectors) <= len(in_.connectors):
         return any(connector.in_ is in_ for connector in out.connectors)
     return any(connector.out is out for connector in in_.connectors)
@@ -285,7 +285,7 @@ def _check_pair(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) 
 
 
 def _between(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> ConnectorProfile:
-    """The options of one connector: with a converter of its own, where they have one."""
+    """The options of one connector, with a converter for its two types where they name one."""
     if profile.convert is not None:
         profile = replace(profile, convert=converter_between(out, in_, profile.convert))
     return _ended(out, in_, profile)
@@ -311,7 +311,7 @@ def converter_between(out: OutPort[Any], in_: InPort[Any], converter: str) -> st
 
 
 def pair_faults(out: OutPort[Any], in_: InPort[Any], *, converted: bool = False) -> Iterator[str]:
-    """Why samples of one port cannot be taken by the other; nothing where they fit, or where they are converted."""
+    """The reasons why one port cannot take samples of the other; none where they fit or are converted."""
     if converted:
         return
     where = f"{out.path} -> {in_.path}"
@@ -346,7 +346,7 @@ def _unlike_units(out: OutPort[Any], in_: InPort[Any]) -> Iterator[tuple[str, st
     if sent and taken:
         if sent != taken:
             yield "", sent, taken
-    elif out.type is not in_.type:  # a record of a record's kind, whose field has another unit
+    elif out.type is not in_.type:  # a subclass of the reader's type, which may give a field another unit
         theirs = units_of(in_.type)
         for field, unit in units_of(out.type).items():
             if theirs.get(field, unit) != unit:
@@ -384,7 +384,7 @@ def check_features(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfil
 
 
 def realtime_fault(port: Port[Any]) -> str:
-    """Why no real-time thread can have this port; empty where one can."""
+    """The reason why no real-time thread can have this port; empty where one can."""
     return next(filter(None, (_featured(in_) for in_ in in_ports_at(port))), "")
 
 
