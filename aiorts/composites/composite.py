@@ -1,7 +1,7 @@
 """A composite: components that are one component from outside.
 
-It never runs itself: in a context it stands for its members, in their order, so that a cycle costs what it would
-without it. An exported port is the member's own port. Its state follows from the members'
+A composite never runs itself: in a context it stands for its members, in their order, so that a cycle costs what it
+would without the composite. An exported port is the member's own port. The composite's state follows from its members'
 (`composites/composition.py`).
 """
 
@@ -50,8 +50,9 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
         groups: "a,b|c,d": groups separated by `|` run side by side in each cycle, each group one member after the
             other; the cycle ends when all groups have. For members whose hooks wait.
         errors: "stop", "report" or "isolate": see `ErrorPolicy`.
-        own_schedule: inside another composite it does not run with it, but is started in a context of its own. Where
-            all members are such, the outer one is in no context: its state, errors and transitions are theirs together.
+        own_schedule: inside another composite, it is started in a context of its own and does not run with the outer
+            one. An outer one whose members are all such is in no context: its state, errors and transitions are theirs
+            together.
 
     Raises:
         ConfigurationError: an argument cannot be parsed.
@@ -102,7 +103,8 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
 
     @property
     def parts(self) -> tuple[Component, ...]:
-        """What runs with it, in order of execution: its members, those of composites in it in their place."""
+        """The components that run with it, in order of execution: its members, an inner composite replaced by its
+        parts."""
         return _group(self).parts
 
     @property
@@ -112,7 +114,7 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
 
     @property
     def errors(self) -> ErrorPolicy:
-        """What an error of one member means for it."""
+        """The effect of a member's error on the composite."""
         return _group(self).errors
 
     @property
@@ -141,12 +143,12 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
 
     @property
     def state(self) -> LifecycleState | None:
-        """What follows from the states of its members (`aiorts.composites.composition.STATES`); None in no context."""
+        """The state that follows from its members' (`aiorts.composites.composition.STATES`); None in no context."""
         return _group(self).state
 
     @property
     def states(self) -> Mapping[str, LifecycleState]:
-        """Its state, by the name of its context, or of each of those where all members have a schedule of their own."""
+        """Its state, by the name of its context, or of each context where all members have a schedule of their own."""
         return MappingProxyType(_group(self).states)
 
     @property
@@ -157,7 +159,7 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
 
     @property
     def last_error(self) -> BaseException | None:
-        """The error of the first member in error; else what its own `on_initialize` or `on_finalize` raised."""
+        """The error of the first member in error; else the error of its own `on_initialize` or `on_finalize`."""
         for part in _group(self).parts_together:
             for member in cell(part).members:
                 if member.state is LifecycleState.ERROR and member.failure is not None:
@@ -179,11 +181,11 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
         )
 
     def add_port(self, name: str, port: Any) -> Any:
-        """StateError: it has its members' ports only."""
+        """Raise StateError: a composite has its members' ports only."""
         raise StateError(f"{self.name}.{name}: a composite has its members' ports only; export one")
 
     def remove_port(self, name: str) -> None:
-        """StateError: ports come and go with members and `change(exported=...)`."""
+        """Raise StateError: ports come and go with members and `change(exported=...)`."""
         raise StateError(f"{self.name}.{name}: a composite shows its members' ports; change(exported=...)")
 
     # -- lifecycle -------------------------------------------------------------------------------------------------
@@ -191,7 +193,7 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
     async def activate(self, *, timeout: float | None = 5.0) -> None:
         """Activate every inactive member, in order, between two cycles.
 
-        With errors="stop" it is all or none: those that were activated before one that fails are deactivated again.
+        With errors="stop" it is all or none: members that were activated before one that fails are deactivated again.
 
         Raises:
             StateError: it is in no context.
@@ -227,22 +229,22 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
         groups: str | Sequence[Sequence[str]] | None = None,
         timeout: float | None = 5.0,
     ) -> tuple[Connector, ...]:
-        """Change members, exported ports or order: all of it between two cycles, or nothing of it.
+        """Change members, exported ports or order: all between two cycles, or nothing.
 
         A new member leaves its own contexts, and is activated when the composite is active; a removed one returns to
-        them, and its ports are withdrawn: connectors made while they were exported that lead out of the composite
-        end. A hook's request is queued and returns at once.
+        its own. The ports of a removed member are withdrawn: connectors that lead out of the composite and were made
+        while it exported them end. A hook's request is queued and returns at once.
 
         Returns:
             The connectors that ended; each keeps its counts.
 
         Raises:
             StateError: a component is unknown, in another composite, or cannot run in the context.
-            WiringError: two exported ports would have one name, or a port named does not exist.
+            WiringError: two exported ports would have one name, or a named port does not exist.
             ConfigurationError: `order`, `exported` or `groups` cannot be parsed.
             DeclarationError: `members` is no list of components or names.
             ComponentError: `on_startup` or `on_activated` of a new member raised; everything is as before.
-            TransitionTimeout: the context did not carry it out within `timeout` seconds.
+            TransitionTimeout: the context did not carry out the change within `timeout` seconds.
         """
         if order is not None and order not in ("stated", "dataflow"):
             raise ConfigurationError(f"{self.name}: order = {order!r}: expected stated or dataflow")

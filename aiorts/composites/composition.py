@@ -45,11 +45,11 @@ class Export:
     component: str
     port: str
     name: str
-    """May contain {component} and {port}."""
+    """The template, which may contain {component} and {port}."""
 
     @property
     def literal(self) -> bool:
-        """Whether it means one port and no other."""
+        """Whether the rule means one port and no other."""
         return not any(mark in self.component + self.port for mark in "*?[")
 
     @property
@@ -106,7 +106,7 @@ def _named(rule: Export, component: str, port: str) -> str:
 
 
 def shown(rules: Sequence[Export], ports: Iterable[tuple[str, str]], where: str) -> dict[str, tuple[str, str]]:
-    """Exported name -> (component, port), for the existing ports, in their order; each port is exported once at most.
+    """Exported name -> (component, port), for the existing ports, in their order; each port is exported at most once.
 
     Raises:
         WiringError: two ports would have one name; both are named.
@@ -152,7 +152,7 @@ def flow_order(names: Sequence[str], edges: Iterable[tuple[str, str]]) -> tuple[
 
 
 def _in_loop(name: str, before: Mapping[str, set[str]]) -> bool:
-    """Whether a way leads from a member back to itself; a member behind a loop has to wait for the loop."""
+    """Whether edges lead from a member back to itself; a member behind a loop has to wait for the loop."""
     seen: set[str] = set()
     todo = list(before[name])
     while todo:

@@ -29,13 +29,13 @@ def outer_of(component: ComponentSide) -> CompositeGroup | None:
 
 
 def parts_of(component: Component) -> tuple[Component, ...]:
-    """Who runs where this component is started: the parts of a composite in its place."""
+    """The components that run where this one is started: itself, or the parts of a composite."""
     group = group_of(component)
     return (component,) if group is None else group.parts
 
 
 def leaves_of(components: Iterable[Component]) -> tuple[Component, ...]:
-    """What these are made of in the end, whether it runs with them or not."""
+    """The components that these consist of, composites resolved, whether they run with these or not."""
     found: list[Component] = []
     for component in components:
         group = group_of(component)
@@ -81,7 +81,7 @@ def check(composite: CompositeGroup, members: Sequence[Component], rules: Sequen
 def grouped(
     composite: CompositeGroup, members: Sequence[Component], groups: str | Sequence[Sequence[str]] | None
 ) -> tuple[tuple[str, ...], ...]:
-    """The groups wanted; None keeps those it has, without former members.
+    """The requested groups; None keeps the present ones, without former members.
 
     Raises:
         ConfigurationError: a group names a component that is no member, or a member is in no group.

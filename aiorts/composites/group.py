@@ -1,6 +1,6 @@
 """A composite as the kernel sees it: the components it stands for, their order, and the ports it exports.
 
-It never runs itself and adds no hop: its order is laid out when something changes, not in a cycle.
+A composite never runs itself and adds no hop: its order is laid out when something changes, not in a cycle.
 """
 
 from __future__ import annotations
@@ -61,12 +61,13 @@ class CompositeGroup:
         self.own_schedule = own_schedule
         self.given: tuple[Component | str, ...] = ()
         self.brought: dict[Component, str] = {}
-        """Those of its members that stand for components of other kernels, which come and go with it: their paths."""
+        """The members that stand for components of other kernels, with their paths; they come and go with the
+        composite."""
         self.groups_given: str | Sequence[Sequence[str]] = ()
         self.exports: tuple[Export, ...] = ()
-        """Which ports it shows."""
+        """The rules for the ports that it exports."""
         self.members: tuple[Component, ...] = ()
-        """In the order stated; a composite among them is one."""
+        """The members in the order stated; a composite among them is one."""
         self.groups: tuple[tuple[str, ...], ...] = ()
         """Names of members: the groups that run side by side."""
         self.laid_out: Sequence[Component] = ()
@@ -74,7 +75,7 @@ class CompositeGroup:
         self.started_in: Context | None = None
         """The context it was started in last; a member's is that of the outermost composite it runs with."""
         self.known: dict[Port[Any], frozenset[Connector]] = {}
-        """The connectors a port had already when it was exported."""
+        """The connectors that a port had already when it was exported."""
         self.state_published: LifecycleState | None = None
 
     @property
@@ -114,23 +115,24 @@ class CompositeGroup:
 
     @property
     def is_spread(self) -> bool:
-        """Whether each member has a schedule of its own: it runs in no context, and is what they are together."""
+        """Whether each member has a schedule of its own: the composite is in no context, and its state is theirs
+        together."""
         return bool(self.members) and all(map(self.runs_apart, self.members))
 
     @property
     def parts_together(self) -> tuple[Component, ...]:
-        """Its parts; those of its members, where all have a schedule of their own."""
+        """The parts of the composite, or of its members where all have a schedule of their own."""
         return self.parts or tuple(part for one in self.inner if self.is_spread for part in one.parts_together)
 
     @property
     def next_out(self) -> CompositeGroup | None:
-        """The group that an error of it concerns, too: the outer one, where it runs with it or that is spread."""
+        """The outer group, where an error here concerns it, too: this one runs with it, or the outer one is spread."""
         outer = self.outer
         return outer if outer is not None and (not self.own_schedule or outer.is_spread) else None
 
     @property
     def parts(self) -> tuple[Component, ...]:
-        """The components that run with it, in order: its members, those of composites in it in their place."""
+        """The components that run with it, in order: its members, an inner composite replaced by its parts."""
         return self.line(self.laid_out)
 
     @property
@@ -180,7 +182,7 @@ class CompositeGroup:
         return derived((state for state in states if state is not None), self.errors)
 
     def lay_out(self) -> None:
-        """Lay out the order again, of composites in it, too."""
+        """Lay out the order again, also of inner composites."""
         for inner in self.inner:
             inner.lay_out()
         self.laid_out = self.ordered()
@@ -251,7 +253,7 @@ class CompositeGroup:
         return {name: every[place] for name, place in found.items()}
 
     def have_members(self, members: Sequence[Component], inside: frozenset[Port[Any]]) -> tuple[Connector, ...]:
-        """Set the members; returns the connectors that ended with ports withdrawn."""
+        """Set the members; return the connectors that ended with ports withdrawn."""
         self.members = tuple(members)
         self.root.lay_out()
         return self.show(self.ports_of(self.members), inside)
@@ -259,7 +261,7 @@ class CompositeGroup:
     def publish_change(
         self, added: Sequence[Component], removed: Sequence[Component], ended: Sequence[Connector] = ()
     ) -> None:
-        """Publish who joined, who left, and which connectors ended."""
+        """Publish which members joined and left, and which connectors ended."""
         names = [tuple(one.name for one in those) for those in (self.laid_out, added, removed, ended)]
         self.kernel.bus.publish(CompositeChanged(self.name, *names))
 
@@ -343,11 +345,11 @@ class CompositeGroup:
         await membership.leave(context, components, timeout)
 
     async def request(self, what: str, timeout: float | None) -> None:
-        """Have all its members activated, deactivated or reset."""
+        """Activate, deactivate or reset all members, as `what` says."""
         await membership.transition(self, LifeEvent(what), timeout)
 
     def check_startable(self) -> None:
-        """Raise StateError when it runs already, or never does itself."""
+        """Raise StateError when the composite runs already, or never runs itself."""
         if self.is_spread:
             names = ", ".join(member.name for member in self.members)
             raise StateError(f"{self.name}: each member has a schedule of its own; start {names}, each in its context")
@@ -356,7 +358,7 @@ class CompositeGroup:
             raise StateError(f"{self.name}: runs in {context.name} already")
 
     async def dissolve(self) -> None:
-        """Return the members to their former contexts, since it is about to leave the kernel."""
+        """Return the members to their former contexts, since the composite is about to leave the kernel."""
         await membership.change(self, membership.Wanted(()), 5.0)
 
     async def added(self) -> None:
@@ -385,7 +387,7 @@ class CompositeGroup:
         self.known = {port: frozenset(port.connectors) for port in cell(self.component).ports.values()}
 
     async def bring_in(self, given: Iterable[Component | str]) -> list[Component | str]:
-        """The same with what stands here for components of other kernels; of these, those that are new are added."""
+        """The given members, with stand-ins for components of other kernels; new stand-ins are added to the kernel."""
         known = {path: member for member, path in self.brought.items()}
         found: list[Component | str] = []
         for one in given:
@@ -399,7 +401,7 @@ class CompositeGroup:
         return found
 
     async def let_go(self, members: Sequence[Component | str]) -> None:
-        """Remove those of these that were brought in from other kernels."""
+        """Remove the members among these that were brought in from other kernels."""
         for member in [one for one in members if isinstance(one, Component) and one in self.brought]:
             del self.brought[member]
             await self.kernel.remove(member)
@@ -413,7 +415,7 @@ class CompositeGroup:
             parallel.lay_out_parallel(context)
 
     def removed(self) -> None:
-        """Release the members, since it belongs to no kernel any more."""
+        """Release the members, since the composite belongs to no kernel any more."""
         for member in self.members:
             cell(member).group = None
         self.members = self.laid_out = ()
@@ -432,7 +434,7 @@ class CompositeGroup:
             member.stopped_for = frozenset()
         context = self.context
         if context is None or context is not member.context or member.component not in self.parts:
-            return  # one on trial: its changes are published when it has joined
+            return  # a member on trial: its changes are published when it has joined
         failed = member.state is LifecycleState.ERROR
         group: CompositeGroup | None = self
         while failed and group is not None:
@@ -443,7 +445,7 @@ class CompositeGroup:
         self.publish_state()
 
     def publish_state(self) -> None:
-        """Publish its state, unless that was published before."""
+        """Publish the composite's state, unless that was published before."""
         state, kernel = self.state, self.kernel
         before, self.state_published = self.state_published, state
         if state is not None and before is not None and before is not state:

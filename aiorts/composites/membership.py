@@ -114,7 +114,7 @@ class _Move:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """The composite wanted; None keeps what it has."""
+    """A requested change of a composite; None keeps what it has."""
 
     members: Sequence[Component | str] | None = None
     rules: Sequence[Export] | None = None
@@ -122,10 +122,10 @@ class Wanted:
     groups: str | Sequence[Sequence[str]] | None = None
     adding: Sequence[Component | str] = ()
     removing: Sequence[str] = ()
-    """Names."""
+    """The names of members to remove."""
 
     def given(self, composite: CompositeGroup) -> Sequence[Component | str]:
-        """The members wanted, computed when its turn has come: another change may have come first."""
+        """The requested members, computed when the turn of the change has come: another change may have come first."""
         members = composite.members if self.members is None else self.members
         here = [member.name for member in composite.members]
         for name in self.removing:
@@ -307,7 +307,7 @@ async def enter(context: Context, given: Sequence[Component], timeout: float | N
 
 
 async def leave(context: Context, given: Sequence[Component], timeout: float | None) -> None:
-    """Remove composites from a running context, as `Context.remove`; their members stay without one."""
+    """Remove composites from a running context, as `Context.remove`; their members stay without a context."""
     kernel = context.runner.check("remove")
     async with kernel.registry.composing:
         for component in given:
@@ -324,7 +324,7 @@ async def leave(context: Context, given: Sequence[Component], timeout: float | N
 async def transition(composite: CompositeGroup, event: Event, timeout: float | None) -> None:
     """Request a transition of all members of a composite, in one action between two cycles.
 
-    Those that all have a schedule of their own are asked one after the other.
+    Members that all have a schedule of their own are asked one after the other.
     """
     if composite.is_spread:
         await _transition_of_groups(composite, event, timeout)

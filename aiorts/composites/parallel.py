@@ -41,7 +41,7 @@ class ParallelDriver(TaskDriver):
         super().__init__(own.context, _nothing(), own.loop, own.call_at, own.call_later, own.bus)
 
     def begin(self, batch: Batch, arrived: Callable[[], None]) -> None:
-        """Run these members; calls `arrived` when they are done."""
+        """Run these members, and call `arrived` when they are done."""
         self._arrived = arrived
         if self._bell is None:
             self._batch = batch  # its task has not begun yet
@@ -78,7 +78,7 @@ class ParallelDriver(TaskDriver):
                 except BaseException as fault:  # noqa: BLE001 - of the kernel's own: the other lanes' cycle goes on
                     if self._blamed(fault) is None:
                         self.context.runner.life.faulted(fault)
-                    continue  # with what is left of it
+                    continue  # with the rest of the batch
                 self._own.hooks_run += 1
                 if self._arrived is not None:
                     self._arrived()
@@ -150,7 +150,7 @@ def lay_out_parallel(context: Context) -> None:
 
 
 def divide(context: Context, composites: Iterable[CompositeGroup]) -> None:
-    """Have the groups of these composites run side by side in this context, from its next cycle on."""
+    """Run the groups of these composites side by side in this context, from its next cycle on."""
     sections = tuple(section for composite in composites for section in composite.sections())
     context.runner.divide(partial(_pass, sections) if sections else None)
 

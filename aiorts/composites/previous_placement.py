@@ -42,7 +42,7 @@ async def leave_contexts(component: Component, timeout: float | None) -> None:
 
 
 async def return_to_contexts(component: Component, timeout: float | None) -> None:
-    """Return to its former contexts, in its place there and active if it was; failures are logged."""
+    """Return a component to its former contexts, in its place there and active if it was; failures are logged."""
     placements, cell(component).previous_placements = cell(component).previous_placements, ()
     for placement in placements:
         context = placement.context

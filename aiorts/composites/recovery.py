@@ -1,6 +1,6 @@
 """Deactivates the other members when one fails, and activates them again after its recovery.
 
-Each member knows for whose error it was stopped; one that was deactivated on purpose has no such mark and stays off.
+Each member notes for which errors it was stopped; one that was deactivated on purpose has no such mark and stays off.
 Everything here runs between two cycles, in the thread of the context.
 """
 
@@ -55,7 +55,7 @@ def _stop(composite: CompositeGroup, failed: str) -> Steps:
 
 
 async def bring_back(component: Component) -> tuple[str, ...]:
-    """Activate the members again that were stopped for the component, after its recovery; their names, in order.
+    """Activate the members again that were stopped for the component, after its recovery; return their names, in order.
 
     They stay off while another member is in error, and come back after the last recovery.
     """
@@ -96,7 +96,7 @@ def _back(context: Context, leaves: Iterable[Component], back: list[str], done: 
 
 
 def _is_active(component: Component, context: Context) -> bool:
-    """Whether it is active in this context, or where it runs when it is not in this one."""
+    """Whether a component is active in this context, or, when it is not in this one, where it runs."""
     members = cell(component).members
     return any(member.active for member in [one for one in members if one.context is context] or members)
 

@@ -1,6 +1,6 @@
 """`component(function)`: makes a component type of a function; parameters are in-ports, the result is the out-port.
 
-`signature.py` reads the function's declaration, `component.py` calls it.
+`signature.py` reads the function's declaration, `function_component.py` calls it.
 """
 
 from __future__ import annotations
@@ -64,17 +64,18 @@ def component(
     `int` as TimedLongLong, `list[float]` as TimedDoubleSeq, `numpy.ndarray` as TimedNDArray, with the time stamp of
     the newest argument, or the clock's where none has one; records, dataclasses and bytes travel as they are;
     `Annotated[float, InPort(TimedFloat, unit="m")]` says more. A generator sends all that it yields for a call; one
-    without in-ports is a source: one sample a cycle (in an event context as fast as its readers take them), finished
-    at its end, begun anew when it is activated. What blocks belongs into a ThreadContext.
+    without in-ports is a source: one sample a cycle (in an event context as fast as its readers take them), finished at
+    its end, restarted when it is activated. A function that blocks belongs into a ThreadContext.
 
     Args:
         when: "any": for each new sample, with the last ones of the other in-ports, once every in-port has had one;
-            what arrives before that stays unread, and the first call takes the oldest of each. What is unread as a
-            cycle begins is taken in the order of the time stamps (equal ones, and all where a type has none, in the
+            samples that arrive before stay unread, and the first call takes the oldest of each. Samples unread as a
+            cycle begins are taken in the order of the time stamps (equal ones, and all where a type has none, in the
             order of the ports). "all": with one new sample of each. "cycle": in every cycle, with the newest of each.
         latest: only the newest samples count, at most one call a cycle; older ones are dropped{superseded}.
         output: the out-port's name, or one for each.
-        hints: hints for a function that has none ("return" is the result's); what has a default may be left out.
+        hints: hints for a function that has none ("return" is the result's); a parameter with a default may be left
+            out.
         name: the type's name in place of the function's.
 
     Raises:
@@ -100,7 +101,7 @@ def _make(function: Callable[..., Any], options: Mapping[str, Any]) -> type[Func
         "__module__": getattr(plain, "__module__", None) or "builtins",
         "__qualname__": options["name"] or label,
         "function": staticmethod(plan.function),
-        # A source has a pace of its own: it goes on as soon as what it gave is taken, or waits within.
+        # A source has a pace of its own: it goes on as soon as its sample is taken, or waits within.
         **({"alone": {"kind": "event"}} if plan.streams and not plan.inlets else {}),
         **hooks_of(plan, options["when"], options["latest"]),
         **{one.name: one.port for one in plan.inlets},
@@ -113,7 +114,8 @@ def _make(function: Callable[..., Any], options: Mapping[str, Any]) -> type[Func
 
 
 def _reduce(cls: type[Any]) -> str | tuple[Any, ...]:
-    """Pickle by name where the module has it under that name, as a decorated one; else by function and options."""
+    """Pickle a class by name where its module has it under that name, as a decorated one; else by function and
+    options."""
     found: Any = sys.modules.get(cls.__module__)
     for part in cls.__qualname__.split("."):
         found = getattr(found, part, None)

@@ -35,9 +35,9 @@ class FunctionKind(Kind):
     def __init__(self, plan: Plan, original: Callable[..., Any], options: Mapping[str, Any]) -> None:
         self.plan = plan
         self.original = original
-        """What `component(...)` was given."""
+        """The function that `component(...)` was given."""
         self.options = options
-        """Its options: `when`, `latest`, `output`, `hints`, `name`."""
+        """The options of `component(...)`: `when`, `latest`, `output`, `hints`, `name`."""
 
     def moved(self, component: FunctionComponent, *, threaded: bool) -> None:
         if self.plan.awaits:
@@ -113,7 +113,7 @@ class Calls:
         self.last: list[Any] = [NOTHING] * len(plan.inlets)
         """The newest sample of each in-port that took part in a call."""
         self.stream: Any = None
-        """What a source gives, while it is at it."""
+        """The iterator of a source, while it is at it."""
 
     def unread(self) -> int:
         """The calls that a cycle has room for: later samples are for the next, so that every cycle ends."""
@@ -259,7 +259,7 @@ def _send_blocking(self: FunctionComponent, calls: Calls, item: Any, tm: Any) ->
 def _rest(self: FunctionComponent, calls: Calls) -> None:
     """Wait for data in a thread that has nothing to do, since it would begin the next cycle at once.
 
-    A moment only with several in-ports, or where others share the thread; not while there is a request.
+    It waits only a moment with several in-ports, or where others share the thread; not while there is a request.
     """
     port, sole = calls.ins[0], len(calls.ins) == 1
     context = self.context

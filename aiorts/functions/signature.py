@@ -51,7 +51,7 @@ _ALLOWED: Final = "float, int, bool, str, bytes, list[float], numpy.ndarray, dic
 
 @dataclass(frozen=True, slots=True)
 class Carried:
-    """How a hint travels."""
+    """The type by which a hint travels."""
 
     type: type[Any]
     unwrap: Callable[[Any], Any] | None
@@ -107,7 +107,7 @@ def read_signature(
     Args:
         label: its name in messages.
         output: names of its out-ports, in place of `output`, `output0`, ... or a NamedTuple's own.
-        hints: hints for what it does not declare itself; a parameter with a default and no hint is then left out.
+        hints: hints for parameters without one of their own; a parameter with a default and no hint is then left out.
 
     Raises:
         DeclarationError: a hint is missing or unsupported, or a parameter cannot be a port.
@@ -322,7 +322,7 @@ def _given_port(where: str, given: tuple[Any, ...], kind: type[Any]) -> Any:
 
 
 def _carried(where: str, hint: Any, wanted: type[Any] | None) -> Carried:
-    """How the hint travels; in a record of the type `wanted` where the annotation names one."""
+    """The type by which a hint travels: a record of the type `wanted`, where the annotation names one."""
     from aiorts.types import check_port_type, fields_of
 
     found = _plain(hint)

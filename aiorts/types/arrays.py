@@ -1,8 +1,7 @@
-"""Number sequences: what numpy can read becomes a native, contiguous, owned, read-only array, no value changed.
-
-One that already owns its memory is taken over and frozen; a read-only view of immutable `bytes` counts as owned, so
-that decoding adds no copy; everything else is copied once. A value that the element type cannot hold is an error, never
-a wrap. numpy is imported here, and here only when the first array is checked.
+"""Number sequences: input that numpy can read becomes a native, contiguous, owned, read-only array, no value changed.
+An array that already owns its memory is taken over and frozen; a read-only view of immutable `bytes` counts as owned,
+so that decoding adds no copy; everything else is copied once. A value that the element type cannot hold is an error,
+never a wrap. numpy is imported here, and here only when the first array is checked.
 """
 
 from __future__ import annotations
@@ -53,8 +52,8 @@ def sealed_bytes(size: int) -> memoryview:
 
 
 def sealed_view(memory: memoryview) -> memoryview:
-    """A view of read-only memory that another process has filled, and that nothing writes to while this view is looked
-    through. Records take arrays on it without a copy, as on `sealed_bytes`.
+    """A view of read-only memory that another process has filled, and that nothing writes to while this view is in use.
+    Records take arrays on it without a copy, as on `sealed_bytes`.
 
     Its `obj` lives as long as the last array or view that looks into this memory.
 
@@ -75,7 +74,7 @@ def _sealed_class() -> type:
     import numpy as np
 
     class Sealed(np.ndarray):
-        """Filled once."""
+        """Memory that is filled once."""
 
     return Sealed
 
@@ -112,7 +111,7 @@ def element_dtype(element: str) -> np.dtype[Any]:
 
 
 def _of_bytes(array: AnyArray) -> bool:
-    """Whether the memory belongs to `bytes`, which nobody can change, or is sealed, which nobody does."""
+    """Whether the memory belongs to `bytes`, which cannot change, or is sealed, which is not written to."""
     base: Any = array
     while type(base) is type(array):
         if base.flags.writeable:
@@ -241,7 +240,7 @@ def _unmasked(value: Any, where: str) -> AnyArray:
 
 
 def _from_items(items: list[Any], element: str, where: str) -> AnyArray:
-    """A list whose items each pass the scalar check; the common cases without asking for each one."""
+    """An array of items that each pass the scalar check; the common cases skip the check of each one."""
     import numpy as np
 
     kind = SCALARS.get(element)
@@ -285,7 +284,7 @@ def exact(array: AnyArray, element: str, where: str) -> AnyArray:
 
 
 def inexact_as_float(array: AnyArray) -> npt.NDArray[np.bool_]:
-    """Where an integer array has values that no 64-bit float is. numpy itself calls that cast safe."""
+    """The mask of integers that no 64-bit float equals. numpy itself calls that cast safe."""
     import numpy as np
 
     if array.dtype.itemsize < 8:

@@ -1,6 +1,6 @@
 """The `__init__` of record types: generated when the first record of a type is made, once for each shape of fields.
 
-Each field is one comparison when the value is already right, one call of its kind's `check` when it is not, and one
+Each field costs one comparison when the value is already right, one call of its kind's `check` when it is not, and one
 call of the slot's own `__set__` (the class refuses assignment, its slots do not). Written out for the number of fields
 this takes a third of what a loop over them takes. Source text is generated of numbers alone, never of a name:
 `CodeType.replace` gives the parameters their names afterwards.
@@ -27,11 +27,11 @@ _TESTS: Final = {
     "text": "type(v{i}) is not str or not v{i}.isascii()",
     "other": "type(v{i}) is not exact{i}",
 }
-"""When a value goes through the check of its kind, by the sort of the kind."""
+"""The condition on which a value goes through the check of its kind, by the sort of the kind."""
 
 
 class Parameter(NamedTuple):
-    """What a constructor needs to know of one field."""
+    """One field, as far as a constructor needs to know it."""
 
     name: str
     kind: Kind

@@ -1,4 +1,4 @@
-"""One conversion between all kinds of scalars, and of sequences of them: never a change that was not asked for.
+"""One conversion between all kinds of scalars, and of sequences of them: never a change that was not requested.
 
 `overflow` decides what becomes of a number the target cannot hold: `error`, `saturate` (the nearest limit; infinity is
 a limit) or `wrap` (modulo 2**bits for integers, infinity for floats). `rounding` decides how a fraction becomes an
@@ -31,7 +31,7 @@ _LARGEST = {"f64": 1.7976931348623157e308, "f32": 3.4028234663852886e38}
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,9})?", re.ASCII)
 _SPECIAL = {"nan": math.nan, "inf": math.inf, "infinity": math.inf}
 _TRUTH = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
-# Longer text is no number anybody wrote, and reading it would take time that grows with its square.
+# Longer text is hardly a number, and reading it would take time that grows with the square of its length.
 _LONGEST_NUMBER = 1000
 
 

@@ -1,4 +1,4 @@
-"""Functions that are written out for a number of fields: what loops over fields would do, in a third of the time.
+"""Functions that are written out for a number of fields: they do the work of loops in a third of the time.
 
 This is the only place where text becomes code. A text consists of the words of its author, of numbers, and of names
 and values by `repr`: nothing that came in a frame or a file can be in it.

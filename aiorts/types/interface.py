@@ -112,7 +112,7 @@ class ActArrayActuatorCurrent(Stamped):
 
 
 class ActArrayActuatorStatus(IntEnum):
-    """What an actuator is doing."""
+    """The activity of an actuator."""
 
     ACTUATOR_STATUS_IDLE = 0
     ACTUATOR_STATUS_MOVING = 1
@@ -148,9 +148,9 @@ class ActArrayActuatorType(IntEnum):
 
 @record
 class ActArrayActuatorGeometry:
-    """How an actuator is built.
+    """The geometry of an actuator.
 
-    `length` is the way to the next one, ranges are m or rad, `axis` is what it moves along or about.
+    `length` is the distance to the next one, ranges are m or rad, `axis` is the axis of its motion.
     """
 
     type: ActArrayActuatorType = ActArrayActuatorType.ACTARRAY_ACTUATORTYPE_LINEAR
@@ -166,7 +166,7 @@ class ActArrayActuatorGeometry:
 
 @record
 class ActArrayGeometry:
-    """How an array of actuators is built."""
+    """The geometry of an array of actuators."""
 
     arrayGeometry: Geometry3D = Geometry3D()
     actuatorGeometry: Seq[ActArrayActuatorGeometry] = EMPTY
@@ -183,7 +183,7 @@ class BumperGeometry:
 
 @record
 class BumperArrayGeometry:
-    """Where the bumpers of an array are."""
+    """The places of the bumpers of an array."""
 
     arrayGeometry: Geometry3D = Geometry3D()
     bumperGeometry: Rows[BumperGeometry] = EMPTY
@@ -284,7 +284,7 @@ class GPSData(Stamped):
 
 
 class GripperStatus(IntEnum):
-    """What a gripper is doing."""
+    """The activity of a gripper."""
 
     GRIPPER_STATE_OPEN = 0
     GRIPPER_STATE_CLOSED = 1
@@ -302,7 +302,7 @@ class GripperState(Stamped):
 
 @record
 class GripperGeometry:
-    """Outside (in the parent's frame) and inside (in its own) of the open gripper."""
+    """The outside (in the parent's frame) and the inside (in its own frame) of the open gripper."""
 
     exterior: Geometry3D = Geometry3D()
     interior: Geometry3D = Geometry3D()
@@ -322,7 +322,7 @@ class INSData(Stamped):
 
 
 class LimbStatus(IntEnum):
-    """What a limb is doing; OOR = out of reach."""
+    """The activity of a limb; OOR = out of reach."""
 
     LIMB_STATUS_IDLE = 0
     LIMB_STATUS_BRAKED = 1
@@ -333,7 +333,7 @@ class LimbStatus(IntEnum):
 
 @record
 class LimbState(Stamped):
-    """State of a limb: where its end is."""
+    """State of a limb: the pose of its end."""
 
     tm: int = 0
     oapMatrix: OAP = OAP()
@@ -451,7 +451,7 @@ class MultiCameraImages(Stamped):
 
 @record
 class MulticameraGeometry:
-    """Where the cameras are (OpenRTM spells it with a small c)."""
+    """The places of the cameras (OpenRTM spells it with a small c)."""
 
     geometry: Geometry3D = Geometry3D()
     cameraGeometries: Rows[Geometry3D] = EMPTY
@@ -532,7 +532,7 @@ class PanTiltState(Stamped):
 
 @record
 class RangerGeometry:
-    """Where a range finder and its elements are."""
+    """The places of a range finder and its elements."""
 
     geometry: Geometry3D = Geometry3D()
     elementGeometries: Rows[Geometry3D] = EMPTY

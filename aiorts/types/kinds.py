@@ -1,4 +1,5 @@
-"""What one field may hold, and its only check: `kind.check(value, where)` returns the value to keep or raises.
+"""The kind of value that a field may hold, and its only check: `kind.check(value, where)` returns the value to keep or
+raises.
 
 A kind is shared by all fields of its sort and knows no field name; `where` ("TimedLong.data") is used in messages only.
 `exact` is the class whose instances need no check at all, which is what the constructors test first.
@@ -82,7 +83,7 @@ class Kind:
         raise NotImplementedError
 
     def zero(self) -> Any:
-        """What a field holds that nobody gave."""
+        """The value of a field that was not given."""
         raise NotImplementedError
 
     def same(self, left: Any, right: Any) -> bool:
@@ -90,7 +91,7 @@ class Kind:
         return bool(left == right)
 
     def hashed(self, value: Any) -> Any:
-        """What stands for a kept value in a record's hash; TypeError if it cannot be hashed."""
+        """The stand-in for a kept value in a record's hash; TypeError if it cannot be hashed."""
         return value
 
     def __repr__(self) -> str:
@@ -98,7 +99,7 @@ class Kind:
 
 
 class IntKind(Kind):
-    """An integer of a fixed width. A bool is refused: written into a number it is a slip far more often than a wish."""
+    """An integer of a fixed width. A bool is refused: written into a number it is rarely intended."""
 
     def __init__(self, spelling: str, low: int, high: int) -> None:
         self.spelling, self.low, self.high = spelling, low, high
@@ -371,7 +372,7 @@ _OF_64_BITS = IntKind("i64", -(2**63), 2**63 - 1)
 
 
 class DateTimeKind(Kind):
-    """A `datetime`, kept in UTC; it travels as its nanoseconds since the epoch, which are taken for it, too.
+    """A `datetime`, kept in UTC; it travels as its nanoseconds since the epoch, which are accepted, too.
 
     A datetime counts whole microseconds: nanoseconds between two of them are refused, and nothing is rounded. 64 bits
     of nanoseconds reach from 1677 to 2262.

@@ -16,7 +16,7 @@ from aiorts.types.structure import Structure, describe
 _STEP = re.compile(r"(?:\.?(?P<name>[^\W\d]\w*)|\[(?P<index>-?\d{1,9})\]|\[(?P<quote>['\"])(?P<key>.*?)(?P=quote)\])")
 
 _STAMPS = {"sec": "u32", "nsec": "u32", "tm": "stamp"}
-"""What records with a time stamp have beside their fields: parts of it, or, where a header holds it, all of it."""
+"""The attributes of records with a time stamp besides their fields: its parts, or all of it where a header holds it."""
 
 Step = str | int
 
@@ -24,7 +24,7 @@ Step = str | int
 def parse_path(path: str) -> tuple[tuple[bool, Step], ...]:
     """The steps of a path.
 
-    (is a field name, name or index or map key). InvalidNameError with the place of the mistake.
+    Each is a pair: whether it is a field name, and the name, index or map key. InvalidNameError names the mistake.
     """
     steps: list[tuple[bool, Step]] = []
     position = 0
@@ -84,10 +84,10 @@ def _item(value: Any, index: Step, reached: str) -> Any:
 
 
 def path_type(cls: type, path: str) -> Kind | type:
-    """What stands at `path` in records of `cls`: a record type for nested records, a kind for all else.
+    """The type at `path` in records of `cls`: a record type for nested records, a kind for all else.
 
-    RecordError names the step that does not exist. A path leads through what may be absent, and indices are not
-    compared with a length: both only a sample has.
+    RecordError names the step that does not exist. A path may lead through optional fields, and indices are not
+    compared with a length: only a sample decides both.
     """
     current: Any = cls
     reached = cls.__qualname__

@@ -1,7 +1,7 @@
 """Records to and from plain data that JSON can carry, without losing a bit of value.
 
 Non-finite floats are "NaN", "Infinity", "-Infinity"; bytes base64 text; enumerations their member's name; `tm` and a
-datetime an integer (nanoseconds); arrays lists; what is absent null. An array of any shape and a map's values carry
+datetime an integer (nanoseconds); arrays lists; absent values null. An array of any shape and a map's values carry
 their type, because the record does not declare it.
 """
 
@@ -123,7 +123,8 @@ def _know_making(cls: type) -> tuple[list[tuple[str, Callable[[Any], Any]]], tup
 
 
 def _restore(kind: Kind) -> Callable[[Any], Any] | None:
-    """What a field of a mutable dataclass is made into: a list where it declares one, a dict for a map."""
+    """The function that restores a field of a mutable dataclass: to a list where it declares one, to a dict for a
+    map."""
     kind = kind.inner if isinstance(kind, OptionalKind) else kind
     if isinstance(kind, MapKind):
         return as_dict
@@ -300,7 +301,7 @@ def _put_map(kind: Kind, value: Any) -> Plain:
 
 
 def _put_entry(entry: Any) -> Plain:
-    """Scalars JSON tells apart stay as they are; all else says what it is."""
+    """Scalars that JSON tells apart stay as they are; all other values name their type."""
     if hasattr(entry, "keys"):
         return {"map": {name: _put_entry(inner) for name, inner in entry.items()}}
     if type(entry) is bytes:
@@ -376,4 +377,4 @@ _TAKE_PARTS: tuple[tuple[type, Callable[[Any, Plain, str, bool], Any]], ...] = (
     (OptionalKind, _take_optional),
     (DateTimeKind, _take_datetime),
 )
-"""Kinds that may hold records, or that are more than one thing in a line."""
+"""Kinds that may hold records, or that have several forms in a line."""

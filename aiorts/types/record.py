@@ -1,7 +1,7 @@
 """`@record`: a frozen, slotted class whose constructor is the only place that checks and converts.
 
-Two records are equal when they are of one class and all their fields are; NaN equals NaN there, so that a record equals
-its own copy. A record is hashable when nothing in it is an array or a map. It works with `dataclasses.fields`,
+Two records are equal when they are of one class and all their fields are equal; NaN equals NaN there, so that a record
+equals its own copy. A record is hashable when nothing in it is an array or a map. It works with `dataclasses.fields`,
 `replace`, `asdict`, `copy`, `match`, and refuses assignment.
 """
 
@@ -64,7 +64,7 @@ class Stamped:
 
 
 def zero(cls: type[T]) -> T:
-    """As a field's default: the record of zeros, made on first use."""
+    """The default of a field: the record of zeros, made on first use."""
     return cast("T", Lazy(cls))
 
 
@@ -83,15 +83,16 @@ def field(*, unit: str = "", doc: str = "") -> Any: ...
 def field(
     *, default: Any = dataclasses.MISSING, default_factory: Any = dataclasses.MISSING, unit: str = "", doc: str = ""
 ) -> Any:
-    """Declare a field of a record, or of a dataclass, with what `aiorts types`, schemas and plots say of it.
+    """Declare a field of a record, or of a dataclass, with the unit and text that `aiorts types`, schemas and plots
+    show.
 
     `angle: float = field(default=0.0, unit="rad")`. Two ports are not connected when a field has
     different units at the two ends, as with `unit=` of ports.
 
     Args:
         default, default_factory: as `dataclasses.field` has them.
-        unit: of its values; of a nested record, of all in it that says none.
-        doc: what it is.
+        unit: the unit of its values; for a nested record, of all its fields without one.
+        doc: the description of the field.
     """
     for name, text in (("unit", unit), ("doc", doc)):
         if not isinstance(text, str):
@@ -105,8 +106,8 @@ def record(cls: type[T]) -> type[T]:
     """Make a record type of a class with annotated fields. DeclarationError if a field cannot travel.
 
     Fields are checked when the record is built; `__post_init__` may check more. A field `tm: int` is the record's time
-    stamp: nanoseconds since the epoch, 0 <= tm < 2**32 s, also given as a Time; `sec` and `nsec` read it. A record that
-    has it elsewhere has a property `tm` and a method `with_tm(ns)`, which gives a copy with another one.
+    stamp: nanoseconds since the epoch, 0 <= tm < 2**32 s, also given as a Time; `sec` and `nsec` read it. A record with
+    the stamp elsewhere has a property `tm` and a method `with_tm(ns)`, which returns a copy with another stamp.
     """
     if "__init__" in cls.__dict__ or "__slots__" in cls.__dict__:
         raise DeclarationError(
@@ -172,7 +173,7 @@ def _default(cls: type, name: str, kind: Kind, where: str) -> tuple[Any, Any]:
 
 
 def _rebuild(cls: type, fields: tuple[Field, ...]) -> type:
-    """The class again, with slots; `super()` in its methods is told of the new one."""
+    """The class made again, with slots; `super()` in its methods refers to the new one."""
     inherited = {field.name for base in cls.__mro__[1:] for field in _fields_of_base(base)}
     own = tuple(field.name for field in fields if field.name not in inherited)
     left_out = {"__dict__", "__weakref__", *(field.name for field in fields)}
@@ -215,7 +216,7 @@ def _made(check: Check) -> Check:
 
 
 def setters_of(cls: type) -> tuple[Callable[[Any, Any], None], ...]:
-    """The slots' own setters, in order of the fields: what builds records past the refusal to assign."""
+    """The slots' own setters, in order of the fields: they build records despite the refusal to assign."""
     structure: Structure = cls.__dict__[STRUCTURE]
     return tuple(getattr(cls, field.name).__set__ for field in structure.fields)
 

@@ -1,9 +1,9 @@
 """Names of record types: found by short name, or by `module.Name` when two modules define the same one.
 
-A record enters when it is defined, a user's dataclass when it is first described. A name that somebody typed and
-nobody knows is looked for where plugins offer types. A name that came in a frame or a file imports nothing but a class
-that a plugin declares under exactly that name, and our own records of ROS. These have no short name:
-`sensor_msgs/Imu` is the only one of its record.
+A record enters when it is defined, a user's dataclass when it is first described. An unknown name that a user typed is
+looked for among the types that plugins offer. A name that came in a frame or a file imports nothing but a class that a
+plugin declares under exactly that name, and our own records of ROS. ROS records have no short name: `sensor_msgs/Imu`
+is the only name of its record.
 """
 
 from __future__ import annotations
@@ -59,15 +59,15 @@ def register(cls: T) -> T:
 def find_type(name: str) -> type:
     """The record type (or enumeration, or bool, int, float, str, bytes) of that name.
 
-    `name` is `Name` or `module.Name`, or of ROS `package/Name` or `package/msg/Name`. One that no loaded module defines
-    is loaded from the plugin that offers it. UnknownTypeError with near names if there is none, with the full names if
-    there are several.
+    `name` is `Name` or `module.Name`, or, for ROS, `package/Name` or `package/msg/Name`. A type that no loaded module
+    defines is loaded from the plugin that offers it. UnknownTypeError with near names if there is none, with the full
+    names if there are several.
     """
     found = _known(name)
     if found is not None:
         return found
     offered: Iterable[str] = ()
-    if isinstance(name, str):  # imports what offers the type, if anything does, and gives the names that are offered
+    if isinstance(name, str):  # imports the plugin that offers the type, if any, and gives the names that are offered
         offered = finder("types")(name)
         found = _known(name)
         if found is not None:
@@ -122,7 +122,7 @@ def all_types() -> Mapping[str, type]:
 
 
 def wire_name(cls: type) -> str:
-    """The name that stands in frames.
+    """The name of a type in frames.
 
     Bare for the records that come with aiorts, full for all others, the same forever.
     """

@@ -220,7 +220,7 @@ class FixedTupleKind(Kind):
 
 
 MAP_LEVELS = 16
-"""Maps within each other, at most: far more than anybody writes, and no frame can nest without end."""
+"""The most maps within each other: far more than data needs, and no frame can nest without end."""
 
 
 class MapKind(Kind):
@@ -228,7 +228,7 @@ class MapKind(Kind):
 
     Args:
         entries: the kinds that values may have; none for any of these. They bind the writer alone: on the wire each
-            value says what it is.
+            value names its type.
     """
 
     spelling = "map"
@@ -257,7 +257,7 @@ class MapKind(Kind):
         return MappingProxyType(kept)
 
     def _entry(self, value: Any, where: str, levels: int) -> Any:
-        """The value as one of the declared kinds has it: as that of its own class, else as the first that takes it."""
+        """The value as one of the declared kinds keeps it: the kind of its own class, else the first that takes it."""
         for kind in self.entries:
             if kind.exact is type(value):
                 return value
@@ -282,7 +282,7 @@ class MapKind(Kind):
 def _undeclared(value: Any, where: str, key: Any, levels: int) -> Any:
     """The value of a map that declares no kind for it."""
     if type(value).__name__ == "ndarray":
-        # Where it stands is only said where it is refused: to write that takes as long as to look at it.
+        # The key is added to `where` only if the value is refused: that takes as long as the check.
         with suppress(RecordError):
             return _ARRAY.check(value, where)
     where = f"{where}[{shown(key)}]"
@@ -292,7 +292,7 @@ def _undeclared(value: Any, where: str, key: Any, levels: int) -> Any:
 
 
 def _is_as_it_travels(value: Any) -> bool:
-    """Whether a value that most maps have needs no look at its kind."""
+    """Whether a value is of a class that most maps hold, and needs no look at its kind."""
     cls = type(value)
     if cls is str:
         return bool(value.isascii())
@@ -305,7 +305,7 @@ _ENTRY = {bool: "bool", int: "i64", float: "f64", str: "str", bytes: "bytes"}
 
 
 def _entry_kind(value: Any) -> Kind:
-    """What an entry is: the map declares no kind, so the value decides, and what is no scalar must be an array."""
+    """The kind of an entry: the map declares none, so the value decides, and one that is no scalar must be an array."""
     for cls, name in _ENTRY.items():
         if isinstance(value, cls):
             return SCALARS["u64" if name == "i64" and value > SCALARS["i64"].high else name]  # type: ignore[attr-defined]

@@ -1,6 +1,6 @@
-"""What ports ask about samples: may this type travel, can this sample change, the same sample at another time.
+"""Samples as ports need them: whether a type may travel, whether a sample can change, copies with another time.
 
-A record was checked when it was built. Any other dataclass is looked at when it is written: a mutable one travels as an
+A record was checked when it was built. Any other dataclass is checked when it is written: a mutable one travels as an
 instance of a hidden subclass that refuses assignment and compares equal to the original, so that all readers can share
 it; a frozen one travels itself, or as a copy where a field held something that can change or had to be converted.
 """
@@ -30,9 +30,9 @@ _frozen: dict[type, type] = {}
 
 
 def check_port_type(cls: object) -> None:
-    """DeclarationError if values of `cls` cannot travel.
+    """Raise DeclarationError if values of `cls` cannot travel.
 
-    Not a record, a dataclass, or one of bool, int, float, str, bytes.
+    Records, dataclasses, and bool, int, float, str, bytes can.
     """
     if cls in PLAIN_TYPES:
         return
@@ -68,10 +68,9 @@ def has_tm(cls: type) -> bool:
 
 
 def snapshot(sample: T) -> T:
-    """The sample as it may travel: each field is what it says, and nothing in it can change.
+    """The sample as it may travel: each field matches its declaration, and nothing in it can change.
 
-    That is the sample itself where it is so already, else a copy of it. RecordError names the field that is not what
-    it says.
+    It is the sample itself where that holds already, else a copy. RecordError names the field that does not match.
     """
     cls = type(sample)
     if cls not in _looks:
@@ -84,9 +83,9 @@ _looks: dict[type, Callable[[Any], Any] | None] = {}
 
 
 def look_at(cls: type) -> Callable[[Any], Any] | None:
-    """What `snapshot` does with samples of one class; None for records and what else is as it says, and stays so.
+    """The function that `snapshot` calls for samples of one class; None for records and others that need no look.
 
-    It compares the class of each field's value, and calls the check of those fields only that are ranged or mutable.
+    It compares the class of each field's value, and calls the check only of fields that do not fit or are mutable.
     """
     if cls in PLAIN_TYPES:
         kind, name = kind_of(cls, cls.__name__), cls.__name__
@@ -129,7 +128,7 @@ def look_at(cls: type) -> Callable[[Any], Any] | None:
 def settling(cls: type) -> Callable[[Any, Sequence[Any]], Any]:
     """A faster `snapshot` for new samples of a dataclass, given the values that they were made of, in order.
 
-    These are as they may travel, and only what the class made of them is looked at.
+    The given values may travel already; only what the class made of them is checked.
     """
     fields, frozen = describe(cls).fields, cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
     known: dict[str, Any] = {"listed": _is_listed, "say_missing": _say_missing}
@@ -174,7 +173,7 @@ def _values_of(names: Sequence[str]) -> Callable[[Any], tuple[Any, ...]]:
 
 
 def _say_missing(sample: Any) -> None:
-    """RecordError if a field was never set."""
+    """Raise RecordError if a field was never set."""
     for field in describe(type(sample)).fields:
         if not hasattr(sample, field.name):
             raise RecordError(
@@ -248,7 +247,7 @@ _restampers: dict[type, Callable[[Any, Any], Any]] = {}
 
 
 def _restamper(cls: type) -> Callable[[Any, Any], Any]:
-    """The copying of one class, its fields looked up once."""
+    """The function that copies samples of one class, its fields looked up once."""
     structure = describe(original(cls))
     stamp = structure.field("tm")
     if not structure.has_tm:
@@ -273,7 +272,7 @@ def _restamper(cls: type) -> Callable[[Any, Any], Any]:
 
 
 def _setter(cls: type, name: str) -> Callable[[Any, Any], None]:
-    """What stores a field past any refusal to assign: the slot itself, or the instance's dictionary."""
+    """The function that stores a field despite a refusal to assign: in the slot, or in the instance's dictionary."""
     slot = getattr(cls, name, None)
     if isinstance(slot, MemberDescriptorType):
         return slot.__set__
@@ -281,7 +280,7 @@ def _setter(cls: type, name: str) -> Callable[[Any, Any], None]:
 
 
 def check_shape(sample: object, shape: tuple[int, ...]) -> None:
-    """RecordError unless the sample's array has this shape; -1 stands for any length.
+    """Raise RecordError unless the sample's array has this shape; -1 stands for any length.
 
     The array is the field `data`, or the only array of the sample. A sequence of records has the shape (n,).
     """
@@ -309,8 +308,8 @@ def _array_field(structure: Structure) -> Field:
 def detached(sample: T) -> T:
     """A copy of `sample`, a record or another dataclass, that shares no array with anything its writer may have kept.
 
-    `copy.deepcopy` of a record is the record itself: right as long as its arrays are owned. Whoever looks for a writer
-    that kept a view of its own array, as the debug mode of ports does, needs a copy that really is one.
+    `copy.deepcopy` of a record is the record itself: right as long as its arrays are owned. A search for writers that
+    kept a view of their own array, as in the debug mode of ports, needs a copy that really is one.
     """
     cls = type(sample)
     if cls in PLAIN_TYPES:

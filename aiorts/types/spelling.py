@@ -1,4 +1,4 @@
-"""What a record's fields may be annotated with; nothing here checks anything.
+"""The annotations of a record's fields; nothing here checks anything.
 
 Scalars are plain types with a tag (`f64` is a float to a type checker). Sequences are spelled by what the reader gets:
 `Array[f64]` gives a numpy array, `Rows[Point3D]` an (n, k) array with record views, `Seq[str]` a tuple. They are
@@ -85,7 +85,7 @@ EMPTY: Any = ()
 
 
 class Spelled(Generic[Given, Taken]):
-    """What a field gives and takes where these differ; type checkers alone see it as a descriptor."""
+    """The base of annotations whose field gives and takes different types; only type checkers see a descriptor."""
 
     if TYPE_CHECKING:
 
@@ -101,7 +101,7 @@ class Array(Spelled["npt.NDArray[Any]", "npt.ArrayLike"], Generic[T]):
     """A one-dimensional number sequence.
 
     Takes what numpy can read, gives a read-only array of exactly this element type. One that may be absent is
-    `npt.NDArray[np.float64] | None` to type checkers, which know such descriptors alone and not in a union.
+    `npt.NDArray[np.float64] | None` to type checkers, which know such descriptors only outside of a union.
     """
 
 

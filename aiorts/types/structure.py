@@ -1,4 +1,4 @@
-"""From annotations to structure: what fields a record type has, and which kind each one is.
+"""From annotations to structure: the fields of a record type, and the kind of each.
 
 `describe(cls)` reads records, and plain dataclasses of any module when they are first used. A type that cannot travel
 is a DeclarationError that names the field and the annotation.
@@ -50,7 +50,7 @@ class Field:
     default: Any = MISSING
     factory: Any = MISSING
     unit: str = ""
-    """The unit of its values, such as "rad"; of a nested record, of all in it that says none."""
+    """The unit of its values, such as "rad"; for a nested record, of all its fields without one."""
     doc: str = ""
     """The field's description."""
 
@@ -121,7 +121,7 @@ def fields_of(cls: type) -> tuple[Field, ...]:
 
 
 def units_of(cls: type) -> dict[str, str]:
-    """The units of a record type's fields, by their paths without indices; those that say none are left out."""
+    """The units of a record type's fields, by their paths without indices; fields without one are left out."""
     found: dict[str, str] = {}
 
     def walk(kind: type, prefix: str, outer: str) -> None:
@@ -140,7 +140,7 @@ def units_of(cls: type) -> dict[str, str]:
 
 
 def sole_unit(cls: type) -> str:
-    """The unit of a type that has one field beside its stamp; "" where it says none, or has several."""
+    """The unit of a type that has one field besides its stamp; "" where it has none, or several fields."""
     if not dataclasses.is_dataclass(cls):
         return ""
     fields = [field for field in describe(cls).fields if field.name != "tm"]
@@ -148,7 +148,7 @@ def sole_unit(cls: type) -> str:
 
 
 def has_single_values(cls: type) -> bool:
-    """Whether all of a type is single values, or one list of numbers: what FlexiFilter converts."""
+    """Whether a type consists of single values, or of one list of numbers: FlexiFilter converts these."""
     if not dataclasses.is_dataclass(cls):
         return cls in _BARE
     fields = [field for field in describe(cls).fields if field.name != "tm"]
@@ -209,7 +209,7 @@ def resolve(cls: type) -> dict[str, Any]:
 
 
 def resolve_own(cls: type) -> dict[str, Any]:
-    """The same of what `cls` itself annotates, and maybe more."""
+    """The annotations of `cls` itself as objects, and maybe inherited ones."""
     own = inspect.get_annotations(cls)
     known = vars(builtins) | vars(sys.modules.get(cls.__module__, builtins))
     # Nearly always names of the module: looking them up halves the time that 101 records of ours take at the import.
@@ -233,7 +233,7 @@ def _locals_of(cls: type) -> dict[str, Any] | None:
 
 
 def kind_of(annotation: Any, where: str, owner: type | None = None) -> Kind:
-    """The kind an annotation asks for; DeclarationError naming `where` if no such value can travel."""
+    """The kind that an annotation asks for; DeclarationError naming `where` if no such value can travel."""
     if get_origin(annotation) is Annotated:
         base, *metadata = get_args(annotation)
         tag = next((str(entry) for entry in metadata if isinstance(entry, spelled.Tag)), None)
@@ -260,11 +260,11 @@ def kind_of(annotation: Any, where: str, owner: type | None = None) -> Kind:
 
 
 def _check_metadata(metadata: list[Any], where: str, owner: type | None) -> None:
-    """DeclarationError for what `Annotated` asks for and nobody would do: not for a text, which is a note.
+    """Raise DeclarationError for metadata of `Annotated` that aiorts would ignore; a text is a note, and allowed.
 
-    What other libraries put into a dataclass of the user's is theirs; a plain value such as a length is nobody's.
+    Metadata of other libraries in a user's dataclass is theirs, and allowed; a plain value such as a length is not.
     """
-    own = owner is not None and "__dataclass_fields__" not in owner.__dict__  # a record is none before it is made
+    own = owner is not None and "__dataclass_fields__" not in owner.__dict__  # @record makes it a dataclass later
     for entry in metadata:
         plain = type(entry).__module__ == "builtins"
         if not isinstance(entry, str) and (own or plain):
@@ -331,10 +331,11 @@ def _literal(values: tuple[Any, ...], where: str) -> Kind:
 
 
 def _entry_kinds(annotation: Any, where: str, owner: type | None) -> tuple[Kind, ...]:
-    """The kinds of a map's values; none for all that can travel in one. Of a union its members that can travel.
+    """The kinds of a map's values; none for all that can travel in one. Of a union, those of its members that can
+    travel.
 
     Raises:
-        DeclarationError: a map of these values cannot travel: it has scalars, arrays and maps, told by the value.
+        DeclarationError: a map of these values cannot travel: its values are scalars, arrays and maps.
     """
     if annotation in (Any, object):
         return ()
@@ -343,7 +344,7 @@ def _entry_kinds(annotation: Any, where: str, owner: type | None) -> tuple[Kind,
         for one in get_args(annotation):
             with suppress(DeclarationError):
                 found += _entry_kinds(one, where, owner)
-        return tuple(sorted(found, key=lambda kind: kind.spelling in _FLOATS))  # which would take an int, too
+        return tuple(sorted(found, key=lambda kind: kind.spelling in _FLOATS))  # floats last: they take an int, too
     kind = kind_of(annotation, where, owner)
     item = kind.item.spelling if isinstance(kind, TupleKind) else ""
     if item in NUMBERS:

@@ -117,7 +117,7 @@ class Transform:
 
 @record
 class TransformStamped(Headed):
-    """Where the frame `child_frame_id` lies in the frame of the header at a moment."""
+    """The pose of the frame `child_frame_id` in the frame of the header at a moment."""
 
     header: Header = Header()
     child_frame_id: str = ""

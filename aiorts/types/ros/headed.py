@@ -1,4 +1,4 @@
-"""What records of ROS share: the time stamp in their header, and arrays of a fixed length."""
+"""The common parts of ROS records: the time stamp in their header, and arrays of a fixed length."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ class Headed(Stamped):
 
 
 def zeros(count: int) -> Any:
-    """As the default of an array: so many zeros."""
+    """The default of an array: `count` zeros."""
     return Lazy(lambda: (0.0,) * count)
 
 
 def check_length(record: Any, count: int, *names: str) -> None:
-    """RecordError if one of these arrays of a record has not `count` numbers."""
+    """Raise RecordError if one of these arrays of a record has not `count` numbers."""
     for name in names:
         if (length := len(getattr(record, name))) != count:
             raise RecordError(f"{type(record).__qualname__}.{name}: expected {count} numbers, got {length}")

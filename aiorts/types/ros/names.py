@@ -1,4 +1,4 @@
-"""The names of all records of ROS, for whoever looks for a type by name."""
+"""The names of all records of ROS, for lookups of a type by name."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ _NAMES = tuple(full_name(cls) for name in ros.__all__ if hasattr(cls := getattr(
 
 
 def names(_: Any) -> tuple[str, ...]:
-    """The names, `package/Name`; whatever name is looked for."""
+    """The names, `package/Name`, for any name that is looked for."""
     return _NAMES

@@ -25,7 +25,7 @@ __all__ = (
 
 @record
 class Imu(Headed):
-    """What an inertial measurement unit measures: orientation, angular velocity (rad/s), acceleration (m/s^2)."""
+    """Values of an inertial measurement unit: orientation, angular velocity (rad/s), acceleration (m/s^2)."""
 
     header: Header = Header()
     orientation: Quaternion = Quaternion()
@@ -82,7 +82,7 @@ class CompressedImage(Headed):
 
 @record
 class PointField:
-    """Where a value lies within each point of a PointCloud2: its name, first byte, type, and how many there are."""
+    """A value within each point of a PointCloud2: its name, first byte, type, and how many there are."""
 
     INT8: ClassVar[int] = 1
     UINT8: ClassVar[int] = 2
@@ -127,7 +127,7 @@ class JointState(Headed):
 
 @record
 class NavSatStatus:
-    """What kind of a fix a satellite receiver has (STATUS_...), by which systems (SERVICE_..., added)."""
+    """The kind of a satellite receiver's fix (STATUS_...), and the systems that it uses (SERVICE_..., added)."""
 
     STATUS_UNKNOWN: ClassVar[int] = -2
     STATUS_NO_FIX: ClassVar[int] = -1
@@ -146,7 +146,7 @@ class NavSatStatus:
 
 @record
 class NavSatFix(Headed):
-    """A position on the earth: degrees, m above the ellipsoid; covariance in m^2 (COVARIANCE_TYPE_... says whence)."""
+    """A position on the earth: degrees, m above the ellipsoid; covariance in m^2 (COVARIANCE_TYPE_...: its source)."""
 
     COVARIANCE_TYPE_UNKNOWN: ClassVar[int] = 0
     COVARIANCE_TYPE_APPROXIMATED: ClassVar[int] = 1

@@ -8,7 +8,7 @@ from aiorts.types.ros.builtin_interfaces import Time
 
 @record
 class Header:
-    """When and in which coordinate frame the values of a message hold."""
+    """The time and the coordinate frame of the values of a message."""
 
     stamp: Time = Time()
     frame_id: str = ""
