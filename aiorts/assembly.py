@@ -1,6 +1,6 @@
 """Assembles `Kernel`: the microkernel and the services of aiorts round it, each made when it is first used.
 
-Every method here says what it does and hands on to the room that does it.
+Every method here documents what it does and calls the room that does it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Kernel(Microkernel):
             run` takes SIGINT itself). By default it is passed on after the component went to error.
         initialize_timeout: seconds of the kernel's clock that an `on_initialize` may take; None waits forever (`aiorts
             run`: 30). One over it is cancelled, or refused when it returns if it blocks, and its component not added.
-        plugins: where types asked for by name come from; installed packages by default.
+        plugins: the source of types that are requested by name; installed packages by default.
         services: the services to attach when it opens, by the name that a plugin offers each by, with its settings.
 
     Raises:
@@ -90,11 +90,11 @@ class Kernel(Microkernel):
     async def create_isolated(
         self, kind: type[Component] | str, name: str = "", *, limits: Limits | None = None, **params: object
     ) -> Component:
-        """Make a component that runs in a process of its own, and add what stands for it here.
+        """Make a component that runs in a process of its own, and add its stand-in here.
 
-        It has the component's ports, parameters and lifecycle, is started in a context of its own kind as any other,
-        and what is connected with it is a link. When its process ends, it goes to error; a reset starts another. On a
-        simulated clock the component runs in this process, which is said once.
+        The stand-in has the component's ports, parameters and lifecycle, and is started in a context of its own kind as
+        any other; its connectors are links. When its process ends, it goes to error; a reset starts another. On a
+        simulated clock the component runs in this process, which is logged once.
 
         Args:
             kind, name, params: as `create`; the process has to be able to import the class.
@@ -102,8 +102,7 @@ class Kernel(Microkernel):
 
         Raises:
             DeclarationError: the class is of `__main__`, or was made in a function.
-            ProcessError: the process cannot be started, or has not come up within 10 s.
-                What `create` raises.
+            ProcessError: the process cannot be started, or has not come up within 10 s. Also the errors of `create`.
         """
         self.check_open("create_isolated")
         from aiorts.isolation import Isolation  # late: few kernels have processes
@@ -111,12 +110,12 @@ class Kernel(Microkernel):
         return await self.service(Isolation).create(kind, name, _plain(limits), params)
 
     async def stand_in(self, path: str, holder: str = "") -> Component:
-        """Add what stands here for a component of another kernel, under that one's name.
+        """Add a stand-in for a component of another kernel, under the component's name.
 
-        It has its data ports and parameters, and is started in a context here, such as with a composite. Its lifecycle
-        and configuration are asked for there; what happens there happens here, and when its kernel is lost it is in
-        error, until a reset that finds that kernel again. When it leaves its context the component is active there
-        again if it was before, and else is not; it is never removed there.
+        The stand-in has the component's data ports and parameters, and is started in a context here, such as with a
+        composite. Changes of lifecycle and configuration are requested there, and show here. When that kernel is lost,
+        the stand-in is in error, until a reset that finds the kernel again. When it leaves its context the component is
+        active there again if it was before, and else is not; it is never removed there.
 
         Args:
             path: "kernel/component", or "host/kernel/component".
@@ -124,8 +123,8 @@ class Kernel(Microkernel):
 
         Raises:
             LinkError: there is no such kernel within 3 s.
-            StateError: it has no such component, or that is a member of a composite already, or there is a component
-                of that name here.
+            StateError: that kernel has no such component, or it is a member of a composite already, or there is a
+                component of that name here.
             DeniedError: that kernel lets this one look only.
         """
         self.check_open("stand_in")
@@ -142,23 +141,23 @@ class Kernel(Microkernel):
         `on_startup` and `on_activated` here. Its in-ports take samples all the time. Between contexts of this kernel
         it stays the same instance.
 
-        To and from a process another instance is made: its `on_initialize` runs before, beside the old one, whose
-        `on_finalize` runs at the end. Parameters and sets go with it, and its attributes, which have to be plain data,
-        arrays and records, or what its `on_reload` takes over of them. Its connectors are made anew under their names,
-        with what is unread in them, in order. Calls in progress end with ServiceUnavailable.
+        To and from a process another instance is made: its `on_initialize` runs before, while the old one still runs,
+        whose `on_finalize` runs at the end. Parameters and sets go with it, and its attributes, which have to be plain
+        data, arrays and records, or what its `on_reload` takes over of them. Its connectors are made again under their
+        names, with their unread samples, in order. Calls in progress end with ServiceUnavailable.
 
         Args:
             to: a context of this kernel, which is started where it does not run yet; or "process".
             limits: what its process may use, as `create_isolated`.
 
         Returns:
-            The handle from now on. One that is another than before leaves the old one raising StateError at each use.
+            The handle from now on. If it is a new one, the old one raises StateError at each use.
 
         Raises:
             StateError: it cannot be moved: names what keeps it; nothing was changed.
             WiringError: a connector of it cannot reach into another process; nothing was changed.
             TransitionTimeout: what it had written was not taken in time; it goes on where it was.
-                What making or starting it raises: it goes on where it was.
+                Errors of making or starting it: it goes on where it was.
         """
         self.check_open("move")
         from aiorts.isolation import move  # late: few systems do
@@ -170,7 +169,7 @@ class Kernel(Microkernel):
 
     def _hooks_wanted_changed(self) -> None:
         if self.bus.samples_wanted:
-            _ = self._introspection  # who listens to samples is its affair
+            _ = self._introspection  # introspection sees to listeners of samples
         super()._hooks_wanted_changed()
 
     # -- the services, made on first use ---------------------------------------------------------------------------
@@ -211,9 +210,9 @@ class Kernel(Microkernel):
         return system_profile(self)
 
     async def profile_in_turns(self, hold: float = 0.001) -> SystemProfile:
-        """The same, without holding the loop for longer than `hold` seconds (and one component) at a time.
+        """The profile, without holding the loop for longer than `hold` seconds (and one component) at a time.
 
-        Everything that an event tells of is as it is when this returns; counters are of moments since the call.
+        Everything that events report is as it is when this returns; counters are of moments since the call.
         """
         from aiorts.observe import system_profile_in_turns
 
@@ -221,17 +220,17 @@ class Kernel(Microkernel):
         return await system_profile_in_turns(self, hold)
 
     def changes(self, *, length: int = 1024) -> Changes:
-        """What the system is, and then each change of it: an async iterator of `ProfileSnapshot` and `Change`.
+        """The system, and then each change of it: an async iterator of `ProfileSnapshot` and `Change`.
 
         The first is a `ProfileSnapshot`. Applied one after the other (`profile = change.apply(profile)`) the changes
-        give the profile of each moment, without what changes without an event (`SystemProfile.structure`).
+        give the profile of each moment, except for values that change without an event (`SystemProfile.structure`).
 
         Args:
             length: changes that wait for a slow reader; beyond that they are dropped for a new snapshot.
 
         Raises:
             ClosedError: the kernel is not open.
-            ConfigurationError: the length is none.
+            ConfigurationError: the length is out of range.
         """
         self.check_open("changes")
         return self._introspection.changes(length)
@@ -239,14 +238,14 @@ class Kernel(Microkernel):
     def monitor(self, paths: Sequence[str], rate: float = 10.0) -> Monitor:
         """Values such as "pid0.command.data", "pid0.gain", "loop.lateness" at a rate: an async iterator of `Reading`.
 
-        Nothing is disturbed: no sample is taken, what is missed is counted. What can be named: `monitor.py`.
+        Nothing is disturbed: no sample is taken, missed readings are counted. `monitor.py` lists what can be named.
 
         Args:
             rate: Hz on the kernel's clock, up to 10,000.
 
         Raises:
             WiringError: there is no such value now.
-            ConfigurationError: the rate is none.
+            ConfigurationError: the rate is out of range.
             ClosedError: not open.
         """
         self.check_open("monitor")
@@ -261,17 +260,17 @@ class Kernel(Microkernel):
     def samples(self, port: OutPort[Any] | str, *, keep_last: bool = False, length: int = 64) -> Samples[Any]:
         """The samples that an out-port writes from now on: `async for sample in kernel.samples("tank.level")`.
 
-        The system is what it is without: no connector is made, no writer waits. Also of a component in a process of
-        its own, and of a stand-in. It ends with the kernel, with the port, and when the loop is left.
+        The system is the same with it and without: no connector is made, no writer waits. Ports of stand-ins and of
+        components in other processes work, too. It ends with the kernel, with the port, and when the loop is left.
 
         Args:
             port: an out-port, or its path.
-            keep_last: begin with the sample that it wrote last before.
+            keep_last: begin with the sample that the port wrote last before.
             length: samples that wait for a slow reader; beyond that the oldest go, and are counted in `dropped`.
 
         Raises:
-            WiringError: it is no out-port of this kernel.
-            ConfigurationError: the length is none.
+            WiringError: `port` is no out-port of this kernel.
+            ConfigurationError: the length is out of range.
             ClosedError: the kernel is not open.
         """
         self.check_open("samples")
@@ -308,7 +307,7 @@ class Kernel(Microkernel):
 
     @property
     def listening(self) -> Listening:
-        """Who listens to connectors."""
+        """The listeners of connectors."""
         return self._introspection.listening
 
     # -- components that fail, and new code -------------------------------------------------------------------------
@@ -316,7 +315,7 @@ class Kernel(Microkernel):
     def supervise(
         self, component: Component, policy: Supervision, *, factory: Callable[[str], Component] | None = None
     ) -> Supervised:
-        """Say what is done when this component fails, and how long its hooks may take; replaces what was said before.
+        """Set what is done when this component fails, and how long its hooks may take; replaces an earlier policy.
 
         Args:
             policy: see `Supervision`. A hook that runs already is held to a new deadline from now on.
@@ -324,15 +323,15 @@ class Kernel(Microkernel):
 
         Raises:
             StateError: it is not of this kernel.
-            DeclarationError: the policy is none, the factory is no function, or
-                a composite is to be made anew or to have deadlines: its members can, it can be reset.
+            DeclarationError: `policy` is no Supervision, `factory` is no function, or a composite is to be restarted or
+                to have deadlines: its members can, it can be reset.
         """
         self.check_mine(component, "supervise")
         return self._supervising.supervise(component, policy, factory)
 
     @property
     def supervised(self) -> Mapping[str, Supervised]:
-        """The supervised components, by name; one that could not be made anew stays, exhausted."""
+        """The supervised components, by name; one that could not be restarted stays, exhausted."""
         return MappingProxyType({}) if self._supervision is None else self._supervision.supervised
 
     async def reload(
@@ -345,21 +344,21 @@ class Kernel(Microkernel):
         import_timeout: float = 30.0,
         window: float = 0.0,
     ) -> Reloaded:
-        """Replace a component type's code while the system runs: its file is read anew, its instances go on with it.
+        """Replace a component type's code while the system runs: its file is read again, its instances go on with it.
 
         Each instance gets a new one in its place, between two cycles, all of a context at once: same name, place in the
         order and lifecycle state, parameters in force and sets, and the connectors and unread samples of the ports
-        that its code still has. `on_initialize` of the new one runs before, beside the old one; then its `on_reload`,
-        which gets the old one; no other transition hook runs. Tasks of the old one are cancelled (beside
-        the new one's they would take each other's samples), and its `on_finalize` runs at the end: what `on_reload`
-        takes over for good it takes away from the old one. It returns
-        when the new code has done its first cycles without a failure; whatever fails before that has everything taken
-        back, attributes of the old instance included; where a hook of the new code runs on, 10 s are waited, and then
-        the old code comes back when that hook returns. If tasks of it had been cancelled, its `on_deactivated` and
-        `on_activated` are run, to start them anew, while it stays active. A caller that is cancelled ends nothing.
+        that its code still has. `on_initialize` of the new one runs before, while the old one still runs; then its
+        `on_reload`, which gets the old one; no other transition hook runs. Tasks of the old one are cancelled (both
+        tasks would take each other's samples), and its `on_finalize` runs at the end: what `on_reload` takes over for
+        good it takes away from the old one. The call returns when the new code has done its first cycles without a
+        failure. A failure before that takes everything back, attributes of the old instance included; where a hook of
+        the new code runs on, 10 s are waited, and then the old code comes back when that hook returns. If tasks of the
+        old one had been cancelled, its `on_deactivated` and `on_activated` are run, to start them again, while it stays
+        active. A caller that is cancelled ends nothing.
 
-        Only the file itself is read anew, not what it imports. Other types in it keep their code; what is created
-        afterwards is made of the new, by a supervised restart, too, if its factory is the class or a `partial` of it.
+        Only the file itself is read again, not what it imports. Other types in it keep their code; instances created
+        afterwards have the new code, by a supervised restart, too, if its factory is the class or a `partial` of it.
 
         Args:
             kind: a class, its name, "pid.py:Pid", "package.module:Pid", or a name that a plugin offers; there are
@@ -372,8 +371,8 @@ class Kernel(Microkernel):
             window: seconds of the kernel's clock; above 0 the system is measured for so long with the old code and for
                 so long with the new, and must not do worse: no component in error that was not; of the ticks of each
                 context (of the samples of each connector) no more overrun (are dropped) than twice as many as before
-                and 1 % beside them; no connector has less than 0.8 of its rate. Fewer than 50 decide nothing, nor does
-                what the machine is to blame for.
+                plus 1 %; no connector has less than 0.8 of its rate. Fewer than 50 decide nothing, nor does what the
+                machine is to blame for.
 
         Raises:
             PluginError: no such type, or its file cannot be loaded, or an instance not be made; names file and line.
@@ -381,7 +380,7 @@ class Kernel(Microkernel):
                 figure and what it is of.
             StateError: one of them cannot be
                 replaced: it is in a real-time context, say.
-            TransitionTimeout: a context did not come to it in time.
+            TransitionTimeout: a context did not come to the end of a cycle in time.
             ClosedError: the kernel closes.
         """
         self.check_open("reload")
@@ -402,7 +401,7 @@ class Kernel(Microkernel):
             timeout: seconds of the kernel's clock; None waits forever.
 
         Raises:
-            TransitionTimeout: says who is not active, and why as far as that is known.
+            TransitionTimeout: names the components that are not active, and why as far as that is known.
             ClosedError: the kernel closes.
         """
         self.check_open("wait_ready")
@@ -426,7 +425,7 @@ class Kernel(Microkernel):
         await self._supervising.start_in_order(rules)
 
     async def stop_in_order(self, *, timeout: float | None = 5.0) -> None:
-        """Deactivate what `start_in_order` has activated, the last first, each before the next.
+        """Deactivate the components that `start_in_order` has activated, the last first, each before the next.
 
         Raises:
             TransitionTimeout: one was not deactivated within `timeout` seconds; the others were.
@@ -438,8 +437,8 @@ class Kernel(Microkernel):
         """Tell systemd of this kernel, if the environment asks for it; False when it does not.
 
         READY=1 once these components (by default all that are in a context) are active; STOPPING=1 when the kernel
-        closes; STATUS= whenever it changes; WATCHDOG=1 four times in WATCHDOG_USEC, while all contexts get on: a hook
-        that runs for half of that time is answered for no longer.
+        closes; STATUS= whenever it changes; WATCHDOG=1 four times in WATCHDOG_USEC, while all contexts get on: they end
+        while a hook has run for half of that time.
 
         Args:
             environ: NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID are taken from it; those of the process by default.
@@ -453,13 +452,13 @@ class Kernel(Microkernel):
     # -- what holds it up -------------------------------------------------------------------------------------------
 
     def watch_loop(self, limit: float = 5.0, policy: Literal["warn", "exit"] = "warn") -> bool:
-        """Watch the loop: what keeps it from turning for 0.2 s is logged in one line while it does, with its stack.
+        """Watch the loop: code that holds it for 0.2 s is logged in one line, with its stack, while it does so.
 
-        Nothing is said while a debugger holds the process. Called again it changes limit and policy.
+        Nothing is logged while a debugger holds the process. Called again it changes limit and policy.
 
         Args:
             limit: seconds after which `policy` comes into force.
-            policy: "warn" says so once more; "exit" ends the process at once with status 70, for who restarts it.
+            policy: "warn" logs it again; "exit" ends the process at once with status 70, to be restarted.
 
         Returns:
             Whether it is monitored: not in simulated time, and not where the system has no timerfd.
@@ -490,15 +489,15 @@ class Kernel(Microkernel):
     async def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> tuple[str, ...]:
         """Save the system of this moment as a system file, which `aiorts run` makes it of again.
 
-        It says what was chosen: what is as declared, or so by default, is left out. Types are names that plugins offer,
-        "package.module:Class", or "FILE.py:Class" counted from the file's folder. Samples, attributes of components
-        and lifecycle states of single components are not in it, nor is what a command line chose for one run.
+        The file states what was chosen: values as declared, or by default, are left out. Types are names that plugins
+        offer, "package.module:Class", or "FILE.py:Class" counted from the file's folder. Samples, attributes of
+        components and lifecycle states of single components are not in it, nor choices of a command line for one run.
 
         Args:
             overwrite: replace a file that is there already; it is the old one or the new one, whatever happens.
 
         Returns:
-            What of the system no system file can say, and is left out.
+            The parts of the system that no system file can state, and that are left out.
 
         Raises:
             SystemFileError: names each component, converter and context of which no system file can be made: a class or
@@ -513,10 +512,10 @@ class Kernel(Microkernel):
     async def apply(self, wanted: Wanted, *, dry_run: bool = False, window: float = 0.0) -> Applied:
         """Change the running system into the wanted one: all of it, or nothing.
 
-        What is new is made and connected first, then all that changes is switched over between two cycles, then what is
-        not wanted any more goes. What is equal is not touched. Options of a connector are changed in place, samples
-        that wait in it stay, in order. A step that fails is taken back with all before it. A caller that is cancelled
-        while the system before is measured gives it up; later it ends nothing: it is done, or taken back.
+        New parts are made and connected first, then all that changes is switched over between two cycles, then parts
+        not wanted any more go. Equal parts are not touched. Options of a connector are changed in place, samples that
+        wait in it stay, in order. A step that fails is taken back with all before it. A caller that is cancelled while
+        the system before is measured gives the plan up; later it ends nothing: it is done, or taken back.
 
         Args:
             wanted: as `aiorts.system.wanted` reads it from a system file.
@@ -552,10 +551,10 @@ class Kernel(Microkernel):
         await self._configuration.save(path, components)
 
     async def load_configuration(self, path: str | os.PathLike[str]) -> None:
-        """Put in force what a file says, of every component in it, or of none when anything is wrong.
+        """Put a file's values in force, for every component in it, or for none when anything is wrong.
 
         A component's sets are those of the file then, and no others. The components change one after the other, each
-        between its own cycles. Awaited from a hook that this would wait for it is queued and returns at once.
+        between its own cycles. Awaited in a hook for which it would wait, the request is queued and returns at once.
 
         Raises:
             ConfigurationError: names all that is wrong, with lines.
@@ -566,7 +565,7 @@ class Kernel(Microkernel):
         await self._configuration.load(path)
 
     async def diff_configuration(self, path: str | os.PathLike[str]) -> tuple[Difference, ...]:
-        """What differs between a file (old) and the components as they are (new); empty when loading changes nothing.
+        """Differences of a file (old) and the components as they are (new); empty when loading changes nothing.
 
         Raises:
             ConfigurationError: the file cannot be read.

@@ -2,8 +2,7 @@
 
 A clock has two faces. `time_ns()` is the time since the epoch, for stamps; it goes where the wall clock goes.
 `monotonic_ns()` never jumps and never goes back; every period and deadline is measured on it. Nothing here keeps a
-wake-up of its own: real timers are `aiorts.kernel.loop.timers`, simulated ones lie in a heap until somebody moves the
-clock.
+wake-up of its own: real timers are `aiorts.kernel.loop.timers`, simulated ones lie in a heap until the clock is moved.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ SETTLED_TURNS = 16
 
 
 def to_ns(seconds: float, what: str = "seconds") -> int:
-    """Nearest nanosecond to `seconds`; whole numbers exactly, more than nothing is at least 1 ns.
+    """Nearest nanosecond to `seconds`; whole numbers exactly, any time above 0 is at least 1 ns.
 
     Raises ValueError, naming `what`, for NaN and infinities.
     """
@@ -148,8 +147,8 @@ class ScaledClock(Clock):
 class LoopClock(Clock):
     """The time of an event loop that keeps its own, a simulator's or a browser's.
 
-    Stamps begin at the wall clock's and go on with the loop. `come_to(deadline_ns)` tells that the loop has rung for a
-    deadline: it has come to it, whatever its `time()`, a float, was rounded to.
+    Stamps begin at the wall clock's and go on with the loop. `come_to(deadline_ns)` notes that the loop has fired for a
+    deadline: it is reached, whatever the loop's `time()`, a float, was rounded to.
     """
 
     __slots__ = ("_base", "_epoch", "_loop", "_reached")
@@ -167,15 +166,15 @@ class LoopClock(Clock):
         return max(self._reached, self.loop_ns())
 
     def loop_ns(self) -> int:
-        """What the loop itself says, which may be a little less: a timer for this clock is set by it."""
+        """The loop's own time, which may be a little less: a timer for this clock is set by it."""
         return round(self._loop.time() * NS_PER_S)
 
     def come_to(self, deadline_ns: int) -> None:
-        """The loop rang for this moment."""
+        """Note that the loop has fired for this moment."""
         self._reached = max(self._reached, deadline_ns)
 
     def real_deadline_ns(self, deadline_ns: int) -> int:
-        # As far as anybody can tell: the loop may jump there.
+        # An estimate: the loop may jump there.
         return time.monotonic_ns() + deadline_ns - self.monotonic_ns()
 
     def __repr__(self) -> str:
@@ -186,13 +185,13 @@ class SimulatedClock(Clock):
     """Time that passes only when it is moved: by a `SimulatedLoop`, or on any other loop by `advance()`.
 
     `monotonic_ns()` starts at 0 and `time_ns()` at `start_ns`. All timers of one deadline fire together, in the order
-    of their creation; what they made ready finishes; then the next deadline comes, be it the same moment once more.
+    of their creation; what they made ready finishes; then the next deadline comes, which may be the same moment again.
     Timers belong to the thread of the loop; `hold()` may be used in any.
     """
 
     def __init__(self, start_ns: int = 0) -> None:
         self.now_ns = 0
-        """What `monotonic_ns()` gives; `move_to` sets it."""
+        """The value of `monotonic_ns()`; `move_to` sets it."""
         self._epoch = start_ns
         self._timers = TimerHeap()
         self._probes: dict[object, Callable[[], int]] = {}
@@ -209,11 +208,11 @@ class SimulatedClock(Clock):
         return self.now_ns
 
     def set_time_ns(self, epoch_ns: int) -> None:
-        """Sets the wall clock alone, as an operator would: stamps jump, periods and deadlines do not."""
+        """Set the wall clock alone, as an operator would: stamps jump, periods and deadlines do not."""
         self._epoch = epoch_ns - self.now_ns
 
     def real_deadline_ns(self, deadline_ns: int) -> int:
-        """StateError: a simulated deadline has no real time."""
+        """Raise StateError: a simulated deadline has no real time."""
         raise StateError(f"{self!r}: a simulated deadline has no real time; wait for it with timers_for(clock).call_at")
 
     def __repr__(self) -> str:
@@ -222,7 +221,7 @@ class SimulatedClock(Clock):
     # -- timers ---------------------------------------------------------------------------------------------------
 
     def call_at(self, deadline_ns: int, callback: Callable[[], object]) -> Timer:
-        """Runs `callback` when `monotonic_ns()` has come to `deadline_ns`; one in the past, at the next step."""
+        """Run `callback` when `monotonic_ns()` has come to `deadline_ns`; for one in the past, at the next step."""
         return self._timers.push(deadline_ns, callback)
 
     def next_deadline(self) -> int | None:
@@ -235,11 +234,11 @@ class SimulatedClock(Clock):
         return len(self._timers)
 
     def move_to(self, now_ns: int) -> None:
-        """Sets the time, fires nothing; a moment in the past is ignored. For the code that drives the clock."""
+        """Set the time, and fire nothing; a moment in the past is ignored. For the code that drives the clock."""
         self.now_ns = max(now_ns, self.now_ns)
 
     def fire(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Moves to the earliest deadline and runs all its timers (and those overdue) once. For what drives it."""
+        """Move to the earliest deadline and run all its timers (and overdue ones) once. For the clock's driver."""
         deadline = self._timers.next_deadline()
         if deadline is not None:
             self.move_to(deadline)
@@ -248,7 +247,7 @@ class SimulatedClock(Clock):
     # -- moving by hand -------------------------------------------------------------------------------------------
 
     async def advance(self, seconds: float) -> None:
-        """Lets `seconds` pass: every timer due by then fires, and what it woke finishes before the next deadline.
+        """Let `seconds` pass: every timer due by then fires, and what it woke finishes before the next deadline.
 
         Raises:
             ValueError: a negative number, NaN or an infinity.
@@ -287,7 +286,7 @@ class SimulatedClock(Clock):
             self._advancing = False
 
     async def _settle(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Gives the loop turns until kernel activity has stopped and the clock is not held."""
+        """Give the loop turns until kernel activity has stopped and the clock is not held."""
         quiet, before = 0, self._activity()
         while quiet < SETTLED_TURNS:
             if self._holds:
@@ -302,7 +301,7 @@ class SimulatedClock(Clock):
         event = asyncio.Event()
         remove = self.on_release(lambda: loop.call_soon_threadsafe(event.set))
         try:
-            # Looked at once more: the last hold may have gone before we listened.
+            # Looked at again: the last hold may have gone before the listener was added.
             if self._holds:
                 await event.wait()
         finally:
@@ -314,7 +313,7 @@ class SimulatedClock(Clock):
         return sum(probe() for probe in self._probes.values())
 
     def add_probe(self, probe: Callable[[], int]) -> Callable[[], None]:
-        """Registers a counter of activity that `advance()` watches to see the loop settle; returns its remover."""
+        """Register a counter of activity that `advance()` watches to see the loop settle; return its remover."""
         key = object()
         self._probes[key] = probe
         return lambda: _discard(self._probes, key)
@@ -325,7 +324,7 @@ class SimulatedClock(Clock):
         return self._holds > 0
 
     def hold(self) -> Hold:
-        """Stops time until the hold is released (a context manager, counted), while a thread works for instance."""
+        """Stop time until the hold is released (a context manager, counted), while a thread works for instance."""
         with self._lock:
             self._holds += 1
         return Hold(self._release_hold)
@@ -338,14 +337,14 @@ class SimulatedClock(Clock):
             listener()
 
     def on_release(self, listener: Callable[[], object]) -> Callable[[], None]:
-        """Calls `listener`, in the thread that releases, whenever the last hold goes; returns its remover."""
+        """Call `listener`, in the thread that releases, whenever the last hold goes; return its remover."""
         key = object()
         with self._lock:
             self._on_release[key] = listener
         return lambda: _discard(self._on_release, key)
 
     def attach(self, driver: Callable[[int], Awaitable[None]]) -> Callable[[], None]:
-        """A loop takes over the clock: `driver(monotonic_ns)` waits for a moment. Returns what gives it back.
+        """Give the clock to a loop: `driver(monotonic_ns)` waits for a moment. Return a function that takes it back.
 
         Raises BusyError when a loop has it already.
         """
@@ -364,7 +363,7 @@ def _discard(table: dict[object, Any], key: object) -> None:
 
 
 _OF_THE_MACHINE = ("asyncio", "uvloop")
-"""Who makes loops whose `time()` is CLOCK_MONOTONIC."""
+"""The packages that make loops whose `time()` is CLOCK_MONOTONIC."""
 
 _CLOCK = "_aiorts_loop_clock"
 """Attribute of a loop that keeps its own time: all kernels on it share one clock."""

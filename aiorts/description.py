@@ -1,6 +1,6 @@
 """A component as a file of others describes it, for `aiorts new NAME --from FILE`.
 
-A plugin offers what reads such a file as an entry point `aiorts.describers`, named after the ending of the file's
+A plugin offers the reader of such a file as an entry point `aiorts.describers`, named after the ending of the file's
 name: a function of a path that returns a `ComponentDescription`, or raises an error of `aiorts.errors`.
 """
 
@@ -29,7 +29,7 @@ class PortDescription:
 
 @dataclass(frozen=True, slots=True)
 class ParameterDescription:
-    """A parameter; what is said of it is as for `aiorts.Param`."""
+    """A parameter; its fields are as for `aiorts.Param`."""
 
     name: str
     default: Any
@@ -61,12 +61,12 @@ class ComponentDescription:
     """A component type."""
 
     name: str
-    """What it is called where it comes from; the new one is found by this name, too."""
+    """Its name in the file; the new component is found by this name, too."""
     doc: str = ""
     ports: tuple[PortDescription, ...] = ()
     parameters: tuple[ParameterDescription, ...] = ()
     services: tuple[ServiceDescription, ...] = ()
     rate: float = 0.0
-    """Hz of its context; 0 where nothing is said."""
+    """Hz of its context; 0 where none is given."""
     notes: tuple[str, ...] = ()
-    """What of the file is not carried over, a line each."""
+    """The parts of the file that are not carried over, a line each."""

@@ -218,7 +218,7 @@ class MissingExtra(PluginError, ImportError):
     """Something optional is needed that is not installed; says which command installs it.
 
     Args:
-        what: what was asked for ("chart.png").
+        what: the thing that was requested ("chart.png").
         package: the distribution that is missing.
         extra: of aiorts, which has it among others; "" is a dependency of aiorts itself.
         otherwise: what can be done without it.
@@ -239,7 +239,7 @@ class ClosedError(AiortsError, RuntimeError):
 
 
 class ApplyError(AiortsError, RuntimeError):
-    """A plan failed, and what of it was done has been taken back.
+    """A plan failed, and the steps that were done have been taken back.
 
     Attributes:
         not_undone: what could not be taken back, and why; empty when all is as it was.
@@ -345,7 +345,7 @@ class GoalCancelled(ServiceError):
 
 
 class InterfaceMismatch(ServiceError, WiringError, TypeError):
-    """What is provided is not what is required: names both ports and the difference."""
+    """The provided interface is not the required one: names both ports and the difference."""
 
     code = "E-INTERFACE"
 
@@ -369,7 +369,7 @@ class NoAnswerError(ControlError, TimeoutError):
 
 
 class AbsentError(ControlError, LookupError):
-    """Nothing that runs has this name: says which is near, or which there are."""
+    """Nothing that runs has this name: names near ones, or those that there are."""
 
     code = "E-ABSENT"
 

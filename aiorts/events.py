@@ -1,4 +1,4 @@
-"""What a kernel's bus, its connectors and `kernel.changes()` publish: every typed event, as a frozen value.
+"""The events that a kernel's bus, its connectors and `kernel.changes()` publish: typed, frozen values.
 
 These are the names of the events; each is defined in the room that reports it.
 

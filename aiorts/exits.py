@@ -25,7 +25,7 @@ __all__ = (
 DONE = 0
 """Nothing went wrong."""
 FAILED = 1
-"""It failed, or it found a difference."""
+"""The command failed, or found a difference."""
 REFUSED = 2
 """Wrong usage or configuration: it was refused before the start."""
 IN_ERROR = 3
@@ -35,7 +35,7 @@ DENIED = 4
 NO_ANSWER = 5
 """There was no answer in time."""
 ABSENT = 6
-"""What was named does not exist, or its name is ambiguous."""
+"""The named thing does not exist, or its name is ambiguous."""
 STALLED = 70
 """The event loop did not turn for the time that `[watch_loop]` allows."""
 _SIGNAL = 128

@@ -1,5 +1,5 @@
-"""What is there when it is first used: the names of a face, the methods of a dataclass, and what a lower room asks a
-higher one for by kind.
+"""Things that are made at their first use: the names of a face, the methods of a dataclass, and the finders by which a
+lower room asks a higher one.
 """
 
 from __future__ import annotations
@@ -7,7 +7,7 @@ from __future__ import annotations
 import sys
 
 TYPE_CHECKING = False
-"""What `typing` calls so; importing that would take as long as all else until the command line can take Ctrl-C."""
+"""The flag of `typing`; importing that would take as long as all else until the command line can take Ctrl-C."""
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +28,7 @@ def late(*modules: str) -> None:
     caller = sys._getframe(1)
     face = caller.f_globals
     package: str = face["__name__"]
-    # What stands above the call runs again, as type checkers see it and without importing anything.
+    # The code above the call runs again, as type checkers see it and without importing anything.
     noted: dict[str, Any] = {"__builtins__": {"__import__": lambda module, *_: _Noted(module)}}
     try:  # noqa: SIM105 - `contextlib` is not loaded yet
         exec(caller.f_code, noted)  # noqa: S102 - the face's own code
@@ -56,7 +56,7 @@ class _CalledError(Exception):
 
 
 class _Noted:
-    """Stands for a module, or for what is imported from it: both are true, and `late` is called."""
+    """A stand-in for a module, or for a name imported from it: both are true, and `late` is called."""
 
     __slots__ = ("module", "name")
 
@@ -79,7 +79,7 @@ def provide(kinds: tuple[str, ...], finders: Callable[[str], Callable[[str], Any
 
 
 def finder(kind: str) -> Callable[[str], Any]:
-    """What finds a name of this kind that is not loaded."""
+    """The function that finds names of this kind that are not loaded."""
     return _FINDERS[kind](kind)
 
 
@@ -101,8 +101,8 @@ def _with_slots(plain: type, options: dict[str, Any]) -> type:
     space["__declared__"] = {name: given[name] for name in own if name in given}
 
     def write() -> None:
-        # Twice is as good as once: two threads may be here, or one again that was interrupted. What begins it,
-        # `__init__`, is replaced last.
+        # Twice is as good as once: two threads may be here, or one again that was interrupted. `__init__`, which
+        # begins it, is replaced last.
         from dataclasses import dataclass
 
         full = vars(dataclass(**options)(type(plain)(plain.__name__, plain.__bases__, dict(given))))
@@ -123,11 +123,11 @@ def _with_slots(plain: type, options: dict[str, Any]) -> type:
 
 
 _WRITTEN = ("__init__", "__dataclass_fields__", "__dataclass_params__", "__match_args__")
-"""What is looked for on a class, or makes its first instance."""
+"""The attributes that are looked up on a class, or that make its first instance."""
 
 
 class _Unwritten:
-    """Stands in a class for an attribute that `write` puts there."""
+    """The placeholder in a class for an attribute that `write` puts there."""
 
     __slots__ = ("_name", "_write")
 

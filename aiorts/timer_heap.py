@@ -1,7 +1,6 @@
 """Timers in the order (deadline, rank, creation), and holds on a clock: data that neither waits nor asks the time.
 
-Who fires them is decided elsewhere: real ones by `aiorts.kernel.loop.timers`, simulated ones by whoever moves the
-clock.
+Timers are fired elsewhere: real ones by `aiorts.kernel.loop.timers`, simulated ones by the driver of the clock.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ class Timer:
 
     @property
     def pending(self) -> bool:
-        """Neither fired nor cancelled."""
+        """Whether it has neither fired nor been cancelled."""
         return self._call is not None
 
     def cancel(self) -> None:
-        """The callback will not run; without effect when it has."""
+        """Cancel the callback; without effect when it has run."""
         self._call = None
         if (heap := self._heap) is not None:
             self._heap = None
@@ -87,10 +86,10 @@ class TimerHeap:
         return None
 
     def run_due(self, now_ns: int, loop: asyncio.AbstractEventLoop) -> None:
-        """Runs, in order, all timers whose deadline is not after `now_ns`; ones added meanwhile wait for the next call.
+        """Run, in order, all timers whose deadline is not after `now_ns`; ones added meanwhile wait for the next call.
 
-        A callback that raises goes to the loop's exception handler and the others run. What stops the loop itself
-        (KeyboardInterrupt) is passed on, and those behind it stay pending.
+        A callback that raises goes to the loop's exception handler and the others run. An exception that stops the loop
+        (KeyboardInterrupt) is passed on, and later timers stay pending.
         """
         due = self._pop_due(now_ns)
         if not due:
@@ -128,7 +127,7 @@ class TimerHeap:
             heapq.heappush(self._entries, entry)
 
     def forget_one(self) -> None:
-        """A timer of this heap was cancelled; it says so itself."""
+        """Count a timer of this heap as cancelled; the timer calls this."""
         self._cancelled += 1
         if self._cancelled > 8 and self._cancelled * 2 > len(self._entries):
             self._entries = [entry for entry in self._entries if entry[3]._heap is not None]
@@ -147,7 +146,7 @@ class Hold:
         self._release: Callable[[], None] | None = release
 
     def release(self) -> None:
-        """Lets time pass again, unless it is held elsewhere, too; idempotent."""
+        """Let time pass again, unless it is held elsewhere, too; idempotent."""
         release, self._release = self._release, None
         if release is not None:
             release()

@@ -1,6 +1,6 @@
 """Puts a FlexiFilter between two ports that do not fit: `adapt = True` of `Kernel.connect`, `adapt = true` in files.
 
-What it would be is worked out from the ports alone; `aiorts check` proposes the same.
+The filter is worked out from the ports alone; `aiorts check` proposes the same one.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Connects ports through a FlexiFilter where two do not fit: made, connected, run before the reader; or nothing."""
+"""Connects ports through a FlexiFilter where two do not fit: made, connected, run before the reader; or not at all."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
 
 _OF_THE_WHOLE: Final = ("name", "stamp")
-"""Options that the connector to the reader has alone."""
+"""Options that only the connector to the reader has."""
 
 
 async def connect_adapted(kernel: Microkernel, ports: Sequence[Any], options: Mapping[str, Any]) -> Any:
-    """What `Kernel.connect` returns: the connectors to the readers; all of it is done, or nothing.
+    """Connect ports through filters, all or none; return the connectors to the readers as `Kernel.connect` does.
 
     Raises:
-        WiringError: two of them fit no more with a FlexiFilter, it is not plain which value goes where, or the reader
-            runs nowhere.
+        WiringError: two ports do not fit even with a FlexiFilter, it is not plain which value goes where, or the reader
+            is in no context.
         PluginError: no plugin offers a FlexiFilter.
         StateError: the reader's context cannot run one, or a component's hook calls this.
     """
@@ -62,13 +62,13 @@ def first_half(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def numbered(options: Mapping[str, Any], number: int) -> Mapping[str, Any]:
-    """The options of the connector to a reader, of which there are several: they are called NAME, NAME-2 ..."""
+    """The options of the connector to a reader, of which there are several: their names are NAME, NAME-2 ..."""
     name = options.get("name")
     return {**options, "name": f"{name}-{number}"} if name and number > 1 else options
 
 
 def inserted(kernel: Microkernel, connector: Any, ports: Sequence[str]) -> tuple[Connector, str] | None:
-    """What was put between when these ports were connected: the connector to it, and what it is; None: nothing was."""
+    """The filter inserted when these ports were connected: the connector to it, and its text; None: no filter."""
     out: Any = getattr(connector, "out", None)
     if out is None or any(kernel.registry.port(path) is out for path in ports):
         return None
@@ -79,7 +79,7 @@ def inserted(kernel: Microkernel, connector: Any, ports: Sequence[str]) -> tuple
 
 
 def _found(out: OutPort[Any], in_: InPort[Any], adapt: bool | Literal["text"]) -> Between | None:
-    """What is to be put between two ports; None where they fit."""
+    """The filter to put between two ports; None where they fit."""
     fault = next(pair_faults(out, in_), "")
     if fault and (found := plain_between(out, in_, adapt)) is not None:
         return found
@@ -147,5 +147,5 @@ async def _filter(kernel: Microkernel, found: Between, out: OutPort[Any], in_: I
     params = {"inputs": (found.source,), "outputs": (found.target,), "map": found.entries}
     try:
         return await kernel.create(FILTER, filter_name(out.path, in_.path, kernel.components), **params)
-    except ConfigurationError as error:  # its types are none that it knows
+    except ConfigurationError as error:  # it does not know one of the types
         raise WiringError(next(pair_faults(out, in_))) from error

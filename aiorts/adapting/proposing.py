@@ -21,7 +21,7 @@ from aiorts.types import describe, type_name
 from aiorts.types.structure import sole_unit, units_of
 
 FILTER: Final = "FlexiFilter"
-"""The type of what is put between, as a plugin offers it."""
+"""The type of the component that is put between, as a plugin offers it."""
 _UNITS: Final[dict[str, tuple[str, Fraction]]] = {
     unit: (what, Fraction(size))
     for what, units in {
@@ -58,7 +58,7 @@ _NOTHING: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class Between:
-    """What a FlexiFilter between two ports is told."""
+    """The options of a FlexiFilter between two ports."""
 
     source: str
     """Its input, such as "TimedPose2D"."""
@@ -69,27 +69,27 @@ class Between:
     guessed: tuple[str, ...] = ()
     """Paths of the ports that do not say how many elements they have."""
     several: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=lambda: _NOTHING)
-    """What of the in-port may be had in more than one way: the entries, or for "all" the maps, that would do it. The
-    map has none of them."""
+    """The values of the in-port that can be had in several ways: the entries, or for "all" the maps, that would do it.
+    The map has none of them."""
     unset: tuple[str, ...] = ()
-    """What of the in-port nothing is sent to; it keeps its default value."""
+    """The values of the in-port to which nothing is sent; they keep their defaults."""
     texts: tuple[str, ...] = ()
     """The values of the in-port that are made of a text: a text that is no such value puts the filter into error."""
 
     @property
     def options(self) -> tuple[str, ...]:
-        """As the command line of a FlexiFilter has it."""
+        """The options as the command line of a FlexiFilter has them."""
         return ("-i", self.source, "-o", self.target, "-m", self.entries)
 
     @property
     def said(self) -> str:
-        """For people, in one line."""
+        """The filter in one line, for people."""
         left = f"; nothing is sent to {', '.join(self.unset)}" if self.unset else ""
         return f"{FILTER} {shlex.join(self.options)}{left}"
 
 
 def between(out: OutPort[Any], in_: InPort[Any]) -> Between | None:
-    """What would join these two, with an empty map where all of it may be had in several ways; None: nothing would."""
+    """The filter that joins two ports, its map empty where all values can be had in several ways; None: none does."""
     if _factor(out.unit, in_.unit) is None:
         return None
     source, target = _end(out, _length(out, in_)), _end(in_, _length(in_, out))
@@ -124,7 +124,7 @@ def between(out: OutPort[Any], in_: InPort[Any]) -> Between | None:
 
 
 def plain_between(out: OutPort[Any], in_: InPort[Any], adapt: bool | Literal["text"]) -> Between | None:
-    """What joins these two, without any doubt; None where nothing does.
+    """The filter that joins two ports without any doubt; None where there is none.
 
     Args:
         adapt: "text": a text may be made into a number.
@@ -158,7 +158,7 @@ def plain_between(out: OutPort[Any], in_: InPort[Any], adapt: bool | Literal["te
 
 
 def filter_name(out: str, in_: str, taken: Container[str]) -> str:
-    """What a filter between two ports is called: free, and plain to whoever sees it. The ports are given as paths."""
+    """The name of a filter between two ports: not taken, and easy to recognise. The ports are given as paths."""
     base = f"{out.partition('.')[0]}_to_{in_.replace('.', '_')}"[:_LONGEST]
     name, number = base, 2
     while name in taken:
@@ -216,7 +216,7 @@ def _factor_between(source: _End, target: _End, pair: tuple[str, str]) -> str | 
 
 
 def _length(port: Port[Any], other: Port[Any]) -> int:
-    """How many pins a sequence has: what its shape says, else that of the other end, else one."""
+    """The number of pins of a sequence: by its shape, else by that of the other end, else one."""
     for one in (port, other):
         if (stated := _stated(one)) > 0:
             return stated
@@ -226,7 +226,7 @@ def _length(port: Port[Any], other: Port[Any]) -> int:
 
 
 def _stated(port: Port[Any]) -> int:
-    """The length that a port says its sequences have; 0 where it says none."""
+    """The length that a port declares for its sequences; 0 where it declares none."""
     shape = port.shape
     return shape[0] if shape is not None and len(shape) == 1 and 0 < shape[0] <= _MOST_PINS else 0
 
@@ -265,7 +265,7 @@ def _kind(cls: type) -> str:
 
 
 def _may_refuse(source: str | None, target: str | None) -> bool:
-    """Whether there are texts of the source of which no value of the target can be made."""
+    """Whether some texts of the source cannot be made into a value of the target."""
     return source in _TEXTS and target not in (source, "str")
 
 
@@ -302,7 +302,7 @@ _Pairs: TypeAlias = list[tuple[str, str]]
 
 
 def _pairs(source: _End, target: _End) -> tuple[_Pairs, dict[str, list[_Pairs]]]:
-    """Which pin goes to which, and which could be several: fields by name, else all in order if equally many."""
+    """The pairs of pins, and pins with several candidates: fields by name, else all in order if equally many."""
     pairs: _Pairs = []
     several: dict[str, list[_Pairs]] = {}
     forms = source.form, target.form
@@ -319,7 +319,7 @@ def _pairs(source: _End, target: _End) -> tuple[_Pairs, dict[str, list[_Pairs]]]
     mine, theirs = ([pin for pin, _ in end.pins] for end in (source, target))
     if len(mine) == len(theirs):
         return list(zip(mine, theirs, strict=True)), several
-    if forms == ("sequence", "sequence") and len(mine) > len(theirs):  # these one after the other, from any on
+    if forms == ("sequence", "sequence") and len(mine) > len(theirs):  # consecutive ones, from any place on
         several["all"] = [
             list(zip(mine[first : first + len(theirs)], theirs, strict=True))
             for first in range(len(mine) - len(theirs) + 1)

@@ -50,9 +50,8 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
         groups: "a,b|c,d": groups separated by `|` run side by side in each cycle, each group one member after the
             other; the cycle ends when all groups have. For members whose hooks wait.
         errors: "stop", "report" or "isolate": see `ErrorPolicy`.
-        own_schedule: inside another composite, it is started in a context of its own and does not run with the outer
-            one. An outer one whose members are all such is in no context: its state, errors and transitions are theirs
-            together.
+        own_schedule: inside another composite, it is started in a context of its own. An outer one whose members are
+            all such is in no context: its state, errors and transitions are theirs together.
 
     Raises:
         ConfigurationError: an argument cannot be parsed.
@@ -103,8 +102,7 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
 
     @property
     def parts(self) -> tuple[Component, ...]:
-        """The components that run with it, in order of execution: its members, an inner composite replaced by its
-        parts."""
+        """The components that run with it, in order of execution: its members, for an inner composite its parts."""
         return _group(self).parts
 
     @property

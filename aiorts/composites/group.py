@@ -61,8 +61,7 @@ class CompositeGroup:
         self.own_schedule = own_schedule
         self.given: tuple[Component | str, ...] = ()
         self.brought: dict[Component, str] = {}
-        """The members that stand for components of other kernels, with their paths; they come and go with the
-        composite."""
+        """The members that stand for components of other kernels, and come and go with the composite: their paths."""
         self.groups_given: str | Sequence[Sequence[str]] = ()
         self.exports: tuple[Export, ...] = ()
         """The rules for the ports that it exports."""
@@ -115,8 +114,7 @@ class CompositeGroup:
 
     @property
     def is_spread(self) -> bool:
-        """Whether each member has a schedule of its own: the composite is in no context, and its state is theirs
-        together."""
+        """Whether each member has a schedule of its own: the composite is in no context, its state is theirs."""
         return bool(self.members) and all(map(self.runs_apart, self.members))
 
     @property

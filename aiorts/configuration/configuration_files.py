@@ -64,7 +64,7 @@ class ConfigurationFiles(KernelService):
         await self._put_document(document)
 
     async def load_text(self, text: str, name: str) -> tuple[str, ...]:
-        """The same for the text of a file, which messages call `name`; the components in it."""
+        """Load the text of a file, which messages call `name`; return the components in it."""
         from aiorts.model.configuration.configuration_text import parse_document
 
         document = parse_document(text, name)

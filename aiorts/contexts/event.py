@@ -1,8 +1,8 @@
 """A context that runs a component for a cause: new data, `trigger()`, a failure to handle.
 
-Members with a cause are on a ready list and run in the order of addition, each at most once in a cycle. One is ready
-again when unread data remains and it read at least one sample; a component that leaves its data unread runs again only
-when more arrives. With `every`, a member that has had no cause for so long is triggered.
+Members with a cause are on a ready list and run in the order of addition, each at most once in a cycle. A member is
+ready again when unread data remains and it read at least one sample; a component that leaves its data unread runs again
+only when more arrives. With `every`, a member that has had no cause for so long is triggered.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ class EventMember(Member):
         self.triggered = False
 
     def notify(self, port: InPort[object]) -> None:
-        """A sample came in: this member has a cause to run."""
-        # Written out: this stands between a sample and the hook it is for.
+        """Note that a sample came in: this member has a cause to run."""
+        # Written out: every sample waits for this before its hook runs.
         self.in_ports.notified.append(port)
         if not self.ready:
             self.ready = True
@@ -110,7 +110,7 @@ class EventContext(Context):
             self._check_options(EventContext, every=every)
             self._every_ns = to_ns(every)
             self._due: dict[_RepeatedMember, int] = {}
-            """When each active member runs without another cause; the next one first."""
+            """The time at which each active member runs without another cause; the next one first."""
             # In the place of what the class has: a context without `every` pays nothing for it.
             self._member_class = _RepeatedMember  # type: ignore[misc]
             self._next_cause = self._next_cause_or_due  # type: ignore[method-assign]
@@ -181,7 +181,7 @@ class EventContext(Context):
         return Wait(due_ns) if due_ns > self._now_ns() else None
 
     def _alone(self) -> Member | None:
-        # Written out: this stands between a sample and the hook it is for.
+        # Written out: every sample waits for this before its hook runs.
         ready = self._ready
         if len(ready) != 1 or self._everyone or self._actions or self._stopping or self._updating:
             return None
@@ -263,9 +263,9 @@ def _can_run(member: EventMember) -> bool:
 
 
 def _has_cause(member: EventMember) -> bool:
-    """Whether it was triggered or has unread data; what notified may have been read in the cycle it came in.
+    """Whether a member was triggered or has unread data; a sample that notified may have been read in its cycle.
 
-    Who is inactive or has left has no cause: a trigger does not wait for an activation.
+    A member that is inactive or has left has no cause: a trigger does not wait for an activation.
     """
     if member.state is _INACTIVE or member.left:
         member.ready = member.triggered = False
@@ -273,7 +273,7 @@ def _has_cause(member: EventMember) -> bool:
         return False
     if member.triggered:
         return True
-    # Before it is looked at: what a thread writes in between puts it on the list again.
+    # Before the look: a sample that a thread writes in between puts it on the list again.
     member.ready = False
     if member.in_ports.find_data():
         member.ready = True

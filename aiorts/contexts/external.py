@@ -55,7 +55,7 @@ class ExternalContext(Context):
             timeout: seconds of real time; None waits forever.
 
         Raises:
-            CallTimeout: they were not over in time; those that had not begun are withdrawn.
+            CallTimeout: the cycles were not over in time; those that had not begun are withdrawn.
             ThreadError: called on the loop's own thread.
             StateError: the context does not run.
             ClosedError: the context stopped, or the kernel closes.

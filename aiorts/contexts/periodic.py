@@ -45,7 +45,7 @@ class PeriodicContext(Context):
         self._check_options(PeriodicContext, overrun=overrun, max_rate=max_rate)
         self._schedule: Schedule | None = Schedule(check_rate(rate, max_rate), overrun)
         self.overrun = overrun
-        """What is done about missed ticks: "skip" or "catch_up"."""
+        """The policy for missed ticks: "skip" or "catch_up"."""
         self.max_rate = max_rate
         """The ceiling for its rate, Hz."""
         self._fresh = True
@@ -60,7 +60,7 @@ class PeriodicContext(Context):
 
     @property
     def due_ns(self) -> int | None:
-        """When the tick that runs now was due, on the kernel's clock; between two cycles when the next one is.
+        """The time at which the present tick was due, on the kernel's clock; between two cycles, that of the next one.
 
         None before the first cycle, and where there is no rate. `clock.monotonic_ns() - due_ns` is how late a hook is.
         """
@@ -112,7 +112,7 @@ class PeriodicContext(Context):
             super()._life_ended(error)
 
     def _look_out(self) -> None:
-        """Have missed deadlines of this rate noticed; in the thread that runs the hooks."""
+        """Monitor missed deadlines of this rate; called in the thread that runs the hooks."""
         plan = self._schedule
         if plan is None:
             return
@@ -127,7 +127,7 @@ class PeriodicContext(Context):
             return None
         now = self._now_ns()
         if self._fresh:
-            # Only now: what was asked for at the start, an activation that takes long, has been done.
+            # Only now: requests made at the start, such as a long activation, have been carried out.
             self._fresh = False
             plan.start(now)
         if now >= plan.due_ns:
@@ -146,18 +146,18 @@ class PeriodicContext(Context):
         return super()._begin_cycle()
 
     def _report_overrun(self, missed: tuple[int, int], now_ns: int) -> None:
-        """Count, publish and log who made this cycle late."""
+        """Count, publish and log what made this cycle late."""
         plan, timer = self._schedule, self._deadline_timer
         blame = None if timer is None else timer.blame(now_ns, now_ns - missed[1])
         policy = "skip" if plan is None else plan.overrun
         if self._missed is None:
             self._missed = MissedDeadlines()
         if blame is not None and (times := self._missed.add(blame, now_ns)):
-            # Information only: a missed deadline is counted, and many a system misses some and is none the worse.
+            # Information only: a missed deadline is counted, and many systems miss some without harm.
             missed_now = "1 deadline" if times == 1 else f"{times} deadlines"
             _LOG.info("%s: %s missed: %s", self.name, missed_now, blame)
         self.runner.publish(Overrun(self.name, *missed, policy, blame))
-        # What the machine does to a system is not the system's fault: a loaded one would never be silent.
+        # Delays by the machine are not the system's fault: on a loaded machine the log would never be silent.
         ours = blame is not None and blame.kind in ("hook", "loop")
         if plan is None or blame is None or not ours or 2 * blame.held_ns < plan.period_ns:
             return

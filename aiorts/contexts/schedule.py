@@ -50,19 +50,19 @@ class Schedule:
         self.overrun = overrun
         self.rate = rate
         self.due_ns = 0
-        """When the next tick is due."""
+        """The time at which the next tick is due."""
         self.skipped = self.overruns = 0
         self._late = array("q", bytes(8 * _BATCH))
-        """How late the last cycles began, as many as `_places` has given out."""
+        """The lateness of the last cycles, as many as `_places` has given out."""
         self._places = iter(range(_BATCH))
         self._lateness = Lateness()
-        """How late those before them began."""
+        """The lateness of the cycles before them."""
         self.own_ns = 0
-        """How much later the ticks that were run were due than those left out before them, all together."""
+        """The time by which ticks that were run were due after those left out before them, in total."""
         self.period_ns = 0
-        """Rounded down."""
+        """The period, rounded down."""
         self.deadline_ns: int | None = None
-        """How long after it is due a tick has to be done; None: a period."""
+        """The time after its due moment in which a tick has to be done; None: a period."""
         self._tick = 0
         self._start_ns = 0
         self._over = False
@@ -102,7 +102,7 @@ class Schedule:
         return skipped, max(0, behind)
 
     def _add_up(self, behind: int) -> None:
-        """The batch is full, and this one comes after it."""
+        """Add up the full batch, and begin the next with this one."""
         full = self._late
         self._late, self._places = array("q", bytes(8 * _BATCH)), iter(range(_BATCH))
         self._lateness.add(full)
@@ -110,9 +110,9 @@ class Schedule:
 
     @property
     def lateness(self) -> Lateness:
-        """How long the tick that waited longest had been due when each cycle began.
+        """The time for which the tick that waited longest had been due when each cycle began.
 
-        By the tick that is run, a stall of any length would be within a period.
+        Counted by the tick that is run, a stall of any length would be within a period.
         """
         used = _BATCH - length_hint(self._places)
         return self._lateness.with_these(self._late[:used])
@@ -125,10 +125,10 @@ class Schedule:
         self._over = now_ns > (self.due_ns if until is None else until)
 
     def _leave_out(self, now_ns: int) -> int:
-        """Go on to the tick that runs now; returns how many are left out."""
+        """Go on to the tick that runs now; return how many are left out."""
         resume = self._newest(now_ns)
         if self.overrun == "catch_up":
-            # The first one that is not older than what is caught up with.
+            # The first tick that is not too old to catch up with.
             resume = min(resume, self._newest(now_ns - _CATCH_UP_NS - 1) + 1)
         skipped = max(0, resume - self._tick)
         self.skipped += skipped

@@ -46,7 +46,7 @@ _ABSENT: Final = HookKind.ABSENT
 _ASYNC: Final = HookKind.ASYNC
 _FOR_EVER: Final = Wait(None)
 _LEAST_NS: Final = 1_000_000
-"""What a cycle without a rate takes at least of a clock that stands still while hooks run."""
+"""The least time that a cycle without a rate takes on a clock that stands still while hooks run."""
 _LOOK_SECONDS: Final = 0.1
 """Seconds between two checks for a hook that is over its deadline and has not returned."""
 
@@ -91,7 +91,7 @@ class ThreadContext(PeriodicContext):
     def _next_cause(self) -> Wait | None:
         if self._schedule is not None:
             return super()._next_cause()
-        # Without a rate one that is in error runs `on_error` once; again and again would be a busy loop.
+        # Without a rate a member in error runs `on_error` once; again and again would be a busy loop.
         if not self._aborted and not any(member.active for member in self._members):
             return _FOR_EVER
         if self._now_ns() <= self._begun_ns:
@@ -137,8 +137,8 @@ class ThreadContext(PeriodicContext):
         return ThreadDriver(self, kernel, self.deadline)
 
     def _new_member(self, component: ComponentSide) -> Member:
-        # On the loop, before the thread has anything to do with the component: who writes to its ports, or reads them,
-        # without a lock is there, too, and is not in the middle of it.
+        # On the loop, before the thread uses the component: tasks that use its ports without a lock are on the loop,
+        # too, and so not in the middle of a write or read.
         cell(component).locked = True
         for port in component.ports.values():
             lock_all(port)
@@ -161,7 +161,7 @@ class ThreadContext(PeriodicContext):
 
 @dataclass(slots=True)
 class _Since:
-    """How long one run of a hook may take, and since when it runs."""
+    """One run of a hook: since when it runs, and its deadline."""
 
     run: int
     where: str
@@ -192,9 +192,9 @@ class ThreadDriver:
         self._observed = False
         """Whether observers were notified of the hook that runs now."""
         self._since: _Since | None = None
-        """Of the hook that runs now, if it has a deadline."""
+        """The run of the present hook, if it has a deadline."""
         self._since_anew: _Since | None = None
-        """The same for one that was given a deadline while it ran; its own, since the loop writes it."""
+        """The run of a hook that got a deadline while it ran; a field of its own, since the loop writes it."""
         self._looks: asyncio.TimerHandle | None = None
         self.update_fast_path()
         self._blocking = blocking_for(kernel.clock, kernel.loop, kernel.call_at)
@@ -213,13 +213,13 @@ class ThreadDriver:
         return self._member
 
     def update_fast_path(self) -> None:
-        """Lay out anew whether hooks take the long way: they have observers or a deadline. On the loop only."""
+        """Decide again whether hooks take the general path: they have observers or a deadline. On the loop only."""
         self._careful = self._bus.hooks_wanted or self._limited
         if self._limited and self._looks is None and not isinstance(self._kernel.clock, SimulatedClock):
             self._looks = self._kernel.loop.call_later(_LOOK_SECONDS, self._look, 0)
 
     def limit_anew(self, member: Member) -> None:
-        """This member's component has other deadlines: the hook of it that runs now is held to them, too."""
+        """Apply new deadlines of this member's component, also to its hook that runs now."""
         limits = member.cell.deadlines
         if limits is not None:
             self._limited = True
@@ -231,7 +231,7 @@ class ThreadDriver:
             self._since_anew = _Since(run, f"{member.component.name}.{member.hook}", begun_ns, limit)
 
     def _look(self, told: int) -> None:
-        """Tell of a hook that is over its deadline and has not returned: nothing else can be done about it."""
+        """Log a hook that is over its deadline and has not returned: nothing else can be done about it."""
         since = None if self._member is None else self._held_to(self.hooks_run)
         took_ns = 0 if since is None else self._now_ns() - since.begun_ns
         if since is None or since.run == told or too_late(since.where, took_ns, since.limit) is None:
@@ -242,14 +242,14 @@ class ThreadDriver:
         _LOG.warning(text, since.where, took_ns / 1e9, since.limit)
 
     def _held_to(self, run: int) -> _Since | None:
-        """What holds for this run of a hook; what came last is what counts."""
+        """The deadline that holds for this run of a hook: the one that came last."""
         for since in (self._since_anew, self._since):
             if since is not None and since.run == run:
                 return since
         return None
 
     def update_for_sharing(self) -> None:
-        """Not of a thread's."""
+        """Do nothing: a thread of its own shares no loop."""
 
     def kick(self) -> None:
         """Interrupt the wait: there is a request. From any thread."""
@@ -268,14 +268,14 @@ class ThreadDriver:
         self.ended.add_done_callback(lambda _: cancel())
 
     def give_up_blocking(self, members: Sequence[Member]) -> None:
-        """These members are about to end: a read or write that blocks their thread raises ClosedError."""
+        """End reads and writes that block the thread by ClosedError: these members are about to end."""
         for member in members:
             member.cell.stopping = True
             for port in member.component.ports.values():
                 give_up_blocking(port)
 
     def after(self, seconds: float, callback: Callable[[], None]) -> Callable[[], None]:
-        """Call back on the loop; returns what cancels it. A thread takes real time, whatever the loop's clock is."""
+        """Call `callback` on the loop after real seconds, whatever the loop's clock is; return what cancels this."""
         loop = self._kernel.loop
         if isinstance(clock_of(loop), SystemClock):
             return loop.call_later(seconds, callback).cancel
@@ -300,7 +300,7 @@ class ThreadDriver:
         self._blocking.end()
 
     def _go_on(self) -> BaseException | None:
-        """Carry out step after step; the fault of the kernel's own that it cannot go on after."""
+        """Carry out step after step; return a fault of the kernel's own after which it cannot go on."""
         outcome: BaseException | None = None
         while True:
             try:
@@ -316,7 +316,7 @@ class ThreadDriver:
                 self._steps, outcome = steps, None
 
     def _thread_began(self) -> None:
-        """The first call in the thread."""
+        """Prepare the thread: the first call in it."""
 
     def _carry_out(self, step: Step) -> BaseException | None:
         if isinstance(step, Batch):
@@ -334,7 +334,7 @@ class ThreadDriver:
                     raise
                 if not self._gone:
                     self.context.runner.life.failed(member, hook, self._faulted(member, fault))
-                    return self._carry_out(step)  # what is left of it
+                    return self._carry_out(step)  # the rest of the batch
         elif isinstance(step, Wait):
             self._wait(step.deadline_ns)
         elif isinstance(step, Call):
@@ -409,12 +409,12 @@ class ThreadDriver:
             self._since = _Since(self.hooks_run, f"{member.component.name}.{hook}", self._now_ns(), limit)
 
     def held_by(self, member: Member) -> tuple[int, float] | None:
-        """When the hook of this member that runs now began, and its deadline; None without one. From any thread."""
+        """The start and the deadline of this member's present hook; None without a deadline. From any thread."""
         since = self._held_to(self.hooks_run) if self._member is member else None
         return None if since is None or since.limit is None else (since.begun_ns, since.limit)
 
     def _end_carefully(self, member: Member, hook: str, error: BaseException | None) -> BaseException | None:
-        """End such a hook, in time or not. Once a stop began, only the stop's countdown counts."""
+        """End a hook that has observers or a deadline. Once a stop began, only the stop's countdown counts."""
         since = self._held_to(self.hooks_run)
         self._since = None
         if since is not None and error is None and not self.context.runner.stopping:
@@ -437,7 +437,7 @@ class ThreadDriver:
 
     def _end(self, fault: BaseException | None) -> None:
         if self.ended.done():
-            return  # given up in the very moment it came to its end
+            return  # abandoned in the very moment in which it ended
         guarded(f"{self.context.name}: could not end", self._let_go, fault)
         # The thread has nothing left to do but return.
         self.thread.join()

@@ -69,13 +69,12 @@ def component(
 
     Args:
         when: "any": for each new sample, with the last ones of the other in-ports, once every in-port has had one;
-            samples that arrive before stay unread, and the first call takes the oldest of each. Samples unread as a
-            cycle begins are taken in the order of the time stamps (equal ones, and all where a type has none, in the
-            order of the ports). "all": with one new sample of each. "cycle": in every cycle, with the newest of each.
+            earlier ones stay unread, and the first call takes the oldest of each. Samples unread as a cycle begins are
+            taken in the order of the time stamps (equal ones, and all where a type has none, in the order of the
+            ports). "all": with one new sample of each. "cycle": in every cycle, with the newest of each.
         latest: only the newest samples count, at most one call a cycle; older ones are dropped{superseded}.
         output: the out-port's name, or one for each.
-        hints: hints for a function that has none ("return" is the result's); a parameter with a default may be left
-            out.
+        hints: hints for a function that has none ("return" is the result's); one with a default may be left out.
         name: the type's name in place of the function's.
 
     Raises:
@@ -114,8 +113,7 @@ def _make(function: Callable[..., Any], options: Mapping[str, Any]) -> type[Func
 
 
 def _reduce(cls: type[Any]) -> str | tuple[Any, ...]:
-    """Pickle a class by name where its module has it under that name, as a decorated one; else by function and
-    options."""
+    """Pickle a class by name where its module has it so, as a decorated one; else by function and options."""
     found: Any = sys.modules.get(cls.__module__)
     for part in cls.__qualname__.split("."):
         found = getattr(found, part, None)

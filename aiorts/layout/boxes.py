@@ -1,4 +1,4 @@
-"""Boxes, bands and edges, and what they know of one another."""
+"""Boxes, bands, edges and routes: the parts of a picture."""
 
 from __future__ import annotations
 

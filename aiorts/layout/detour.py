@@ -13,19 +13,19 @@ Point: TypeAlias = tuple[float, float]
 Rect: TypeAlias = tuple[float, float, float, float]
 
 _CLEAR: Final = 14.0
-"""From a port to the first bend."""
+"""Pixels from a port to the first bend."""
 _BESIDE: Final = 8.0
 """Pixels between a box and an edge along its side."""
 _GAPS: Final = (34.0, 16.0)
 """The least room between two boxes, across and down: edges run through."""
 _TURN: Final = 24.0
-"""A bend is worth so much of a longer way."""
+"""Pixels of a longer way that one bend less is worth."""
 _REACH: Final = 250.0
-"""How far beyond both of its ends an edge may go."""
+"""Pixels that an edge may go beyond both of its ends."""
 _MOST: Final = 120
 """Boxes among which a way is sought; among more it would take longer than a hand waits."""
 _NEAR: Final = 500.0
-"""How far from where it is wanted, across or down, a box finds its place."""
+"""The most pixels, across or down, from the wanted place of a box to the one that it gets."""
 
 
 def around(start: Point, end: Point, boxes: Iterable[Rect]) -> tuple[Point, ...] | None:
@@ -90,7 +90,7 @@ def _within(rect: Rect, boxes: Iterable[Rect]) -> list[Rect]:
 
 
 def _hull(rects: Sequence[Rect], more: float) -> Rect:
-    """The rectangle around some, and so much more at each side."""
+    """The rectangle around others, and `more` at each side."""
     lefts, tops, rights, bottoms = zip(*rects, strict=True)
     return min(lefts) - more, min(tops) - more, max(rights) + more, max(bottoms) + more
 

@@ -1,4 +1,4 @@
-"""The file `NAME.layout.json` beside a system file: where the boxes of its components stand.
+"""The file `NAME.layout.json` in the folder of a system file: the places of its components' boxes.
 
 Text and bytes come in and go out; `stored_places` alone opens it. The studio writes it when boxes are moved, `aiorts
 import` from a profile of OpenRTM; the studio, `aiorts graph` and `aiorts export` read it.
@@ -16,10 +16,10 @@ from typing import Any, Final, NamedTuple
 from aiorts.late import dataclass
 
 LARGEST_LAYOUT: Final = 1 << 20
-"""Bytes of a file; a larger one is none."""
+"""The most bytes of a layout file."""
 _SCHEMA: Final = 1
 FARTHEST: Final = 1e6
-"""Pixels from the origin; a place beyond is none."""
+"""The most pixels from the origin to a place."""
 
 
 class Place(NamedTuple):
@@ -69,7 +69,7 @@ def _json(value: object) -> str:
 
 
 def places_of(data: bytes) -> Places:
-    """The places in a layout file; ValueError: it is none."""
+    """The places in a layout file; ValueError: it is no such file."""
     if len(data) > LARGEST_LAYOUT:
         raise ValueError(f"expected at most {LARGEST_LAYOUT} bytes")
     try:

@@ -1,6 +1,6 @@
 """The places of boxes in bands and columns, and the ways of edges round them.
 
-A column holds boxes that are as far from a source, a band those of one context. Bands of a group stand above one
+A column holds boxes at one distance from a source, a band those of one context. Bands of a group stand above one
 another, and so do the groups of a pile; piles stand side by side, with an empty column between them. Edges run along
 the axes in the room between boxes: down in the channel right of a column, and across columns at a height that is free
 in all of them. So no edge runs through a box. `place` lays all out; `add`, `remove` and `route` change one thing, and
@@ -48,11 +48,11 @@ GROUP_HEAD: Final = 44.0
 GROUP_GAP: Final = 28.0
 LEFT: Final = 28.0
 _BESIDE: Final = LEFT + 20.0
-"""Between the boxes, or the edges, at the side of a pile and the empty column beside it."""
+"""Between the boxes, or the edges, at the side of a pile and the empty column next to it."""
 _EMPTY: Final = 56.0
 """Width of the empty column between two piles."""
 _CLEAR: Final = 14.0
-"""Between a column and the first edge that runs down beside it."""
+"""Between a column and the first edge that runs down next to it."""
 _WIDER: Final = _CLEAR - 6.0
 """By how much a box that comes later may be wider than its column: edges run down right of it all the same."""
 _MARGIN: Final = 10.0
@@ -89,9 +89,9 @@ class Layout:
     _lefts: list[float] = field(default_factory=list)
     _widths: list[float] = field(default_factory=list)
     _taken: dict[int, list[Point]] = field(default_factory=dict)
-    """By column: from where to where there are boxes, in order."""
+    """By column: the ranges of height that boxes take, in order."""
     _tracks: dict[int, dict[Key, tuple[int, float, float]]] = field(default_factory=dict)
-    """By channel: the track of each edge, and from where to where the edge uses it."""
+    """By channel: the track of each edge, and the range of height in which the edge uses it."""
     _runs: dict[int, dict[Key, tuple[int, int]]] = field(default_factory=dict)
     """By height in steps: the columns over which an edge runs there."""
     _heights: dict[Key, int] = field(default_factory=dict)
@@ -99,7 +99,7 @@ class Layout:
     _ways: dict[Key, _Way] = field(default_factory=dict)
     """The ways of edges between the boxes as they stand."""
     _blocks: dict[tuple[int, int], _Blocks] = field(default_factory=dict)
-    """By the first and the last of some columns: where boxes are in the way there."""
+    """By the first and the last of some columns: the ranges of height in which boxes are in the way there."""
 
     @property
     def right(self) -> float:
@@ -111,11 +111,11 @@ class Layout:
         return self.piles.get(self.groups.get(band, ""), len(self._spans) - 1)
 
     def corner(self, band: Key) -> Point:
-        """Where a band that was placed begins, at the left and at the top."""
+        """The left and the top of a band that was placed."""
         return self._lefts[self._spans[self.pile_of(band)][0]], self.bands[band].top
 
     def room_of(self, pile: int) -> tuple[float, float]:
-        """From where to where boxes and edges of a pile may be: to the empty columns at both of its sides."""
+        """The range across in which boxes and edges of a pile may be: up to the empty columns at its sides."""
         first, end = self._spans[pile]
         left = self._lefts[first - 1] if pile else float("-inf")
         return left, self._lefts[end] if pile + 1 < len(self._spans) else float("inf")
@@ -143,7 +143,7 @@ class Layout:
         groups: Mapping[Key, str],
         piles: Mapping[str, int] | None = None,
     ) -> Point:
-        """The width and the height that `place` would come to, the width by estimate: no edge is led.
+        """The width and the height that `place` would come to, the width by estimate: no edge is routed.
 
         The bands get their places; the boxes get none across, so that nothing else can be asked before `place`.
         """
@@ -204,7 +204,7 @@ class Layout:
         return top + (BAND_GAP if self.groups.get(last) == self.groups.get(band) else GROUP_GAP + GROUP_HEAD)
 
     def _put_shelf(self, shelf: Sequence[Sequence[Spot]], top: float) -> float:
-        """Put boxes into their columns below a height, each column in the middle; their lower end."""
+        """Put boxes into their columns below a height, each column in the middle; return their lower end."""
         tall = max(sum(one.h + GAP for one in stack) - GAP for stack in shelf)
         for stack in shelf:
             y = top + (tall - sum(one.h + GAP for one in stack) + GAP) / 2
@@ -239,7 +239,7 @@ class Layout:
         return _CLEAR + self._before(column) + TRACK * (tracks + _SPARE)
 
     def _put_columns(self, edges: Sequence[Edge]) -> None:
-        """Put columns beside one another, with room for as many tracks between them as edges take there."""
+        """Put columns next to one another, with room for as many tracks between them as edges take there."""
         self._widths += self._column_widths()
         self._lefts += [LEFT] * len(self._widths)
         for edge in edges:
@@ -257,11 +257,11 @@ class Layout:
         """Place one box more, or one that has other ports now: at its old place where that has room.
 
         Args:
-            group: of its band, where that is new.
+            group: the group of its band, where that is new.
             before, after: the boxes whose edges lead to it, and those that its own lead to.
 
         Returns:
-            Whether it has a place. Else its band is new and cannot stand at the end: all are to be placed anew.
+            Whether it has a place. Else its band is new and cannot stand at the end: all are to be placed again.
         """
         old = self.spots.get(spot.key)
         self.remove(spot.key)
@@ -354,7 +354,7 @@ class Layout:
         return True
 
     def _put(self, spot: Spot, loose: tuple[int, ...] | None) -> None:
-        """Let a box stand where it says, in its column; or in the way of others in these."""
+        """Put a box at its own coordinates: in its column, or in the way of others in these."""
         self.spots[spot.key] = spot
         self._forget_ways()
         if loose is not None:
@@ -363,7 +363,7 @@ class Layout:
             insort(self._taken.setdefault(column, []), (spot.y, spot.y + spot.h))
 
     def _covered(self, spot: Spot) -> tuple[int, ...]:
-        """The columns in which, or beside which, a box stands: no edge runs across there at its height."""
+        """The columns in which, or next to which, a box stands: no edge runs across there at its height."""
         first, end = self._spans[self.pile_of(spot.band)]
         rights = [self._lefts[column] + self._widths[column] for column in range(first, end)]
         begins, ends = [float("-inf"), *rights[:-1]], [*self._lefts[first + 1 : end], float("inf")]
@@ -451,7 +451,7 @@ class Layout:
         right = self._lefts[channel] + self._widths[channel]
         after = channel + 1
         room = self._lefts[after] - right - self._before(after) - _CLEAR if after < len(self._lefts) else 1e6
-        return right + _CLEAR + (track * TRACK) % max(room, TRACK)  # more than there is room for: over one another
+        return right + _CLEAR + (track * TRACK) % max(room, TRACK)  # tracks without room lie over others
 
     def _run(self, over: tuple[int, int], key: Key, y1: float, y2: float) -> float:
         """A height that is free in all columns of a run, near to one of its ends: then it has a bend less."""
@@ -472,7 +472,7 @@ class Layout:
         return y2
 
     def _blocks_of(self, over: tuple[int, int]) -> _Blocks:
-        """From where to where boxes are in the way in some of the columns, those without room between as one."""
+        """The ranges of height in which boxes are in the way in these columns; those without room between are one."""
         if (known := self._blocks.get(over)) is not None:
             return known
         begins, ends = list[float](), list[float]()
@@ -491,7 +491,7 @@ class Layout:
         self._ways.clear()
 
     def forget(self, key: Key) -> None:
-        """Give the room of an edge free."""
+        """Free the room of an edge."""
         self._ways.pop(key, None)
         for tracks in self._tracks.values():
             tracks.pop(key, None)

@@ -17,7 +17,7 @@ Shelf: TypeAlias = "list[list[Spot]]"
 STEP: Final = 16.0
 """Between the heights at which edges run across columns."""
 _NARROW: Final = 12
-"""A graph of so many columns is never folded."""
+"""The most columns of a graph that is never folded."""
 _WIDEST: Final = 0.9
 """The most columns, as a part of the square root of the number of boxes."""
 _SHARE: Final = 0.6
@@ -99,7 +99,7 @@ def put_near(cells: Mapping[tuple[Key, int], list[Spot]], ranks: Mapping[Key, in
 def shelves_of(cells: Mapping[tuple[Key, int], list[Spot]], count: int) -> tuple[dict[Key, list[Shelf]], bool]:
     """The shelves of each band, from the top; each box gets its column. And whether the graph is folded.
 
-    Where there would be more columns than look well, it is: a band begins at the left, has no empty column, puts the
+    A graph with more columns than look well is folded: a band begins at the left, has no empty column, puts the
     boxes of a high stack into several columns, and goes on below.
     """
     widest, ranks = max(_NARROW, round(sqrt(count) * _WIDEST)), sorted({rank for _, rank in cells})

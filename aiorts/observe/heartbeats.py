@@ -1,6 +1,7 @@
-"""`kernel.heartbeat()`: a heart-beat of each context and component at an interval, with whether it progressed. The loop
-sends the beats, so no component can send one for another. A beat says what was observed: whether the context has run a
-cycle, or been idle as it should, since the last one. While the loop is held, the beats stop.
+"""`kernel.heartbeat()`: a heart-beat of each context and component at an interval, with whether it progressed.
+
+The loop sends the beats, so no component can send one for another. A beat says what was observed: whether the context
+has run a cycle, or been idle as it should, since the last one. While the loop is held, the beats stop.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""Listeners of connectors are called for what becomes of each sample: soon after it happened, on the loop, in order. A
-connector with listeners has a transport of the kind here; every other connector and port runs the very code it ran
+"""Listeners of connectors are called for what becomes of each sample: soon after it happened, on the loop, in order.
+
+A connector with listeners has a transport of the kind here; every other connector and port runs the very code it ran
 before. An event is only noted where it happens, in any thread, and reported at the loop's next turn: no listener runs
 inside a write or a read, and none can lose a sample or harm a component. At most 10,000 notes wait; those beyond are
 counted in `missed`.
@@ -90,8 +91,8 @@ _LEFT_OUT: Final = {
 
 @dataclass(frozen=True, slots=True)
 class ConnectorEvent(Event):
-    """An event of a sample or connector; only sent to subscribers to this very class and to listeners of the
-    connector."""
+    """An event of a sample or connector; sent to subscribers to this very class and to the connector's listeners
+    only."""
 
     quiet: ClassVar[bool] = True
     of_samples: ClassVar[bool] = True

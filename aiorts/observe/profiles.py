@@ -75,7 +75,7 @@ class ParameterReport:
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationReport:
-    """Configuration sets: the active one, and the values of each; a value that a set does not name is as in
+    """Configuration sets: the active one, and the values of each; values that a set does not name are as in
     "default"."""
 
     active: str = "default"
@@ -242,9 +242,8 @@ class SystemProfile:
     services: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
     """The reports of services attached to the kernel, by name of the service."""
     lasting: str = ""
-    """The name by which the kernel is known again after a restart: "host/NAME", or without a given one
-    "host/PROGRAM:FILE" of what it runs. Kernels that run the same have the same name. "" where clients cannot reach
-    it."""
+    """The name by which it is known again after a restart: "host/NAME", or without a name given "host/PROGRAM:FILE" of
+    what it runs. Kernels that run the same have the same one. "" where clients cannot reach it."""
     assembled: bool | None = None
     """Whether all that the run begins with is there; None: its program makes it, and does not report that."""
     schema: int = PROFILE_VERSION

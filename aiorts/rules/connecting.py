@@ -1,4 +1,4 @@
-"""The service that connects ports by rules: what comes or goes is noted, and looked at in the loop's next turn."""
+"""The service that connects ports by rules: ports that come or go are noted, and looked at in the loop's next turn."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Pair = tuple[str, str]
 _LOG: Final = KernelLog()
 _REMEMBERED: Final = 1000
-"""Pairs whose ports are gone that are known to have been a rule's, for components that are restarted."""
+"""Pairs with removed ports that are remembered as a rule's, for components that are restarted."""
 _PATTERN: Final = {"type": "string", "minLength": 3, "pattern": r"^[^.]+\.[^.]+$"}
 _ENTRY: Final = {
     "type": "object",
@@ -55,7 +55,7 @@ class RulesSettings:
 
 
 class _Live:
-    """A rule, the ports that it is about by component, and what it has made."""
+    """A rule, the ports that fit it by component, and the connectors that it has made."""
 
     __slots__ = ("beyond", "ins", "made", "outs", "place", "rule", "source", "target")
 
@@ -65,7 +65,7 @@ class _Live:
         self.outs: dict[str, list[OutPort[Any]]] = {}
         self.ins: dict[str, list[InPort[Any]]] = {}
         self.made: dict[Pair, Connector] = {}
-        """By the paths of its ports, for as long as both are there: one that was ended is not made again."""
+        """The connectors by the paths of their ports, while both are there: one that was ended is not made again."""
         self.beyond = False
         """Whether more ports fit than `max` lets it connect."""
 
@@ -74,7 +74,7 @@ class _Live:
         return sum(not one.closed for one in self.made.values())
 
     def note(self, name: str, component: Component | None) -> None:
-        """Which ports of a component it is about; None: it is gone."""
+        """Note the ports of a component that fit the rule; None: the component is gone."""
         self.outs.pop(name, None)
         self.ins.pop(name, None)
         if component is None:
@@ -102,7 +102,7 @@ def _live(rules: Sequence[Mapping[str, Any]]) -> tuple[_Live, ...]:
 
 
 class ConnectingRules(KernelService):
-    """The rules of one kernel, from its table on: of a system file, once the system was made."""
+    """The rules of one kernel; those of a system file begin once the system was made."""
 
     name = "rules"
     settings = RulesSettings
@@ -123,7 +123,7 @@ class ConnectingRules(KernelService):
         self._follow_bus()
 
     def _follow_bus(self) -> None:
-        """Hear of ports from now on, and look at those that are there."""
+        """Follow ports that come and go from now on, and look at present ones."""
         for name in self.kernel.components:
             self._note(name)
         if self._hears:
@@ -138,7 +138,7 @@ class ConnectingRules(KernelService):
         """Replace the rules: those that both lists begin with stay, the rest are added, or end with their connectors.
 
         Raises:
-            ConfigurationError: one of them is none; nothing was changed.
+            ConfigurationError: an entry is no rule; nothing was changed.
         """
         stay = min(len(rules), len(self._rules))
         gone, kept = self._rules[stay:], self._rules[:stay]

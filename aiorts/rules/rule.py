@@ -1,4 +1,4 @@
-"""What one rule says: which ports it connects, how many connectors it may make, and their options."""
+"""One rule: the ports that it connects, how many connectors it may make, and their options."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from aiorts.model.options import connector_profile
 from aiorts.spelling import meant, nearest
 
 USUAL_MAX: Final = 100
-"""Connectors of a rule that says no `max`."""
+"""The most connectors of a rule without `max`."""
 LARGEST_MAX: Final = 100_000
 _OWN: Final = ("from", "to", "max")
 _REFUSED: Final = {
@@ -33,7 +33,7 @@ class Rule:
     source: str
     target: str
     most: int
-    """Connectors that it makes at the most."""
+    """The most connectors that it makes."""
     options: Mapping[str, Any]
 
 
@@ -45,18 +45,18 @@ class Pattern:
     port: re.Pattern[str]
 
     def fits(self, component: str, port: str) -> bool:
-        """Whether this port of this component is meant."""
+        """Whether this port of this component fits."""
         return self.component.match(component) is not None and self.port.match(port) is not None
 
 
 def pattern_of(text: str) -> Pattern:
-    """The pattern as it is matched; the text was found right."""
+    """The pattern of a text that was found right."""
     component, _, port = text.partition(".")
     return Pattern(re.compile(translate(component)), re.compile(translate(port)))
 
 
 def ruled(entries: Iterable[Any]) -> Callable[[str, str, bool], bool]:
-    """Whether a port is one that rules connect, by the names of component and port, and whether it is an out-port."""
+    """A function that says whether rules connect a port: of component, port, and whether it is an out-port."""
     rules = [(pattern_of(rule.source), pattern_of(rule.target)) for rule in rules_of(entries)]
     return lambda component, port, out: any(rule[0 if out else 1].fits(component, port) for rule in rules)
 

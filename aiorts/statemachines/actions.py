@@ -27,7 +27,7 @@ def acting(component: Component, act: Act) -> Acting:
 
 
 def check_acts(cls: type[Any], chart: Chart, events: Mapping[str, str]) -> bool:
-    """Check all actions and guards; returns whether any action is a coroutine function.
+    """Check all actions and guards; return whether any action is a coroutine function.
 
     Raises:
         DeclarationError: names class, place and action, and what it should be.
@@ -89,7 +89,7 @@ def _function(cls: type[Any], where: str, act: Act) -> Any:
 
 
 def _takes(function: Callable[..., Any], before: int) -> bool:
-    """Whether it has a required or optional argument beyond those `before`."""
+    """Whether a function takes a required or optional argument beyond those `before`."""
     try:
         inspect.signature(function).bind(*([None] * (before + 1)))
     except (TypeError, ValueError):

@@ -16,7 +16,7 @@ class TransitionStructure:
     event: str
     """The event that triggers it; "" for none, "after.<state>.<n>" for a timer."""
     target: str | None
-    """None when only the actions run."""
+    """The state that it leads to; None when only the actions run."""
     guard: str | None
     """Its guards as SCXML writes a condition, such as "In('open') && is_near"."""
     actions: tuple[str, ...]

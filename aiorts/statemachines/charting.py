@@ -57,13 +57,13 @@ class Arc:
     """The event that triggers it; `ALWAYS` for none, "after.<state>.<n>" for a timer."""
     target: int | None
     guards: tuple[Guard, ...]
-    """As written, those that look at states first."""
+    """The guards as written, those that look at states first."""
     asks: tuple[Act, ...]
     """The guards that are methods or functions of the owner."""
     wants: int
     """States that must be active, as bits."""
     bars: int
-    """States that must not be."""
+    """States that must not be active, as bits."""
     acts: tuple[Act, ...]
     local: bool
     delay: float | str | None = None
@@ -151,7 +151,7 @@ class Chart:
         self.events: frozenset[str] = frozenset(arc.event for arc in self.arcs if arc.delay is None) - {ALWAYS, "*"}
         """The events that transitions name."""
         self.plans: dict[Any, Any] = {}
-        """What `microstep.py` has worked out already."""
+        """The plans that `microstep.py` has worked out already."""
 
     def __repr__(self) -> str:
         return f"<Chart {self.name} {len(self.nodes) - 1} states {len(self.arcs)} transitions>".replace("  ", " ")
@@ -201,7 +201,7 @@ class Chart:
 
     @property
     def acts(self) -> Iterator[tuple[str, Act, str]]:
-        """Place, action or guard, and event ("" for any) of everything the table names."""
+        """Place, action, and event ("" for any) of every action that the table names."""
         for node in self.nodes:
             for what in ("entry", "init", "exit", "do"):
                 for act in getattr(node, what):
@@ -406,7 +406,7 @@ def _check_twins(node: Node) -> None:
 
 
 def _check_event(where: str, event: Any) -> None:
-    """Refuse what is no name of an event from outside."""
+    """Refuse a text that is no name of an event from outside."""
     if not isinstance(event, str) or not event or means("after", event) or re.search(r"\s", event):
         raise DeclarationError(f"{where}: expected an event's name, got {event!r}")
     if event.endswith((".", ".*")):

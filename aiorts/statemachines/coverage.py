@@ -1,4 +1,4 @@
-"""What machines reach of their chart: how often each state was entered, and each transition was taken."""
+"""Coverage of a chart by its machines: how often each state was entered, and each transition was taken."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class ChartCoverage:
 
     @property
     def transitions(self) -> Mapping[str, int]:
-        """How often each transition was taken, by the text that `chart_paths` gives it, too."""
+        """How often each transition was taken, by the text that `chart_paths` has for it, too."""
         return MappingProxyType({transition_text(self._chart, arc): count for arc, count in self._arcs.items()})
 
     @property

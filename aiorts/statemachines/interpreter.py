@@ -85,7 +85,7 @@ class Machine:
         self.deferred: deque[MachineEvent] = deque()
         """Events that are kept until no active state defers them."""
         self.timers: dict[int, tuple[int, int]] = {}
-        """Transition -> when it is due, and the number of its making: those due together go in that order."""
+        """Transition -> the deadline and the number of its timer: timers due together fire in the order of numbers."""
         self._timed = 0
         self._internal: deque[MachineEvent] = deque()
         self._says_yes = says_yes
@@ -117,7 +117,7 @@ class Machine:
         yield from self._settle()
 
     def handle(self, event: MachineEvent) -> Steps:
-        """Carry out one event with all that follows from it; without a transition for it, only what needs no event."""
+        """Carry out an event with all that follows from it; without a transition for it, only those without event."""
         self.event = event
         plan = chosen(self.chart, self.states, self.history, event.name, self._guard, not event.is_own)
         if plan is not None:
@@ -130,10 +130,10 @@ class Machine:
         self.event = None
 
     def recalled(self) -> MachineEvent | None:
-        """Take the oldest event that was deferred and is taken now, or not deferred any more.
+        """Take out the oldest deferred event that a transition takes now, or that no state defers any more.
 
-        `handle` it before any newer one. A state may both defer an event and have a transition for it whose guard said
-        no before: the order of arrival is kept, as UML has it for the events in a machine's pool.
+        The caller handles it before any newer one. A state may both defer an event and have a transition for it whose
+        guard was false before: the order of arrival is kept, as UML has it for the events in a machine's pool.
         """
         for place, event in enumerate(self.deferred):
             if not self.ended and (not defers(self.chart, self.states, event.name) or self._takes(event)):
@@ -154,7 +154,7 @@ class Machine:
         yield from self._settle()
 
     def do(self) -> Steps:
-        """The actions of the active states in each cycle, the outer before the inner."""
+        """Run the actions that active states have for each cycle, the outer before the inner."""
         active = self.chart.doing & self.states
         if active:
             for node in self.chart.nodes:
@@ -187,7 +187,7 @@ class Machine:
 
     @property
     def next_deadline(self) -> int | None:
-        """When the next timer is due."""
+        """The deadline of the next timer; None without one."""
         return min(self.timers.values())[0] if self.timers else None
 
     # -- one microstep after the other -----------------------------------------------------------------------------
@@ -255,7 +255,7 @@ class Machine:
         for arc in self.chart.nodes[state].arcs:
             if arc.delay is not None:
                 self._timed += 1
-                # At least 1 ns: what is due at once would be due again without end.
+                # At least 1 ns: a timer that is due at once would be due again without end.
                 self.timers[arc.index] = self._now_ns() + max(self._delay_ns(arc.delay), 1), self._timed
 
     def _disarm(self, state: int) -> None:

@@ -102,20 +102,20 @@ class StateMachineComponent(Component, kind=MachineKind()):
             async def lamp_on(self) -> None: ...
 
     Activation enters the initial configuration and runs its entry actions; deactivation, also through a failure,
-    leaves everything from the inside out. In each cycle: what needs no event (`Always`) and whose guard says yes by
-    now; then the timers that are due, in the order of their deadlines; then the events that had come when it began,
-    through ports and `machine.send`, in the order of arrival, each carried out completely; then the `do` of the active
-    states. In a context with a rate a timer fires in the first cycle at or after its deadline, in an event context at
-    the deadline.
+    leaves everything from the inside out. In each cycle: transitions that need no event (`Always`) and whose guard is
+    true by now; then the timers that are due, in the order of their deadlines; then the events that had come when the
+    cycle began, through ports and `machine.send`, in the order of arrival, each carried out completely; then the `do`
+    of the active states. In a context with a rate a timer fires in the first cycle at or after its deadline, in an
+    event context at the deadline.
 
     An action or guard that raises moves the component to error: the rest of that event does not happen, the exit
     actions of exactly the states that were entered and not left run, and the configuration is empty. Histories are
     forgotten at the next activation, unless the chart says `keep_history=True`.
 
-    Actions are `async def` or plain `def` methods, with no argument or one: what came with the event (None for a
-    timer). Guards are plain. Where all actions are plain the component runs in every context, threads included. The
-    hooks `on_activated`, `on_deactivated` and `on_execute` are the machine's: `Chart(..., entry=, exit=, do=)` is the
-    place for what belongs there.
+    Actions are `async def` or plain `def` methods, with no argument or one: the data of the event (None for a timer).
+    Guards are plain. Where all actions are plain the component runs in every context, threads included. The hooks
+    `on_activated`, `on_deactivated` and `on_execute` are the machine's: `Chart(..., entry=, exit=, do=)` is the place
+    for their actions.
     """
 
     chart: ClassVar[Chart]

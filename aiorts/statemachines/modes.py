@@ -45,7 +45,7 @@ class ModeChanged(Event):
 
 
 class _Modes:
-    """What is kept of the modes of one component."""
+    """The modes of one component, and the requests to change them."""
 
     __slots__ = ("by_context", "newest", "pending")
 
@@ -53,7 +53,7 @@ class _Modes:
         self.newest = mode
         """The mode requested last that took effect in some context."""
         self.by_context: dict[str, str] = {}
-        """While not all contexts are in the newest."""
+        """The mode in each context, while not all contexts are in the newest."""
         self.pending: list[list[str]] = []
         """Requests that have not taken effect: one entry, its own object, for each."""
 
@@ -109,7 +109,7 @@ class MultiModeComponent(Component, kind=ModesKind()):
 
     @property
     def default_mode(self) -> str:
-        """The mode it begins in."""
+        """The mode in which the component begins."""
         return self.modes[0]
 
     @property
@@ -163,7 +163,7 @@ class MultiModeComponent(Component, kind=ModesKind()):
                     [(f"change mode of {self.name}", partial(_change, self, member, mode))], timeout
                 )
         except BaseException:
-            # It was withdrawn; other requests for the same mode may wait.
+            # This request was withdrawn; others for the same mode may wait.
             modes.pending = [one for one in modes.pending if one is not request]
             raise
 
@@ -182,7 +182,7 @@ def _enter(component: MultiModeComponent, context: str, mode: str) -> None:
     old = modes.of(context)
     modes.newest = mode
     if context:
-        # Where it has not changed yet it is still in the old one.
+        # Contexts in which it has not changed yet are still in the old one.
         for member in cell(component).members:
             modes.by_context.setdefault(member.context.name, old)
         modes.by_context[context] = mode
@@ -261,7 +261,7 @@ def set_notifiers(component: Participant, machines: tuple[StateMachine, ...]) ->
 
 
 def notify(component: Participant, change: MachineChanged) -> None:
-    """Have `on_action` run in each of its contexts. On the kernel's loop."""
+    """Run `on_action` in each context of the component. Called on the kernel's loop."""
     for member in cell(component).members:
         member.context.runner.submit(Action(_telling(member, change)))
 

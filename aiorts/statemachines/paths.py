@@ -30,11 +30,11 @@ class Move:
     """One step of a path: send an event, let time pass, or, with neither, run a cycle."""
 
     event: str = ""
-    """Sent to the machine; "" for none."""
+    """The event sent to the machine; "" for none."""
     seconds: float = 0.0
-    """Until the next timer of the machine is due."""
+    """Seconds until the next timer of the machine is due."""
     guards: Mapping[str, bool] = field(default_factory=lambda: _NONE)
-    """What the guards that are asked in this move must answer, by name."""
+    """The answers that guards must give in this move, by name."""
 
     def __str__(self) -> str:
         what = self.event or (f"{self.seconds:g} s" if self.seconds else "cycle")
@@ -49,9 +49,9 @@ class ChartPath:
     transition: str
     """The transition in words, such as "closed button -> open"."""
     moves: tuple[Move, ...]
-    """None where the transition is taken in the activation itself."""
+    """The moves; empty where the transition is taken in the activation itself."""
     guards: Mapping[str, bool]
-    """What the guards that are asked in the activation must answer."""
+    """The answers that guards must give in the activation, by name."""
 
     def __str__(self) -> str:
         return self.transition
@@ -71,10 +71,10 @@ def chart_paths(
 ) -> ChartPaths:
     """A shortest path to each transition, found by trying every event, timer and answer of a guard.
 
-    Actions are not run: what they send or change, no path knows. The same chart gives the same paths.
+    Actions are not run: no path knows what they send or change. The same chart gives the same paths.
 
     Args:
-        chart: or a component class with one; then delays that are parameters have their defaults.
+        chart: a chart, or a component class with one; then delays that are parameters have their defaults.
         delays: seconds of delays that are parameters.
         limit: moves that are tried before the rest counts as unreached.
 
@@ -105,7 +105,7 @@ class _Situation(NamedTuple):
 
 
 class _Unanswered(Exception):
-    """A guard is asked whose answer this try does not say."""
+    """A guard is asked for which this try has no answer."""
 
 
 class _Search:
@@ -159,7 +159,7 @@ class _Search:
     def _tries(
         self, situation: _Situation, move: Move | None
     ) -> Iterator[tuple[Mapping[str, bool], list[Arc], _Situation | None]]:
-        """What comes of a move for each set of answers that guards may give; None: the machine has ended."""
+        """The outcome of a move for each set of answers that guards may give; None: the machine has ended."""
         todo: list[dict[str, bool]] = [{}]
         while todo and self._left > 0:
             self._left -= 1

@@ -161,7 +161,7 @@ class StateMachine(MadeByClass):
         """Run the component's `on_action`, in its own context, after each change of the configuration.
 
         It ends when the participant is removed; a new instance made by supervision takes its place. DeclarationError:
-        it is no `Participant`.
+        `component` is no `Participant`.
         """
         if not isinstance(component, Participant):
             raise DeclarationError(f"{self._component.name}: expected a Participant, got {component!r:.80}")
@@ -174,7 +174,7 @@ class StateMachine(MadeByClass):
         self._participants = tuple(pairs.get(one, one) for one in self._participants)
 
     def remove_participant(self, component: Participant) -> None:
-        """Notify it no more; does nothing if it was no participant."""
+        """Notify a participant no more; without effect if it was none."""
         self._participants = tuple(one for one in self._participants if one is not component)
         set_notifiers(component, tuple(one for one in notifiers_of(component) if one is not self))
 
@@ -237,7 +237,7 @@ class StateMachine(MadeByClass):
             yield from self._perform(core.handle(event), event.name)
             yield from self._recall()
         if core.deferred:
-            yield from self._recall()  # a guard may say yes by now
+            yield from self._recall()  # a guard may be true by now
         for event in self._taken():
             yield from self._perform(core.handle(event), event.name)
             if core.deferred:
@@ -328,7 +328,7 @@ class StateMachine(MadeByClass):
                         function, takes = self._act(act)
                         yield function, ((None if core.event is None else core.event.data,) if takes else ())
         finally:
-            # Not left to the garbage collector: states that were being left are left now.
+            # Closed now, not by the garbage collector: states that were being left are left.
             steps.close()
             if core.states != before:
                 self._changed(before, event)

@@ -99,7 +99,7 @@ Way: TypeAlias = On | After | Always
 
 
 class State:
-    """One state: transitions and states inside, in the order that decides.
+    """One state, with transitions and states inside; their order decides.
 
     Args:
         name: letters, digits, "_" and "-"; unique in its chart.
@@ -183,7 +183,7 @@ class End(State):
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """A target that stands for the states that were active, when it was last left, in the state around it.
+    """A target that stands for the states that were active in the state around it when that was last left.
 
     Shallow: its own states; those inside them begin at their initial state. `deep=True`: all states inside.
     """

@@ -19,7 +19,7 @@ from aiorts.model.timing import Counted
 
 @dataclass(frozen=True, slots=True)
 class SynchronizerStatistics(Counted):
-    """What became of one port's samples: taken = matched + sum(dropped.values()) + held."""
+    """The counts of one port's samples: taken = matched + sum(dropped.values()) + held."""
 
     taken: int
     """Samples that were read from the port."""
@@ -30,7 +30,7 @@ class SynchronizerStatistics(Counted):
     held: int
     """Samples that wait for those of other ports."""
     at_ns: int = field(default=0, compare=False, repr=False)
-    """When, on the kernel's monotonic clock; 0 while the component is in no kernel."""
+    """The time of these counts, on the kernel's monotonic clock; 0 while the component is in no kernel."""
     counted: ClassVar[str] = "taken"
 
     @property
@@ -66,19 +66,19 @@ class Lane:
 
     @property
     def floor(self) -> int | None:
-        """No sample of this port that can still be matched is before this; None before the first."""
+        """The stamp before which this port has no sample that can still be matched; None before the first."""
         if self.queue:
             return self.queue[0].tm
         return None if self.newest is None else self.newest + 1
 
     def drop(self, reason: str) -> None:
-        """The oldest one is in no match from now on."""
+        """Drop the oldest sample: it is in no match from now on."""
         if not self.queue.popleft().matched:
             self.unused -= 1
             self.dropped[reason] += 1
 
     def drop_before(self, tm: int) -> bool:
-        """Drop as unmatched what is before `tm`; whether anything was."""
+        """Drop samples before `tm` as unmatched; return whether there were any."""
         queue, before = self.queue, len(self.queue)
         while queue and queue[0].tm < tm:
             self.drop("unmatched")
@@ -115,7 +115,7 @@ class Matching:
         self._length = length
 
     def offer(self, number: int, tm: int, sample: Any) -> None:
-        """A sample was taken from a port; afterwards `match` is called until it returns None."""
+        """Take in a sample read from a port; afterwards the caller calls `match` until it returns None."""
         lane = self.lanes[number]
         lane.taken += 1
         if lane.newest is not None and tm <= lane.newest:
@@ -136,14 +136,14 @@ class Matching:
         return found
 
     def clear(self) -> None:
-        """Drop what is held as inactive and begin anew."""
+        """Drop held samples as inactive, and begin again."""
         for lane in self.lanes:
             while lane.queue:
                 lane.drop("inactive")
             lane.newest = None
 
     def statistics(self, number: int, *, cleared: bool) -> SynchronizerStatistics:
-        """The counts of one port; `cleared`: as they are once what is held is dropped as inactive."""
+        """The counts of one port; `cleared`: as they are once held samples are dropped as inactive."""
         lane = self.lanes[number]
         held, dropped = lane.unused, +lane.dropped
         if cleared and held:
@@ -166,7 +166,7 @@ def _exact(lanes: tuple[Lane, ...], _tolerance_ns: int | None) -> tuple[Any, ...
 
 
 def _nearest(lanes: tuple[Lane, ...], tolerance_ns: int | None) -> tuple[Any, ...] | None:
-    """For a sample of the first port its partners of the others (see `_partner`)."""
+    """A sample of the first port and its partners of the others (see `_partner`)."""
     lead, *others = lanes
     within = tolerance_ns or 0
     while (floor := lead.floor) is not None:
@@ -192,10 +192,10 @@ def _nearest(lanes: tuple[Lane, ...], tolerance_ns: int | None) -> tuple[Any, ..
 def _partner(leads: list[int], lane: Lane, within: int) -> int | None:
     """The stamp in a lane that goes with the first of the leads.
 
-    The lead and the sample that are nearest to each other of all go together; then the same holds for those before
-    both and for those after both. So a lead gets no sample that is nearer to another lead, unless that has one nearer
-    still. The nearest first, and not the first lead first: that one would take the partner of the next where its own is
-    lost, the next that of the one after it, and so on to the end.
+    The lead and the sample that are nearest to each other of all go together; then the same holds for those before both
+    and for those after both. So a lead gets no sample that is nearer to another lead, unless that has one nearer still.
+    The nearest pair comes first, not the first lead: a first lead whose partner is lost would take that of the next,
+    the next that of the one after it, and so on to the end.
 
     Returns:
         The stamp; None where there is none within reach and none will be; `_UNKNOWN` where it depends on samples that
@@ -203,7 +203,7 @@ def _partner(leads: list[int], lane: Lane, within: int) -> int | None:
     """
     stamps = [held.tm for held in lane.queue]
     newest = -1 if lane.newest is None else lane.newest
-    ended = False  # whether nothing can come any more among those that are looked at
+    ended = False  # whether no stamp can come any more among those that are looked at
     while True:
         lead = 0
         while True:  # from each to the one nearest to it, until two are nearest to each other
@@ -235,7 +235,7 @@ def _nearest_in(stamps: list[int], tm: int) -> int | None:
 
 
 def _latest(lanes: tuple[Lane, ...], tolerance_ns: int | None) -> tuple[Any, ...] | None:
-    """For a sample of the first port the last ones of the others that are not after it."""
+    """A sample of the first port and the last ones of the others that are not after it."""
     lead, *others = lanes
     while (floor := lead.floor) is not None:
         for lane in others:
@@ -257,7 +257,7 @@ def _latest(lanes: tuple[Lane, ...], tolerance_ns: int | None) -> tuple[Any, ...
 
 
 _UNKNOWN: Final = -1
-"""In the place of a stamp: it depends on samples that are still to come. A stamp is never negative."""
+"""The value of a stamp that depends on samples still to come. A stamp is never negative."""
 POLICIES: Final[Mapping[str, Callable[[tuple[Lane, ...], int | None], tuple[Any, ...] | None]]] = {
     "exact": _exact,
     "nearest": _nearest,

@@ -31,8 +31,8 @@ _NEAREST: Final = 0.01
 class Synchronizer(Generic[M]):
     """Gives out the samples of several in-ports of a component that belong together, by their time stamps `tm` alone.
 
-    It reads the ports; nothing else does. Make it in the component's `__init__`. The stamps of each port go up. With
-    "nearest" and "latest" the first port leads: each of its samples gives one match at the most. The same samples give
+    It is the only reader of the ports. Make it in the component's `__init__`. The stamps of each port go up. With
+    "nearest" and "latest" the first port leads: each of its samples gives at most one match. The same samples give
     the same matches, in whatever order those of different ports arrive, as long as no port overflows.
 
     Args:
@@ -123,7 +123,7 @@ class Synchronizer(Generic[M]):
             timeout: seconds of the kernel's clock; 0 looks once, None waits forever.
 
         Raises:
-            ReadTimeout: there was none in time.
+            ReadTimeout: there was no match in time.
             BusyError: another task waits on one of the ports.
             ClosedError: one of the ports was removed.
             ConfigurationError: `timeout` is no number of seconds.
@@ -132,7 +132,7 @@ class Synchronizer(Generic[M]):
 
     @property
     def statistics(self) -> Mapping[str, SynchronizerStatistics]:
-        """What became of the samples, by the name of the port."""
+        """The counts of samples, by the name of the port."""
         cleared = self._reopened()
         host = host_of(self.ports[0])
         kernel = None if host is None else host.kernel
@@ -147,15 +147,15 @@ class Synchronizer(Generic[M]):
 
     @property
     def _where(self) -> str:
-        """What it is called in messages: a component gets its full name when it is added to a kernel."""
+        """Its name in messages: a component gets its full name when it is added to a kernel."""
         return _named(self.ports)
 
     def _look(self) -> M | None:
-        """The next match, and whatever has to be taken for it from the ports; None where there is none."""
+        """The next match, for which samples are read from the ports; None where there is none."""
         matching = self._matching
         if self._reopened():
             matching.clear()
-        # The port that is behind is read first, so that none overflows for what only lies unread at another.
+        # The port that is behind is read first, so that none overflows while samples lie unread at another.
         behind = set(range(len(self.ports)))
         while (found := matching.match()) is None:
             if not behind:
@@ -175,7 +175,7 @@ class Synchronizer(Generic[M]):
         return -math.inf if newest is None else newest
 
     def _reopened(self) -> bool:
-        """Whether the component was not active since something was taken: its ports have forgotten what was read."""
+        """Whether the component was not active since a sample was taken: its ports have forgotten what was read."""
         return any(
             lane.newest is not None and (not receiver.open or receiver.last_read is None)
             for lane, receiver in zip(self._matching.lanes, map(receiver_of, self.ports), strict=True)
@@ -187,7 +187,7 @@ def _named(ports: Iterable[InPort[Any]]) -> str:
 
 
 def _check_ports(ports: tuple[object, ...]) -> str:
-    """Raise ConfigurationError unless these can be synchronised; what they are called in messages."""
+    """Raise ConfigurationError unless these can be synchronised; return their name in messages."""
     from aiorts.types import has_tm
 
     checked = []

@@ -1,6 +1,7 @@
-"""The conformance suite of components: the promises on which neighbours, contexts and kernels rely. Each check runs a
-new component in virtual time, fed every cycle; only blocking of the loop is measured in real time. That check comes
-first, and ends at the first cycle that takes too long: all others would take as long as its hooks do.
+"""The conformance suite of components: the promises on which neighbours, contexts and kernels rely.
+
+Each check runs a new component in virtual time, fed every cycle; only blocking of the loop is measured in real time.
+That check comes first, and ends at the first cycle that takes too long: all others would take as long as its hooks do.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""The conformance suite of execution contexts: the promises of every kind, checked in virtual time. Members have plain
-`def` hooks wherever possible, so that a context that runs in a thread is held to the same promises.
+"""The conformance suite of execution contexts: the promises of every kind, checked in virtual time.
+
+Members have plain `def` hooks wherever possible, so that a context that runs in a thread is held to the same promises.
 """
 
 from __future__ import annotations

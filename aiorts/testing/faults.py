@@ -1,5 +1,4 @@
-"""Components that misbehave in one way each, for tests of what is around them. Each takes the hook in which it
-misbehaves.
+"""Components that misbehave in one way each, for tests of what is around them. Each takes the hook that misbehaves.
 
     await kernel.add(Failing("on_execute", ValueError("no camera"), name="camera0"))
 

@@ -126,5 +126,4 @@ _MAKERS: Final[tuple[tuple[type, Any], ...]] = (
     (NDArrayKind, _ndarray),
     (ArrayKind, lambda kind, dice: _array(_DTYPES[kind.element], (dice.choice((0, 1, 7, 300)),), dice)),
 )
-"""The kinds of fields, each with a function that invents a value; the first that fits counts, so derived kinds come
-first."""
+"""The kinds of fields, each with a function that invents a value; the first that fits is used, derived ones first."""

@@ -1,5 +1,4 @@
-"""The conformance suite of services: the promises on which a kernel and all else in it rely; checked in virtual
-time."""
+"""The conformance suite of services: the promises on which a kernel and its other parts rely; run in virtual time."""
 
 from __future__ import annotations
 

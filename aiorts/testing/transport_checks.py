@@ -1,6 +1,6 @@
-"""The conformance suite of transports: the promises on which the ends of links rely; checked with two stand-ins for
-kernels. A channel may lose, double and reorder frames, so a check sends missing frames again. No other fault is
-accepted.
+"""The conformance suite of transports: the promises on which ends of links rely; checked with two simulated kernels.
+
+A channel may lose, double and reorder frames, so a check sends missing frames again. No other fault is accepted.
 """
 
 from __future__ import annotations

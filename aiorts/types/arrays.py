@@ -1,4 +1,5 @@
 """Number sequences: input that numpy can read becomes a native, contiguous, owned, read-only array, no value changed.
+
 An array that already owns its memory is taken over and frozen; a read-only view of immutable `bytes` counts as owned,
 so that decoding adds no copy; everything else is copied once. A value that the element type cannot hold is an error,
 never a wrap. numpy is imported here, and here only when the first array is checked.

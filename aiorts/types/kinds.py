@@ -1,5 +1,4 @@
-"""The kind of value that a field may hold, and its only check: `kind.check(value, where)` returns the value to keep or
-raises.
+"""The values that a field may hold, and their only check: `kind.check(value, where)` returns the one to keep or raises.
 
 A kind is shared by all fields of its sort and knows no field name; `where` ("TimedLong.data") is used in messages only.
 `exact` is the class whose instances need no check at all, which is what the constructors test first.

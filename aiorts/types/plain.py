@@ -123,8 +123,7 @@ def _know_making(cls: type) -> tuple[list[tuple[str, Callable[[Any], Any]]], tup
 
 
 def _restore(kind: Kind) -> Callable[[Any], Any] | None:
-    """The function that restores a field of a mutable dataclass: to a list where it declares one, to a dict for a
-    map."""
+    """The function that restores a field of a mutable dataclass: a list where it declares one, a dict for a map."""
     kind = kind.inner if isinstance(kind, OptionalKind) else kind
     if isinstance(kind, MapKind):
         return as_dict

@@ -83,8 +83,7 @@ def field(*, unit: str = "", doc: str = "") -> Any: ...
 def field(
     *, default: Any = dataclasses.MISSING, default_factory: Any = dataclasses.MISSING, unit: str = "", doc: str = ""
 ) -> Any:
-    """Declare a field of a record, or of a dataclass, with the unit and text that `aiorts types`, schemas and plots
-    show.
+    """Declare a field of a record or dataclass, with the unit and text that `aiorts types`, schemas and plots show.
 
     `angle: float = field(default=0.0, unit="rad")`. Two ports are not connected when a field has
     different units at the two ends, as with `unit=` of ports.

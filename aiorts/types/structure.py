@@ -331,8 +331,7 @@ def _literal(values: tuple[Any, ...], where: str) -> Kind:
 
 
 def _entry_kinds(annotation: Any, where: str, owner: type | None) -> tuple[Kind, ...]:
-    """The kinds of a map's values; none for all that can travel in one. Of a union, those of its members that can
-    travel.
+    """The kinds of a map's values; none for all that can travel in one. Of a union, those that can travel.
 
     Raises:
         DeclarationError: a map of these values cannot travel: its values are scalars, arrays and maps.

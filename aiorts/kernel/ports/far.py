@@ -114,8 +114,7 @@ class FarLedger(Protocol):
 
     @property
     def read(self) -> Mapping[str, Sequence[int]] | None:
-        """The ages of samples when the reader read them, where measured; None: the reader's end does not report
-        them."""
+        """The ages of samples when they were read, where measured; None: the reader's end does not report them."""
         ...
 
 

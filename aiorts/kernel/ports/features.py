@@ -36,8 +36,7 @@ class Feature:
     wanted: Callable[[ConnectorProfile], bool]
     """Whether a connector with these options has the feature."""
     mixins: Callable[[], tuple[type[FeaturedTransport], type[FeaturedTransport]]]
-    """The classes for connectors that carry samples at once, and at each period; called only where the feature is
-    wanted."""
+    """The classes for connectors that carry samples at once, and at each period; called only where they are needed."""
     settles: bool = False
     """Whether the reader's queue is settled (`Transport.settle`) before each look at it, and `take` is called."""
     asks: bool = False

@@ -70,8 +70,7 @@ class NotifiedPorts(list[InPort[Any]]):
         self.notified.clear()
 
     def find_data(self) -> bool:
-        """Enable all ports that have notified again; return whether one still has data: it counts as having
-        notified."""
+        """Enable all ports that have notified; return whether one still has data: it counts as having notified."""
         # Enabled before the look: a sample that a thread writes in between notifies again, and is not missed.
         notified, self.notified = self.notified, []
         for port in notified:

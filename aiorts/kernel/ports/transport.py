@@ -688,8 +688,7 @@ class Transport:
         self.times.add(began_ns, self.clock.monotonic_ns())
 
     def on_loop(self, callback: Callable[[Any], object]) -> None:
-        """Call `callback` with the transport that the connector then has, on the kernel's loop: now if on its
-        thread."""
+        """Call `callback` with the transport that the connector then has, on the loop: now if this is its thread."""
         connector = self.connector
         connector.out._on_loop(lambda: callback(connector._transport))
 

@@ -43,8 +43,7 @@ async def wait_any(*ports: InPort[Any], timeout: float | None = None) -> tuple[I
 async def wait_until(
     ports: tuple[InPort[Any], ...], look: Callable[[], T | None], where: str, missing: str, timeout: float | None
 ) -> T:
-    """The first result of `look` that is not None: it is called at once and whenever a sample comes to one of the
-    ports.
+    """The first result of `look` that is not None: it is called at once and whenever a sample comes to a port.
 
     `where` and `missing` are for messages. For the rest see `wait_any`.
     """
