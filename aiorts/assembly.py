@@ -141,10 +141,10 @@ class Kernel(Microkernel):
         `on_startup` and `on_activated` here. Its in-ports take samples all the time. Between contexts of this kernel
         it stays the same instance.
 
-        To and from a process another instance is made: its `on_initialize` runs before, while the old one still runs,
-        whose `on_finalize` runs at the end. Parameters and sets go with it, and its attributes, which have to be plain
-        data, arrays and records, or what its `on_reload` takes over of them. Its connectors are made again under their
-        names, with their unread samples, in order. Calls in progress end with ServiceUnavailable.
+        To and from a process another instance is made: its `on_initialize` runs before, while the old one still runs;
+        the old one's `on_finalize` runs at the end. Parameters and sets go with it, and its attributes, which have to
+        be plain data, arrays and records, or what its `on_reload` takes over of them. Its connectors are made again
+        under their names, with their unread samples, in order. Calls in progress end with ServiceUnavailable.
 
         Args:
             to: a context of this kernel, which is started where it does not run yet; or "process".
@@ -349,13 +349,13 @@ class Kernel(Microkernel):
         Each instance gets a new one in its place, between two cycles, all of a context at once: same name, place in the
         order and lifecycle state, parameters in force and sets, and the connectors and unread samples of the ports
         that its code still has. `on_initialize` of the new one runs before, while the old one still runs; then its
-        `on_reload`, which gets the old one; no other transition hook runs. Tasks of the old one are cancelled (both
-        tasks would take each other's samples), and its `on_finalize` runs at the end: what `on_reload` takes over for
-        good it takes away from the old one. The call returns when the new code has done its first cycles without a
-        failure. A failure before that takes everything back, attributes of the old instance included; where a hook of
-        the new code runs on, 10 s are waited, and then the old code comes back when that hook returns. If tasks of the
-        old one had been cancelled, its `on_deactivated` and `on_activated` are run, to start them again, while it stays
-        active. A caller that is cancelled ends nothing.
+        `on_reload`, which gets the old one; no other transition hook runs. Tasks of the old one are cancelled (with
+        those of the new one they would take each other's samples), and its `on_finalize` runs at the end: what
+        `on_reload` takes over for good it takes away from the old one. The call returns when the new code has done its
+        first cycles without a failure. A failure before that takes everything back, attributes of the old instance
+        included; where a hook of the new code runs on, 10 s are waited, and then the old code comes back when that hook
+        returns. If tasks of the old one had been cancelled, its `on_deactivated` and `on_activated` are run, to start
+        them again, while it stays active. A caller that is cancelled ends nothing.
 
         Only the file itself is read again, not what it imports. Other types in it keep their code; instances created
         afterwards have the new code, by a supervised restart, too, if its factory is the class or a `partial` of it.
@@ -437,8 +437,8 @@ class Kernel(Microkernel):
         """Tell systemd of this kernel, if the environment asks for it; False when it does not.
 
         READY=1 once these components (by default all that are in a context) are active; STOPPING=1 when the kernel
-        closes; STATUS= whenever it changes; WATCHDOG=1 four times in WATCHDOG_USEC, while all contexts get on: they end
-        while a hook has run for half of that time.
+        closes; STATUS= whenever it changes; WATCHDOG=1 four times in WATCHDOG_USEC, while all contexts get on: no more
+        once a hook has run for half of that time.
 
         Args:
             environ: NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID are taken from it; those of the process by default.

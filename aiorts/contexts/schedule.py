@@ -58,7 +58,7 @@ class Schedule:
         self._lateness = Lateness()
         """The lateness of the cycles before them."""
         self.own_ns = 0
-        """The time by which ticks that were run were due after those left out before them, in total."""
+        """The total time by which the ticks that were run were due after those left out before them."""
         self.period_ns = 0
         """The period, rounded down."""
         self.deadline_ns: int | None = None

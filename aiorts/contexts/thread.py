@@ -249,7 +249,7 @@ class ThreadDriver:
         return None
 
     def update_for_sharing(self) -> None:
-        """Do nothing: a thread of its own shares no loop."""
+        """Do nothing: a component of a thread context is in no second context."""
 
     def kick(self) -> None:
         """Interrupt the wait: there is a request. From any thread."""

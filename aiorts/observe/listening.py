@@ -91,8 +91,7 @@ _LEFT_OUT: Final = {
 
 @dataclass(frozen=True, slots=True)
 class ConnectorEvent(Event):
-    """An event of a sample or connector; sent to subscribers to this very class and to the connector's listeners
-    only."""
+    """An event of a sample or connector; only for subscribers to this very class and for listeners of the connector."""
 
     quiet: ClassVar[bool] = True
     of_samples: ClassVar[bool] = True

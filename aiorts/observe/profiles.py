@@ -75,8 +75,7 @@ class ParameterReport:
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationReport:
-    """Configuration sets: the active one, and the values of each; values that a set does not name are as in
-    "default"."""
+    """Configuration sets: the active one, and the values of each; values not named in a set are as in "default"."""
 
     active: str = "default"
     sets: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)

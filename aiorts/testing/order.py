@@ -1,12 +1,12 @@
 """Another order of the tasks that are ready at one instant, which asyncio allows as well as the usual one.
 
-In each turn of a loop the tasks that are ready change places, at random and reproducibly. Orders that asyncio promises
-stay:
+In each turn of a loop the tasks that are ready change places, at random and reproducibly. Promised orders stay:
 
 - Callbacks run in the order in which `call_soon` took them, as asyncio documents, and no task passes one: tasks that
-were ready before a callback run before it, later ones after it. So a future's done callbacks, the wake-up of the task
-that awaits it, and calls that a task schedules before it goes on keep their order. - A task that gives up its turn
-(`sleep(0)`) goes on after everything that was ready then. - Nothing moves from one turn to another.
+  were ready before a callback run before it, later ones after it. So a future's done callbacks, the wake-up of the task
+  that awaits it, and calls that a task schedules before it goes on keep their order.
+- A task that gives up its turn (`sleep(0)`) goes on after everything that was ready then.
+- Nothing moves from one turn to another.
 
 asyncio promises no order of tasks that were woken or made meanwhile, nor of loop timers of the same moment (asyncio:
 "the order in which they are called is undefined").
