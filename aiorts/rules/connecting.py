@@ -135,7 +135,7 @@ class ConnectingRules(KernelService):
         bus.subscribe(Disconnected, lambda _event: self._soon())
 
     def change(self, rules: Sequence[Mapping[str, Any]]) -> None:
-        """Replace the rules: those that both lists begin with stay, the rest are added, or end with their connectors.
+        """Add rules at the end, or end the last ones with their connectors: one of the two lists begins with the other.
 
         Raises:
             ConfigurationError: an entry is no rule; nothing was changed.
