@@ -260,6 +260,8 @@ def _kind(value: Mapping[str, Any]) -> str:
         kinds[kinds.index("array")] = plural.get(inner, "array") if isinstance(inner, str) else "array"
     said = " or ".join(_KINDS.get(one, one) for one in kinds)
     limits = [f"{word} {_shown(value[name])}" for name, word in _LIMITS.items() if name in value]
+    if "maxLength" in value:
+        limits.append(f"at most {_shown(value['maxLength'])} characters")
     return f"{said}, {', '.join(limits)}" if limits else said
 
 

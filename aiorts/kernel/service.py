@@ -37,7 +37,8 @@ def setting(default: T, doc: str, *, option: bool | str = False, **declared: Any
         option: whether it is an option of `aiorts run`, too: `--SERVICE-FIELD`; a text is the word after `--SERVICE-`
             in the place of the field's, "" makes it `--SERVICE` itself, the service's main setting, and "--word" is
             the whole option.
-        declared: the range and the unit of a number: `low=0`, `high=10`, `above=0`, `unit="s"`; `endless=True` where
+        declared: the range and the unit of a number: `low=0`, `high=10`, `above=0`, `unit="s"` (of a text `low` and
+            `high` are the fewest and the most characters); `endless=True` where
             infinity is a value, too. `schema`: the JSON Schema of the contents of a table or a list.
     """
     from aiorts.model.declared import option as declare

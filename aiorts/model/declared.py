@@ -43,7 +43,7 @@ class Option(NamedTuple):
     low: float | None = None
     """The smallest number, or the fewest characters of a text."""
     high: float | None = None
-    """The largest number."""
+    """The largest number, or the most characters of a text."""
     above: float | None = None
     """The bound that a number is above. Where there is a bound, infinity is refused unless the option is endless."""
     words: Mapping[str, str] = MappingProxyType({})
@@ -199,7 +199,15 @@ def expected_of(cls: type, name: str, value: Any) -> str:
         return ""
     if words := words_among(cls, name):
         return "" if isinstance(value, str) and value in words else f"expected one of {', '.join(words)}"
-    return expected_number(one, kinds, value)
+    return expected_text(one, value) if kinds == (str,) else expected_number(one, kinds, value)
+
+
+def expected_text(one: Option, value: Any) -> str:
+    """The expectation that a text misses by its length, in words; "" where it fits, and for what is no text."""
+    if not isinstance(value, str) or (one.low or 0) <= len(value) <= (math.inf if one.high is None else one.high):
+        return ""
+    ends = ("at least", one.low), ("at most", one.high)
+    return f"expected a text of {' and '.join(f'{word} {_shown(end)}' for word, end in ends if end)} characters"
 
 
 def expected_number(one: Option, kinds: Collection[Any], value: Any) -> str:

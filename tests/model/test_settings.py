@@ -14,6 +14,7 @@ from aiorts.diagnostics import LoopLimit
 from aiorts.errors import ConfigurationError
 from aiorts.kernel.extensions.arguments import settings_faults, settings_of
 from aiorts.model.declared import fault_of, options_of
+from aiorts.system.schemas.option_schema import plain_schema
 
 if TYPE_CHECKING:
     from pathlib import PurePath
@@ -83,3 +84,15 @@ def test_a_list_is_no_default() -> None:
         @dataclass(frozen=True)
         class _Shared:
             names: Any = setting([], "Names.")  # noqa: RUF009 - it makes a field
+
+
+def test_the_length_of_a_text_is_checked_and_stands_in_the_schema() -> None:
+    @dataclass(frozen=True)
+    class Named:
+        name: str = setting("ab", "A name.", low=2, high=4)
+
+    assert [fault_of(Named, "name", text) for text in ("ab", "abcd", 7)] == ["", "", ""]
+    assert fault_of(Named, "name", "a") == "expected a text of at least 2 and at most 4 characters, got 'a'"
+    assert "at most 4" in fault_of(Named, "name", "abcde")
+    schema = plain_schema(str, options_of(Named)["name"])
+    assert (schema["minLength"], schema["maxLength"]) == (2, 4)

@@ -223,6 +223,9 @@ class _Reader(Reading):
                 return one.default
             return kind(found) if isinstance(kind, type) else found
         value = self._get(key, table, word, object if kind in (int, float) else kind, one.default)
+        if kind is str and (what := fault_of(cls, word, value)):
+            self._say((*key, word), what)
+            return one.default
         if word not in table or kind not in (int, float):
             return value
         try:

@@ -45,6 +45,12 @@ def limits_schema(one: Option) -> dict[str, Any]:
     return {word: end for word, end in ends.items() if end is not None}
 
 
+def _length(one: Option) -> dict[str, Any]:
+    """The JSON Schema of the number of a text's characters."""
+    ends = {"minLength": one.low, "maxLength": one.high}
+    return {word: end for word, end in ends.items() if end is not None}
+
+
 def _yes(others: tuple[Any, ...]) -> dict[str, Any]:
     words = [word for other in others for word in words_of(other)]
     return {"anyOf": [{"type": "boolean"}, {"enum": [0, 1]}, YES_TEXT, *(_text(_spelled(word)) for word in words)]}
@@ -56,7 +62,7 @@ def option_schema(kinds: tuple[Any, ...], one: Option) -> dict[str, Any]:
     if kind is bool:
         found = _yes(kinds[1:])
     elif kind is str:
-        found = {"type": "string"} if one.low is None else {"type": "string", "minLength": one.low}
+        found = {"type": "string", **_length(one)}
     else:
         found = _choice(kind, one) if issubclass(kind, StrEnum) else _number(kind, one)
     return {**found, **_said(one)}
@@ -69,7 +75,7 @@ def plain_schema(kind: Any, one: Option) -> dict[str, Any]:
     elif kind in (int, float):
         found = _range(kind, one)
     else:
-        found = {"type": "boolean" if kind is bool else "string"}
+        found = {"type": "boolean"} if kind is bool else {"type": "string", **_length(one)}
     return {**found, **_said(one)}
 
 
