@@ -34,8 +34,9 @@ from aiorts.kernel.quality.succession import pass_on
 from aiorts.links import Links
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.options import AGAIN, chosen_options, link_options, said_options
+from aiorts.model.service_profile import ServiceConnectorProfile
 from aiorts.services import ServicePort
-from aiorts.supervision import standing_of
+from aiorts.supervision import place_of
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -332,7 +333,7 @@ async def _make(kernel: Microkernel, old: Component, cls: type[Component]) -> Co
         StateError: it has other ports. What making it raises.
     """
     new = construct(cls, old.name)
-    standing_of(old).configure(new)
+    place_of(old).configure(new)
     here = cell(new)
     here.kernel = kernel
     error = await run_alone(kernel, new, "on_initialize", None, limit=kernel.initialize_timeout)
@@ -430,7 +431,7 @@ class _Move:
     def switch(self, new: Component) -> None:
         """The new one has the old one's place and connectors, with what is unread here."""
         kernel, old, options = self._kernel, self._old, self._options
-        calls = [one.profile for one in kernel.service_connectors.values() if self._is_at(one.profile.ports)]
+        calls = [profile for profile, _ in place_of(old).connectors if isinstance(profile, ServiceConnectorProfile)]
         for profile in calls:
             kernel.connections.end(kernel.service_connectors[profile.name])
         before = {one.name: chosen_options(one.profile) | {"length": one.profile.length} for one in options}
@@ -465,9 +466,6 @@ class _Move:
             kernel.connections.end(connector)
         for profile in calls:
             kernel.connections.renew(profile, reports_losses=False)
-
-    def _is_at(self, paths: tuple[str, ...]) -> bool:
-        return any(path.partition(".")[0] == self._old.name for path in paths)
 
     # -- what is on its way ----------------------------------------------------------------------------------------
 

@@ -18,11 +18,11 @@ from aiorts.kernel.start_context import arrange_contexts
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.ordering import ordered
 from aiorts.planning.component_rows import stores
+from aiorts.supervision import ContextPlace
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.execution.context import Context
-    from aiorts.kernel.execution.cycle import Done, Steps
     from aiorts.kernel.execution.member import Member
     from aiorts.model.configuration.sets import ConfigurationState
     from aiorts.planning.planning import Planning
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 _ACTIVE: Final = LifecycleState.ACTIVE
 _ERROR: Final = LifecycleState.ERROR
 _INACTIVE: Final = LifecycleState.INACTIVE
-_NOWHERE: Final = None, None, False
 
 
 class Snapshot:
@@ -45,7 +44,7 @@ class Snapshot:
         self._members = {name: [one.name for one in context.members] for name, context in self.contexts.items()}
         self._at_ports = {port: port.connectors for one in self.components.values() for port in one.ports.values()}
         self._states = {
-            (context.name, member.component.name): (member, member.state, member.finishing)
+            (context.name, member.component.name): ContextPlace.of(member)
             for context in self.contexts.values()
             for member in context.runner.members
         }
@@ -56,7 +55,8 @@ class Snapshot:
 
     def was_active(self, context: str, component: str) -> bool:
         """Whether a component was active in a context."""
-        return self._states.get((context, component), _NOWHERE)[1] is _ACTIVE
+        place = self._states.get((context, component))
+        return place is not None and place.state is _ACTIVE
 
     def was_active_somewhere(self, component: str) -> bool:
         """Whether a component was active in any context."""
@@ -97,7 +97,7 @@ class Snapshot:
         for (context, name), before in self._states.items():
             there = kernel.contexts.get(context), kernel.components.get(name)
             if there[0] is not None and there[1] is not None:
-                notes += await _restore_state(there[0], there[1], *before)
+                notes += await _restore_state(there[0], there[1], before)
         for name, line in self._members.items():
             if name in kernel.contexts:
                 await _arrange(kernel.contexts[name], line)
@@ -129,19 +129,18 @@ class Snapshot:
             yield f"{name}: " + ("is gone" if name not in kernel.connectors else "was made anew, and counts from 0")
 
 
-async def _restore_state(
-    context: Context, component: Component, before: Member, state: LifecycleState, finished: bool
-) -> tuple[str, ...]:
+async def _restore_state(context: Context, component: Component, before: ContextPlace) -> tuple[str, ...]:
     """Put a component back into its state in a context; why it is not, if not.
 
     A component that the plan has not taken out of the context, and that was activated or deactivated meanwhile, stays
     as it is.
     """
+    state = before.state
     where = f"{component.name}: was {state} in {context.name}"
     member = _member(context, component)
     if member is None:
         return (f"{where}, and is not in it",)
-    by_plan = member is not before
+    by_plan = member is not before.member
     try:
         if member.state is _ERROR and state is not _ERROR:
             await context.reset(component)
@@ -154,7 +153,7 @@ async def _restore_state(
         return (f"{where}, and is {member.state}: {format_error(error)}",)
     if member.state is not state:
         return (f"{where}, and is {member.state}",)
-    if finished and state is _INACTIVE:
+    if before.finishing and state is _INACTIVE:
         member.finishing = True
     return ()
 
@@ -163,14 +162,8 @@ async def _arrange(context: Context, names: list[str]) -> None:
     """Put the members of a context in this order, between two cycles."""
     there = {one.name: one for one in context.members}
     line = [there[name] for name in ordered(there, names)]
-
-    def steps(done: Done) -> Steps:
-        context.runner.arrange(line)
-        done(None)
-        yield from ()
-
     if line != list(context.members):
-        await context.runner.ask([(f"lay out the order of {context.name}", steps)], PATIENCE)
+        await context.runner.ask([context.runner.arranging(line)], PATIENCE)
 
 
 def _member(context: Context, component: Any) -> Member | None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from aiorts.kernel.declarations import kinds_of
@@ -25,15 +24,5 @@ def pass_on_references(kernel: Microkernel, old: Component, new: Component) -> N
 def pass_on_distant_references(kernel: Microkernel, pairs: Mapping[Component, Component]) -> None:
     """Those that only a look at every component finds, for all of a context at once."""
     for component in kernel.components.values():
-        here = cell(component)
-        if here.previous_placements:
-            here.previous_placements = tuple(
-                replace(placement, behind=_all_renewed(placement.behind, pairs))
-                for placement in here.previous_placements
-            )
         for kind in kinds_of(component):
             kind.others_replaced(component, pairs)
-
-
-def _all_renewed(those: Iterable[Component], pairs: Mapping[Component, Component]) -> tuple[Component, ...]:
-    return tuple(pairs.get(one, one) for one in those)

@@ -39,6 +39,7 @@ from aiorts.reload.fresh_code import readings_of
 from aiorts.reload.references import pass_on_references
 from aiorts.reload.reload_events import ComponentReloaded, Dropped
 from aiorts.services import ServiceEnd, ServiceHeritage
+from aiorts.supervision import ContextPlace
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -107,7 +108,7 @@ class Replacement:
         self._put_in_force: ConfigurationState | None = None
         self._handed: frozenset[str] | None = None
         """Attributes that `on_reload` took over or set; None until it has returned."""
-        self._states: dict[Member, tuple[LifecycleState, BaseException | None]] = {}
+        self._places: dict[Member, ContextPlace] = {}
 
     @property
     def new(self) -> Component:
@@ -250,7 +251,7 @@ class Replacement:
         if place.configuration is not self._seen:
             self._hand_over_parameters()
         self._old_vars, self._new_vars = dict(vars(old)), dict(vars(new))
-        self._states = {member: (member.state, member.failure) for member in place.members}
+        self._places = {member: ContextPlace.of(member) for member in place.members}
         self._ports = dict(place.ports)
         ports = self._ports_wanted()
         self.gone = [port for name, port in self._ports.items() if ports.get(name) is not port]
@@ -399,7 +400,8 @@ class Replacement:
                 vars(new)[name] = value
 
     def _restore(self, member: Member) -> None:
-        state, failure = self._states.get(member, (_INACTIVE, None))
+        place = self._places.get(member)
+        state, failure = (_INACTIVE, None) if place is None else (place.state, place.failure)
         member.abandoned = False
         if member.failure is not failure or (member.state is _ERROR and state is not _ERROR):
             member.failure = failure

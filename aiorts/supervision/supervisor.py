@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,21 +22,17 @@ from aiorts.kernel.execution.file_access import own_context
 from aiorts.kernel.loop.bus import ComponentRemoved, Event, StateChanged
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import current_task, kernel_task
-from aiorts.kernel.ports.connector import transport_of
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.wanted.restart_policy import Attempts, Supervision
-from aiorts.services import ServiceConnector
-from aiorts.supervision.saved_state import SavedState, instance_of, reset_whole, standing_of
+from aiorts.supervision.component_place import instance_of, place_of, reset_whole
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
-    from aiorts.kernel.execution.context import Context
-    from aiorts.kernel.execution.cycle import Done, Steps
     from aiorts.kernel.microkernel import Microkernel
-    from aiorts.kernel.ports.connector import Connector
     from aiorts.model.profile import ConnectorProfile
     from aiorts.model.service_profile import ServiceConnectorProfile
+    from aiorts.supervision.component_place import ComponentPlace, KeptConnector
 
 _LOG = KernelLog()
 _ERROR: Final = LifecycleState.ERROR
@@ -67,20 +62,6 @@ class RestartLimitReached(Event):
     error: BaseException | None = None
 
 
-@dataclass(slots=True)
-class _Place:
-    """Where a component was: enough to put another one there."""
-
-    contexts: list[tuple[Context, int, bool]]
-    """With the place in the order, and whether it is to be active there."""
-    connectors: list[tuple[ConnectorProfile | ServiceConnectorProfile, bool]]
-    """Of a data connector the writer's port comes first. With whether its losses are reported."""
-    standing: SavedState
-    """Its configuration, and its place in a composite."""
-    on_link_lost: str
-    """What a system file says of it."""
-
-
 class Supervised:
     """The state of supervision of one component; read-only."""
 
@@ -93,7 +74,7 @@ class Supervised:
         self._attempts = Attempts(policy)
         self._factory = factory
         self._task: asyncio.Task[None] | None = None
-        self._place: _Place | None = None
+        self._place: ComponentPlace | None = None
         self._removing = False
 
     @property
@@ -259,7 +240,7 @@ class Supervisor:
         if policy.restart == "reset" and cell(one.component).abandoned is not None:
             what = "a reset cannot help"
         state = "is gone" if gone else "stays in error"
-        composite = outer_of(one.component) if one._place is None else one._place.standing.composite
+        composite = outer_of(one.component) if one._place is None else one._place.composite
         stopped = stopped_with(one.component, composite)
         if stopped:
             state += f", its composite {stopped} stays stopped,"
@@ -290,7 +271,7 @@ class Supervisor:
         if place is None:
             if not _in_error(old):
                 return  # it was recovered by another request
-            place = one._place = _place_of(old, kernel.registry.on_link_lost.get(one.name, ""))
+            place = one._place = place_of(old)
         if kernel.components.get(one.name) is old:
             one._removing = True
             try:
@@ -302,25 +283,14 @@ class Supervisor:
                 self.supervised.pop(one.name, None)
                 return
         new = instance_of(kernel, one.name, one._factory)
-        place.standing.configure(new)
+        place.configure(new)
         await kernel.add(new)
-        kernel.registry.on_link_lost[one.name] = place.on_link_lost
         one.component = new
         _limit(new, one.policy)
-        kept = place.standing.kept
-        self._connect([one for one in place.connectors if one[0].name in kept])
-        await place.standing.join(kernel, new)
-        self._connect([one for one in place.connectors if one[0].name not in kept])
-        for context, order, active in place.contexts:
-            if context.running and kernel.contexts.get(context.name) is context:
-                if context not in new.contexts:
-                    await context.add(new)
-                await context.runner.ask([(f"put {new.name} in its place", _putting(context, new, order))], 5.0)
-                if active and context.state(new) is _INACTIVE:
-                    await context.activate(new)
+        await place.put_back(new, self._connect)
         one._place = None
 
-    def _connect(self, connectors: Sequence[tuple[ConnectorProfile | ServiceConnectorProfile, bool]]) -> None:
+    def _connect(self, connectors: Sequence[KeptConnector]) -> None:
         """Connect the ports that still exist; a port that was added at run time may be missing."""
         for profile, reports_losses in connectors:
             kernel = self._kernel
@@ -360,36 +330,6 @@ def _limit(component: Component, policy: Supervision) -> None:
     cell(component).deadlines = policy.limits
     for member in cell(component).members:
         member.limit_anew()
-
-
-def _place_of(component: Component, on_link_lost: str) -> _Place:
-    contexts = [(m.context, m.order, m.state is not _INACTIVE) for m in cell(component).members]
-    # One from the component to itself hangs on two of its ports.
-    found = {connector.name: connector for port in component.ports.values() for connector in port.connectors}
-    return _Place(contexts, [_kept_of(one) for one in found.values()], standing_of(component), on_link_lost)
-
-
-def _kept_of(connector: Connector | ServiceConnector) -> tuple[ConnectorProfile | ServiceConnectorProfile, bool]:
-    if isinstance(connector, ServiceConnector):
-        return connector.profile, False
-    reports_losses = transport_of(connector).losses is not None
-    return _with_ends(connector.profile, connector.out.path, connector.in_.path), reports_losses
-
-
-def _with_ends(profile: ConnectorProfile, out: str, in_: str) -> ConnectorProfile:
-    return replace(profile, ports=(out, in_, *(path for path in profile.ports if path not in (out, in_))))
-
-
-def _putting(context: Context, component: Component, order: int) -> Callable[[Done], Steps]:
-    """Steps that give it the place in the order that it had."""
-
-    def steps(done: Done) -> Steps:
-        context.runner.member(component).order = order
-        context.runner.members.sort(key=lambda member: member.order)
-        done(None)
-        yield from ()
-
-    return steps
 
 
 def _makes(factory: Any, old: type[Component], new: type[Component]) -> Any:

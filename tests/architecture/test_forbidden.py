@@ -99,7 +99,7 @@ BROAD_EXCEPT = {
     "aiorts/contexts/thread.py:_go_on",
     "aiorts/contexts/thread.py:_carry_out",
     # Round a factory, at a restart: a SystemExit of a constructor is told as an error of the component.
-    "aiorts/supervision/saved_state.py:instance_of",
+    "aiorts/supervision/component_place.py:instance_of",
     "aiorts/kernel/execution/task_driver.py:_run",
     # `_run` written out for the hooks of a cycle, and for the one that a sample woke.
     "aiorts/kernel/execution/task_driver.py:_run_one",

@@ -154,6 +154,16 @@ class Runner:
         """A component leaves."""
         return f"remove {member.component.name}", partial(self.life.remove, member)
 
+    def arranging(self, components: Sequence[ComponentSide]) -> Request:
+        """Components get this order, as `arrange` says."""
+
+        def steps(done: Done) -> Steps:
+            self.arrange(components)
+            done(None)
+            yield from ()
+
+        return f"lay out the order of {self._context.name}", steps
+
     async def release(self, components: Sequence[ComponentSide], timeout: float | None = 5.0) -> None:
         """Ask for these to leave, whatever they are members of."""
         await self.ask([self.leaving(self.member(component)) for component in components], timeout)

@@ -1,10 +1,12 @@
-"""Saves the state of a component that its contexts and connectors do not have, for a new instance of it.
+"""The place of a component in its kernel, read from one instance and put back for the next one.
 
-That is its configuration, with sets and parameters added, and its place in a composite.
+Supervision puts a new instance there after a failure, moving one of another process, and planning and reload look up
+the state in each context.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from aiorts.composites import outer_of
@@ -14,35 +16,84 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import declarations, kinds_of
 from aiorts.kernel.execution.cell import cell, has_cell
 from aiorts.kernel.loop.origins import located
+from aiorts.kernel.ports.connector import transport_of
 from aiorts.late import dataclass
 from aiorts.model.configuration.sets import ConfigurationState
-from aiorts.model.lifecycle import Event
+from aiorts.model.lifecycle import Event, LifecycleState
 from aiorts.model.values import shown
+from aiorts.services import ServiceConnector
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from aiorts.composites import CompositeGroup, PreviousPlacement
+    from aiorts.kernel.execution.cycle import Done, Steps
+    from aiorts.kernel.execution.member import Member
     from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.model.profile import ConnectorProfile
+    from aiorts.model.service_profile import ServiceConnectorProfile
+
+    KeptConnector = tuple[ConnectorProfile | ServiceConnectorProfile, bool]
+    """The profile of a connector, and whether its losses are reported. The port of a writer comes first."""
 
 
 @dataclass(frozen=True, slots=True)
-class SavedState:
-    """Taken from the old instance before it is removed."""
+class ContextPlace:
+    """A component in one of its contexts, at one moment."""
+
+    member: Member
+    order: int
+    """The number by which the context sorts its members."""
+    state: LifecycleState
+    failure: BaseException | None
+    finishing: bool
+
+    @classmethod
+    def of(cls, member: Member) -> ContextPlace:
+        """The place of a member at this moment."""
+        return cls(member, member.order, member.state, member.failure, member.finishing)
+
+    async def put_back(self, new: Component) -> None:
+        """Add an instance to the context, if that still runs: in the same order, and active unless it was inactive."""
+        context = self.member.context
+        if not context.running or new.kernel.contexts.get(context.name) is not context:
+            return
+        if context not in new.contexts:
+            await context.add(new)
+        await context.runner.ask([(f"put {new.name} in its place", lambda done: self._sort(new, done))], 5.0)
+        if self.state is not LifecycleState.INACTIVE and context.state(new) is LifecycleState.INACTIVE:
+            await context.activate(new)
+
+    def _sort(self, new: Component, done: Done) -> Steps:
+        runner = self.member.context.runner
+        runner.member(new).order = self.order
+        runner.members.sort(key=lambda member: member.order)
+        done(None)
+        yield from ()
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentPlace:
+    """The place of a component, read before its instance is removed."""
 
     configuration: ConfigurationState
     was_active: bool
     """Whether it was active at any time: samples that the new one drops do not come before its start."""
     added: tuple[str, ...]
     """Parameters that its class does not declare."""
+    contexts: tuple[ContextPlace, ...]
+    connectors: list[KeptConnector]
     composite: CompositeGroup | None
-    place: int
-    """Its place among the composite's members."""
+    index: int
+    """The position among the composite's members."""
     kept: frozenset[str]
     """Connectors that its ports had before the composite exported them."""
     previous_placements: tuple[PreviousPlacement, ...]
     heritages: tuple[Callable[[Component], None], ...]
     """The functions by which its kinds hand over, such as the machines it takes part in."""
+    on_link_lost: str
+    """The option of this name in a system file."""
 
     def configure(self, new: Component) -> None:
         """Give an instance, before it is added to a kernel, the sets, the active set and the parameters of the old one.
@@ -65,37 +116,64 @@ class SavedState:
         }
         return state.replaced(sets, old.active, owner)
 
-    async def join(self, kernel: Microkernel, new: Component) -> None:
+    async def put_back(self, new: Component, connect: Callable[[Sequence[KeptConnector]], None]) -> None:
+        """Give an instance that its kernel has already this place: connectors, composite and contexts, in this order.
+
+        Args:
+            connect: makes connectors between the ports that still exist.
+        """
+        new.kernel.registry.on_link_lost[new.name] = self.on_link_lost
+        connect([one for one in self.connectors if one[0].name in self.kept])
+        await self._join(new)
+        connect([one for one in self.connectors if one[0].name not in self.kept])
+        for place in self.contexts:
+            await place.put_back(new)
+
+    async def _join(self, new: Component) -> None:
         """Take the old instance's place in its composite, if that still exists, and among participants."""
         from aiorts.composites import Wanted, change
 
         for hand_over in self.heritages:
             hand_over(new)
         composite = self.composite
-        if composite is None or kernel.components.get(composite.name) is not composite.component:
+        if composite is None or new.kernel.components.get(composite.name) is not composite.component:
             return
         members: list[Any] = [member for member in composite.members if member is not new]
-        members.insert(self.place, new)
+        members.insert(self.index, new)
         await change(composite, Wanted(members), 5.0)
         cell(new).previous_placements = self.previous_placements
 
 
-def standing_of(component: Component) -> SavedState:
-    """How it stands at this moment."""
+def place_of(component: Component) -> ComponentPlace:
+    """The place of a component at this moment."""
     composite = outer_of(component)
     state = cell(component).configuration
     declared = declarations(type(component)).parameters
-    known = [] if composite is None else [composite.known.get(port, ()) for port in component.ports.values()]
-    return SavedState(
+    ports = component.ports.values()
+    known = {} if composite is None else composite.known
+    # A connector from the component to itself is at two of its ports.
+    connectors = {connector.name: connector for port in ports for connector in port.connectors}
+    return ComponentPlace(
         state,
         cell(component).was_active,
         tuple(name for name in state.specs if name not in declared),
+        tuple(map(ContextPlace.of, cell(component).members)),
+        [_kept_of(connector) for connector in connectors.values()],
         composite,
         0 if composite is None else composite.members.index(component),
-        frozenset(connector.name for connectors in known for connector in connectors),
+        frozenset(connector.name for port in ports for connector in known.get(port, ())),
         cell(component).previous_placements,
         tuple(filter(None, (kind.heritage(component) for kind in kinds_of(component)))),
+        component.kernel.registry.on_link_lost.get(component.name, ""),
     )
+
+
+def _kept_of(connector: Connector | ServiceConnector) -> KeptConnector:
+    if isinstance(connector, ServiceConnector):
+        return connector.profile, False
+    profile, ends = connector.profile, (connector.out.path, connector.in_.path)
+    ports = (*ends, *(path for path in profile.ports if path not in ends))
+    return replace(profile, ports=ports), transport_of(connector).losses is not None
 
 
 async def reset_whole(composite: CompositeGroup) -> None:
