@@ -1,13 +1,13 @@
 """Carries out a plan in a kernel: all of it, or nothing.
 
-`Application` has a method for each class of step. A step that fails is taken back with those before it, by their
-reverse steps in reverse order. What a step takes out is parked and not ended, so that the reverse step puts the same
-object back. Only when all is over what is parked is ended.
+The table of `Application` has two functions for each class of step: one carries it out, the other undoes it. When a
+step fails, the undoes of this step and of the steps before it run in reverse order. What a step takes out is parked and
+not ended, so that its undo puts the same object back. Parked objects end only when all is over.
 """
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Container, Mapping
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
@@ -67,9 +67,10 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
     from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry, Wanted
     from aiorts.model.wanted.plan import Plan
-    from aiorts.planning.component_rows import put_in_force
-from aiorts.planning.planning import Planning
+    from aiorts.planning.planning import Planning
 
+Carry = Callable[[Any], Awaitable[None]]
+MakeContext = Callable[["ContextEntry"], Context]
 _ACTIVE: Final = LifecycleState.ACTIVE
 _PATIENCE: Final = 5.0
 """Seconds of the kernel's clock until a component that gets another type is in its place."""
@@ -86,8 +87,6 @@ class Application:
         self.plan = plan
         self._types: dict[str, type[Component]] = {}
         self._begun: list[Step] = []
-        self.goes_back = False
-        """Whether what was done is being taken back."""
         self._before = Snapshot(planning)
         self._parked: dict[str, Component] = {}
         self._composites = CompositesAside(keeps=True)
@@ -109,25 +108,26 @@ class Application:
         """The replacements of components that go into another process, by name."""
         self._isolated = frozenset(one.after.name for one in plan.steps if isinstance(one, Isolate))
         """The components that do."""
-        self._table: Final[Mapping[type[Step], Callable[[Any], Awaitable[None]]]] = {
-            Create: self._create,
-            Remove: self._remove,
-            Configure: self._configure,
-            Reload: self._reload,
-            Isolate: self._isolate,
-            Supervise: self._supervise,
-            AddRules: self._rule,
-            Connect: self._connect,
-            Disconnect: self._disconnect,
-            Change: self._change,
-            Renew: self._renew,
-            StartContext: self._start,
-            StopContext: self._stop,
-            Retime: self._retime,
-            RenewContext: self._renew_context,
-            Activate: self._activate,
-            Move: self._move,
+        self._table: Final[Mapping[type[Step], tuple[Carry, Carry]]] = {
+            Create: (self._create, self._end),
+            Remove: (self._remove, self._bring_back),
+            Configure: (self._configure, self._configure_back),
+            Reload: (self._reload, self._reload_back),
+            Isolate: (self._isolate, self._isolate),
+            Supervise: (self._supervise, self._supervise),
+            AddRules: (self._rule, self._rule),
+            Connect: (self._connect, self._end_connector),
+            Disconnect: (self._disconnect, self._connect_back),
+            Change: (self._change, self._change),
+            Renew: (self._renew, self._renew),
+            StartContext: (partial(self._start, self._wanted, self._context), self._stop),
+            StopContext: (self._stop, partial(self._start, self._now, self._stopped)),
+            Retime: (self._retime, self._retime),
+            RenewContext: (partial(self._renew_context, self._context), partial(self._renew_context, self._stopped)),
+            Activate: (self._activate, self._activate_back),
+            Move: (partial(self._move, self._activates), partial(self._move, self._was_active)),
         }
+        """What carries out a step, and what undoes it: that is given the reverse step, also of a step half done."""
 
     # -- forth and back --------------------------------------------------------------------------------------------
 
@@ -181,7 +181,7 @@ class Application:
 
     async def carry_out(self, step: Step) -> None:
         """Carry out one step; what fails is raised, and some of it may be done."""
-        await self._table[type(step)](step)
+        await self._table[type(step)][0](step)
 
     @property
     def new(self) -> list[str]:
@@ -197,7 +197,7 @@ class Application:
 
     async def back(self) -> list[str]:
         """Take back what was begun, the last step first; what is not as it was, and why."""
-        self.goes_back, self._composites.keeps = True, False
+        self._composites.keeps = False
         failed = []
         for step in reversed(self._begun):
             back = step.reverse()
@@ -205,7 +205,7 @@ class Application:
                 back = without_components(back, self._lost)
             try:
                 with acting(None):  # the files that are named again were not named by the client
-                    await self.carry_out(back)
+                    await self._table[type(step)][1](back)
             except Exception as error:  # noqa: BLE001 - the rest is taken back all the same, and this is said
                 failed.append(f"{back.text}: {format_error(error)}")
                 if isinstance(back, Create):
@@ -248,60 +248,69 @@ class Application:
 
     async def _create(self, step: Create) -> None:
         kernel, entry = self._kernel, step.component
-        if entry.name in kernel.components:
-            return
-        setting = _setting(entry)
-        component = self._parked.pop(entry.name, None)
-        if component is not None:
-            kernel.registry.unpark(component)
-            self._put_back()
-        else:
-            component = await setting.create(kernel, self._class_of(entry), entry.name)
-        self._supervise_as(component, entry)
+        if entry.name not in kernel.components:
+            component = await _setting(entry).create(kernel, self._class_of(entry), entry.name)
+            self._supervise_as(component, entry)
+
+    async def _end(self, step: Remove) -> None:
+        name = step.component.name
+        await self._kernel.service(Supervising).settle(name)
+        if (component := self._kernel.components.get(name)) is not None:
+            await self._kernel.remove(component)
 
     async def _remove(self, step: Remove) -> None:
         kernel, name = self._kernel, step.component.name
         await kernel.service(Supervising).settle(name)
         component = kernel.components.get(name)
-        if component is None:
+        if component is None or not self._planning.parks(component):
+            await self._end(step)
             return
-        if self.goes_back or not self._planning.parks(component):
-            await kernel.remove(component)
-        else:
-            for port in component.ports.values():  # what is left are connectors of services, not of the plan
-                for connector in port.connectors:
-                    self._set_aside(connector)
-            kernel.registry.park(component)
-            self._parked[name] = component
+        for port in component.ports.values():  # what is left are connectors of services, not of the plan
+            for connector in port.connectors:
+                self._set_aside(connector)
+        kernel.registry.park(component)
+        self._parked[name] = component
+
+    async def _bring_back(self, step: Create) -> None:
+        entry, registry = step.component, self._kernel.registry
+        component = None if entry.name in self._kernel.components else self._parked.pop(entry.name, None)
+        if component is None:
+            await self._create(step)
+            return
+        registry.unpark(component)
+        self._put_back()
+        self._supervise_as(component, entry)
 
     async def _configure(self, step: Configure) -> None:
         component = self._component(step.after.name)
-        before = self._before.configuration(component.name) if self.goes_back else None
-        edit = partial(_as_wanted, _setting(step.after), component) if before is None else lambda _: before
-        await put(self._kernel, component, edit)
+        await put(self._kernel, component, partial(_as_wanted, _setting(step.after), component))
+
+    async def _configure_back(self, step: Configure) -> None:
+        before = self._before.configuration(step.after.name)
+        await put(self._kernel, self._component(step.after.name), lambda state: before or state)
 
     async def _reload(self, step: Reload) -> None:
         kernel, entry = self._kernel, step.after
-        old = self._component(entry.name)
-        trial = self._trials.pop(entry.name, None)
-        if trial is not None:
+        trial = Trial(kernel, _PATIENCE)
+        try:
+            old = self._component(entry.name)
+            check_replaceable(old)
+            edit = partial(_as_declared, _setting(entry), entry.name)
+            await trial.prepare(old, code_of(self._types[entry.type]), edit)
+            await trial.switch()
+            if lost := trial.left_out():
+                raise WiringError(f"{entry.name}: {entry.type} has no port for {', '.join(lost)}")
+        except BaseException as error:
+            await trial.take_back(error)
+            raise
+        trial.end_watch()
+        self._trials[entry.name] = trial
+        await self._supervise(step)
+
+    async def _reload_back(self, step: Reload) -> None:
+        if (trial := self._trials.pop(step.after.name, None)) is not None:
             await trial.take_back(StateError("the plan was taken back"))
-        elif not self.goes_back:
-            trial = Trial(kernel, _PATIENCE)
-            try:
-                check_replaceable(old)
-                await trial.prepare(
-                    old, code_of(self._types[entry.type]), partial(_as_declared, _setting(entry), entry.name)
-                )
-                await trial.switch()
-                if lost := trial.left_out():
-                    raise WiringError(f"{entry.name}: {entry.type} has no port for {', '.join(lost)}")
-            except BaseException as error:
-                await trial.take_back(error)
-                raise
-            trial.end_watch()
-            self._trials[entry.name] = trial
-        self._supervise_as(kernel.components[entry.name], entry)
+        await self._supervise(step)
 
     async def _isolate(self, step: Isolate) -> None:
         name = step.after.name
@@ -332,7 +341,7 @@ class Application:
     async def _rule(self, step: AddRules) -> None:
         self._kernel.service(ConnectingRules).change(step.after)
 
-    async def _supervise(self, step: Supervise) -> None:
+    async def _supervise(self, step: Supervise | Reload) -> None:
         self._supervise_as(self._component(step.after.name), step.after)
 
     def _supervise_as(self, component: Component, entry: ComponentEntry) -> None:
@@ -357,45 +366,51 @@ class Application:
     # -- connectors ------------------------------------------------------------------------------------------------
 
     async def _connect(self, step: Connect) -> None:
-        kernel, name = self._kernel, step.name
-        one, two = step.connection.ports
-        parked = self._parked_connector(name, {one, two}) if self.goes_back else None
-        self._give_way(step.connection.ports)
-        if parked is not None:
-            self._connectors.remove(parked)
-            kernel.connections.unpark(parked)
-        elif self._named(name) not in kernel.connectors and name not in kernel.service_connectors:
-            await self._make(name, step.connection)
+        for connector in self._in_the_way(step.connection.ports):
+            self._set_aside(connector)
+        await self._make(step.name, step.connection)
+
+    async def _connect_back(self, step: Connect) -> None:
+        connections, paths = self._kernel.connections, step.connection.ports
+        ports = {self._kernel.registry.port(path) for path in paths}
+        named = [one for one in self._connectors if self._shown.get(one.name, one.name) == step.name]
+        parked = [one for one in named if {one.out, one.in_} == ports]
+        connections.end_each(self._in_the_way(paths))
+        if parked:
+            self._connectors.remove(parked[-1])
+            connections.unpark(parked[-1])
+        else:
+            await self._make(step.name, step.connection)
 
     async def _make(self, name: str, connection: ConnectionEntry) -> None:
-        """A connector that plans call so."""
-        one, two = connection.ports
-        made = await self._kernel.connect(one, two, **connection.options)
-        if made.name != name:
-            self._shown[made.name] = name
+        """Make a connector that plans call so, unless there is one."""
+        kernel, (one, two) = self._kernel, connection.ports
+        if self._named(name) not in kernel.connectors and name not in kernel.service_connectors:
+            made = await kernel.connect(one, two, **connection.options)
+            if made.name != name:
+                self._shown[made.name] = name
 
     def _named(self, name: str) -> str:
         """What the kernel calls the connector that plans call so."""
         there = self._kernel.connectors
         return next((here for here, shown in self._shown.items() if shown == name and here in there), name)
 
-    def _give_way(self, paths: tuple[str, ...]) -> None:
-        """What a service has connected for itself ends where the system is to have a connector of its own."""
+    def _in_the_way(self, paths: tuple[str, ...]) -> tuple[Any, ...]:
+        """The connectors that services have made for themselves where the system is to have one of its own."""
         owned = owned_by(self._kernel.services)
         port: Any = self._kernel.find(paths[0]) if owned is not None else None
-        for connector in getattr(port, "connectors", ()):
-            if owned is not None and connector.profile.ports == paths and owned(connector):
-                self._set_aside(connector)
+        connectors = getattr(port, "connectors", ())
+        return tuple(one for one in connectors if owned is not None and one.profile.ports == paths and owned(one))
 
     def _set_aside(self, connector: Any) -> None:
-        """A connector of a service: parked, or ended where there is nothing to come back to."""
+        """Park a connector of a service, or end it where the kernel does not know it."""
         connections = self._kernel.connections
         there = connections.connectors.get(connector.name)
-        if self.goes_back or there is None or there is not connector:
-            connections.end_each((connector,))
-        else:
+        if there is not None and there is connector:
             connections.park(there)
             self._of_services.append(there)
+        else:
+            connections.end_each((connector,))
 
     def _put_back(self) -> None:
         """The connectors of services whose ports are both there again, and whose names are free."""
@@ -406,32 +421,20 @@ class Application:
                 self._of_services.remove(connector)
                 connections.unpark(connector)
 
-    def _parked_connector(self, name: str, paths: set[str]) -> Connector | None:
-        """The one of this name, if its ports are those that have these paths now."""
-        ports = {self._kernel.registry.port(path) for path in paths}
-        return next(
-            (
-                one
-                for one in reversed(self._connectors)
-                if self._shown.get(one.name, one.name) == name and {one.out, one.in_} == ports
-            ),
-            None,
-        )
-
     async def _disconnect(self, step: Disconnect) -> None:
         connections, name = self._kernel.connections, self._named(step.name)
-        connector = connections.connectors.get(name)
-        if connector is None:
-            other = connections.service_connectors.get(name)
-            if other is not None:
-                connections.end(other)
-        elif self.goes_back:
-            connections.end(connector)
-        else:
+        if (connector := connections.connectors.get(name)) is not None:
             connections.park(connector)
             self._connectors.append(connector)
-        if self.goes_back:
-            self._put_back()
+        elif (service := connections.service_connectors.get(name)) is not None:
+            connections.end(service)
+
+    async def _end_connector(self, step: Disconnect) -> None:
+        connections, name = self._kernel.connections, self._named(step.name)
+        connector = connections.connectors.get(name) or connections.service_connectors.get(name)
+        if connector is not None:
+            connections.end(connector)
+        self._put_back()
 
     async def _change(self, step: Change) -> None:
         connector = self._kernel.connectors.get(self._named(step.name))
@@ -467,10 +470,9 @@ class Application:
         kind = self._kernel.plugins.find("contexts", entry.kind).load_class(Context)
         return settings_of(kind, {"name": entry.name, **entry.options})
 
-    def _made_or_again(self, entry: ContextEntry) -> Context:
-        """A new context; where the plan is taken back the one that was stopped, which starts again."""
-        before = self._before.contexts.get(entry.name) if self.goes_back else None
-        return self._context(entry) if before is None else before
+    def _stopped(self, entry: ContextEntry) -> Context:
+        """The context that was stopped, which starts again, or a new one where there was none."""
+        return self._before.contexts.get(entry.name) or self._context(entry)
 
     def _running(self, name: str) -> Context:
         """The context of this name. StateError: it was stopped."""
@@ -479,13 +481,12 @@ class Application:
             raise StateError(f"{name}: was stopped meanwhile")
         return context
 
-    async def _start(self, step: StartContext) -> None:
+    async def _start(self, system: Wanted, make: MakeContext, step: StartContext) -> None:
         if step.context.name not in self._kernel.contexts:
             # Its members join it later on; where they run decides where it does.
-            system = self._now if self.goes_back else self._wanted
-            entry, there = system.contexts.get(step.context.name), self._kernel.components
-            members = [there[one] for one in (() if entry is None else entry.members) if one in there]
-            await self._kernel.start(placed(self._made_or_again(step.context), members))
+            there = self._kernel.components
+            members = [there[one] for one in system.contexts[step.context.name].members if one in there]
+            await self._kernel.start(placed(make(step.context), members))
 
     async def _stop(self, step: StopContext) -> None:
         context = self._kernel.contexts.get(step.context.name)
@@ -496,14 +497,14 @@ class Application:
         context: Any = self._running(step.after.name)
         await context.set_rate(step.after.options["rate"])
 
-    async def _renew_context(self, step: RenewContext) -> None:
+    async def _renew_context(self, make: MakeContext, step: RenewContext) -> None:
         kernel, name = self._kernel, step.after.name
         there = kernel.contexts.get(name)
         named = [kernel.components[one] for one in step.before.members if one in kernel.components]
         members = named if there is None else tops(there)
-        active = self._active_in(there)
+        active = set() if there is None else {one.name for one in there.members if there.state(one) is _ACTIVE}
         self._hold(members)
-        made = self._made_or_again(step.after)
+        made = make(step.after)
         if there is not None:
             await there.stop()
         await kernel.start(made, *members)
@@ -513,14 +514,17 @@ class Application:
         if again:
             await made.activate(*again)
 
-    async def _activate(self, step: Activate) -> None:
+    async def _activate(self, step: Activate, names: Container[str] | None = None) -> None:
         context = self._running(step.context)
         state = LifecycleState.INACTIVE if step.after else _ACTIVE
         members = [one for one in context.members if context.state(one) is state]
-        if self.goes_back:
-            members = [one for one in members if self._before.was_active(step.context, one.name) is step.after]
+        members = [one for one in members if names is None or one.name in names]
         if members:
             await (context.activate if step.after else context.deactivate)(*members)
+
+    async def _activate_back(self, step: Activate) -> None:
+        names = (one.name for one in self._running(step.context).members)
+        await self._activate(step, {one for one in names if self._before.was_active(step.context, one) is step.after})
 
     def _who_comes_up(self, step: Step) -> list[str]:
         """The names of the components that this step may activate."""
@@ -530,7 +534,7 @@ class Application:
         there = self._kernel.components
         return [part.name for line in lines for name in line if name in there for part in parts_of(there[name])]
 
-    async def _move(self, step: Move) -> None:
+    async def _move(self, activates: Callable[[str, Any], bool], step: Move) -> None:
         kernel = self._kernel
         names = dict.fromkeys(
             name for places in (step.before, step.after) for line in places.contexts.values() for name in line
@@ -541,24 +545,25 @@ class Application:
         self._hold([kernel.components[name] for name in names if name in kernel.components])
         for name in self._isolated & names.keys():
             await hold_at(self._component(name), True)
-        await switch(kernel, step.after, self._activates, self._composites)
+        await switch(kernel, step.after, activates, self._composites)
 
     def _activates(self, context: str, component: Component) -> bool:
-        """Whether who comes into a context is to be active there."""
-        leaves = [one.name for one in parts_of(component)]
-        known = [name for name in leaves if name in self._now.components]
-        if self.goes_back and known:
-            return any(self._before.was_active(context, name) for name in known)
+        """Whether a component that comes into a context is to be active there."""
         if component.name in self._isolated:
             return self._before.was_active_somewhere(component.name)
-        entry = (self._now if self.goes_back else self._wanted).contexts.get(context)
-        starts = self._wanted.components.get(component.name)
-        return entry is not None and entry.activate and (starts is None or starts.start is None)
+        return self._is_started(self._wanted, context, component)
 
-    def _active_in(self, context: Context | None) -> set[str]:
-        if context is None:
-            return set()
-        return {one.name for one in context.members if context.state(one) is _ACTIVE}
+    def _was_active(self, context: str, component: Component) -> bool:
+        """Whether a component that comes back into a context was active there."""
+        known = [one.name for one in parts_of(component) if one.name in self._now.components]
+        if known:
+            return any(self._before.was_active(context, name) for name in known)
+        return self._is_started(self._now, context, component)
+
+    def _is_started(self, system: Wanted, context: str, component: Component) -> bool:
+        """Whether a context of this system activates the component, which has no rule of its own."""
+        entry, rules = system.contexts.get(context), self._wanted.components.get(component.name)
+        return entry is not None and entry.activate and (rules is None or rules.start is None)
 
     def _hold(self, components: list[Component]) -> None:
         """Have open in-ports stay open, wherever their component is meanwhile: what is unread stays unread."""
