@@ -279,51 +279,29 @@ async def _exchange(
     except BaseException:
         await kernel.registry.end_parked(new)
         raise
-    there, switched = _place_of(new), False
-    try:
+    there = _place_of(new)
+    async with AsyncExitStack() as undo:
+        undo.push_async_callback(kernel.registry.end_parked, new)
+        undo.push_async_callback(move.here.hold, False)
+        undo.push_async_callback(move.go_on, active=active)
         await there.prepare(to)
         await move.here.hold(True)
         await move.leave()
         state = await move.here.state()
         async with move.neighbours_paused():
             move.switch(new)
-            switched = True
+            undo.push_async_callback(move.undo, new)
         await move.arrive()
         await there.give(kernel, state)
         if to is not None:
             await _join(kernel, new, to, active=active)
-    except BaseException:
-        if switched:
-            await move.finish()
-            await _take_back(kernel, new, old)
-        try:
-            if move.context is not None and not old.contexts:
-                await _join(kernel, old, given_of(move.context), active=active)
-        finally:
-            await move.here.hold(False)
-            await kernel.registry.end_parked(new)
-        raise
-    await move.finish()
+        undo.pop_all()
+    await move.settle()
     if not held:
         await hold_at(new, False)
     await kernel.registry.end_parked(old)
     _disown(old, new)
     return new
-
-
-async def _take_back(kernel: Microkernel, new: Component, old: Component) -> None:
-    """The old instance is in its place again; its process may be gone, or that of the new one."""
-    move = _Move(kernel, new)
-    for step in (partial(move.here.hold, True), move.leave):
-        with suppress(AiortsError):
-            await step()
-    async with AsyncExitStack() as paused:
-        with suppress(TransitionTimeout):
-            await paused.enter_async_context(move.neighbours_paused())
-        move.switch(old)
-    with suppress(AiortsError):
-        await move.arrive()
-    await move.finish()
 
 
 async def _make(kernel: Microkernel, old: Component, cls: type[Component]) -> Component:
@@ -371,6 +349,11 @@ class _Move:
         if self.context is not None:
             await self.here.leave(self.context)
         await self._wait_for("what it wrote to be taken", self._has_all_arrived)
+
+    async def go_on(self, *, active: bool) -> None:
+        """Run the old one again where it ran, if it has left."""
+        if self.context is not None and not self._old.contexts:
+            await _join(self._kernel, self._old, given_of(self.context), active=active)
 
     async def arrive(self) -> None:
         """What is unread in the old one's process is here, and links lead to that of the new one."""
@@ -494,15 +477,27 @@ class _Move:
                 key = made.in_.name, str(self._links.path_of(connector.out))
                 put_in_front(made, [unpacked(one) for one in unread.get(key, ())])
 
-    async def finish(self) -> None:
-        """The links of the old one end, once the other ends have said that they have all."""
+    async def settle(self) -> None:
+        """End the links of the old one, once their other ends have acknowledged all."""
         fed = [connector for connector, _ in self._fed if connector.in_.is_far]
-        with suppress(TimeoutError):
-            async with asyncio.timeout(_SETTLES):
-                while any(one.statistics.in_flight for one in fed):  # noqa: ASYNC110 - as above
-                    await asyncio.sleep(_LOOK)
+        await self._links.ends.sent(fed, _SETTLES)
         for connector in fed:
             self._kernel.connections.end(connector)
+
+    async def undo(self, new: Component) -> None:
+        """Give the new one's place back to the old one; the process of either may be gone."""
+        await self.settle()
+        back = _Move(self._kernel, new)
+        for step in (partial(back.here.hold, True), back.leave):
+            with suppress(AiortsError):
+                await step()
+        async with AsyncExitStack() as paused:
+            with suppress(TransitionTimeout):
+                await paused.enter_async_context(back.neighbours_paused())
+            back.switch(self._old)
+        with suppress(AiortsError):
+            await back.arrive()
+        await back.settle()
 
     async def _is_all_sent(self) -> bool:
         """Whether the process has all that was written to the old one."""

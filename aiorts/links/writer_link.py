@@ -354,7 +354,8 @@ class WriterLink(LinkSide[WriterEnd]):
         """A future, done when no sample is on its way any more or the channel is gone; None: that is so now."""
         if self._channel is None or not self.busy:
             return None
-        self._idle = self._kernel.loop.create_future()
+        if self._idle is None or self._idle.done():
+            self._idle = self._kernel.loop.create_future()
         return self._idle
 
     def _look_idle(self) -> None:
