@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -9,6 +10,7 @@ from weakref import WeakKeyDictionary
 
 from aiorts.control.session import Session, Stream
 from aiorts.errors import BusyError, ConfigurationError, WiringError
+from aiorts.kernel.service import KernelService
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -20,8 +22,23 @@ _MEASURED: Final = 16
 """Connectors that may be measured for all streams of one client."""
 _MEASURED_IN_ALL: Final = 64
 """Connectors that may be measured for all streams of a kernel."""
-_HELD: Final[dict[Connector, int]] = {}
-"""The number of sessions and streams that measure a connector, for connectors made without `measure`."""
+
+
+class Measuring(KernelService):
+    """The connectors of one kernel that are measured for sessions and streams."""
+
+    def __init__(self, kernel: Microkernel) -> None:
+        super().__init__(kernel)
+        self.held: Counter[Connector] = Counter()
+        """The number of sessions and streams that measure a connector made without `measure`."""
+
+    def end(self, wire: Connector) -> None:
+        """End the measuring of a connector for one session or stream."""
+        self.held[wire] -= 1
+        if not self.held[wire]:
+            del self.held[wire]
+            if not wire.closed:
+                self.kernel.connections.measure(wire, 0)
 
 
 def measure(
@@ -32,23 +49,16 @@ def measure(
     Returns:
         The connectors that are measured for sessions and streams only; connectors made with `measure` stay as they are.
     """
+    measuring = session.kernel.service(Measuring)
     wires = [_wire(session, name) for name in connectors]
     for wire in wires:
-        if wire not in _HELD:
+        if wire not in measuring.held:
             if wire.profile.measure:
                 continue  # it was made with `measure`
             session.kernel.connections.measure(wire, count)
-        _HELD[wire] = _HELD.get(wire, 0) + 1
-        keep(partial(_let_go, session.kernel, wire))
-    return tuple(wire.name for wire in wires if wire in _HELD)
-
-
-def _let_go(kernel: Microkernel, wire: Connector) -> None:
-    _HELD[wire] -= 1
-    if not _HELD[wire]:
-        del _HELD[wire]
-        if not wire.closed:
-            kernel.connections.measure(wire, 0)
+        measuring.held[wire] += 1
+        keep(partial(measuring.end, wire))
+    return tuple(wire.name for wire in wires if wire in measuring.held)
 
 
 def _wire(session: Session, name: str) -> Connector:

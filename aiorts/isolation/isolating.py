@@ -62,6 +62,8 @@ class Isolation(KernelService):
         self._components: dict[Process, RemoteComponent] = {}
         self._delays: dict[str, str] = {}
         """By component: how its process, which has ended, kept the kernel waiting for that."""
+        self._stand_ins: dict[tuple[Any, ...], type[RemoteComponent]] = {}
+        """The classes of stand-ins, by class, text and limits."""
         self._starts = asyncio.Semaphore(_STARTS)
         self._printing = Printing()
         self._said = False
@@ -112,7 +114,10 @@ class Isolation(KernelService):
                 f"{cls.__module__}.{cls.__qualname__}: a process of its own cannot import it; write it into a module "
                 'or a file of its own, and create it from there, or as "FILE.py:Class"'
             )
-        return stand_in_of(cls, text, limits)
+        key = cls, text, *sorted(limits.items())
+        if key not in self._stand_ins:
+            self._stand_ins[key] = stand_in_of(cls, text, limits)
+        return self._stand_ins[key]
 
     def process_of(self, component: RemoteComponent) -> Process:
         """The process of a component, which is not started yet."""

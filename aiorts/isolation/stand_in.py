@@ -227,18 +227,12 @@ class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
         await self._running.ask(operation, component=self.name, context=self.context.name)
 
 
-_classes: dict[tuple[Any, ...], type[RemoteComponent]] = {}
-
-
 def stand_in_of(cls: type[Component], text: str, limits: Mapping[str, Any]) -> type[RemoteComponent]:
     """The class of what stands for components of this class, which a process finds by this text.
 
     Raises:
         DeclarationError: it has what cannot be used across processes.
     """
-    key = cls, text, *sorted(limits.items())
-    if (known := _classes.get(key)) is not None:
-        return known
     body: dict[str, Any] = {"original": cls, "type_text": text, "limits": MappingProxyType(dict(limits))}
     body["configurations"], body["on_link_lost"] = cls.configurations, cls.on_link_lost
     for attribute, port in declarations(cls).ports.items():
@@ -246,8 +240,7 @@ def stand_in_of(cls: type[Component], text: str, limits: Mapping[str, Any]) -> t
     for base in reversed(cls.__mro__):
         body |= {name: value for name, value in vars(base).items() if isinstance(value, Declared)}
     body |= {"__module__": cls.__module__, "__qualname__": cls.__qualname__, "__doc__": cls.__doc__}
-    made = _classes[key] = type(cls.__name__, (RemoteComponent,), body)
-    return made
+    return type(cls.__name__, (RemoteComponent,), body)
 
 
 def _remote_port(cls: type[Component], attribute: str, port: Any) -> PortDeclaration:
