@@ -53,7 +53,10 @@ ACTS = MappingProxyType(
         "aiorts/kernel/ending.py": ("takes converters apart", "mapping"),
         "aiorts/kernel/execution/apart.py": ("refuses a rendezvous between contexts", "length"),
         "aiorts/kernel/ports/connector.py": ("answers for what is measured", "max_gap push_rate subscription"),
-        "aiorts/kernel/ports/features.py": ("chooses the transport", "dataflow subscription"),
+        "aiorts/kernel/ports/features.py": (
+            "chooses the transport, and orders the features",
+            "dataflow lifespan on_link_lost subscription",
+        ),
         "aiorts/kernel/ports/last_sample.py": ("offers the last sample", "keep_last"),
         "aiorts/kernel/ports/losses.py": ("says what is lost at the beginning", "convert keep_last"),
         "aiorts/kernel/ports/out_port.py": ("writes", "convert length timeout"),
@@ -147,7 +150,7 @@ OTHERS = MappingProxyType(
         "aiorts/model/wanted/entries.py": "dataflow on_link_lost",  # an order of a composite; of a component
         "aiorts/planning/component_rows.py": "on_link_lost",  # of a component
         "aiorts/statemachines/state_machine.py": "length",
-        "aiorts/supervision/supervisor.py": "on_link_lost",  # of a component
+        "aiorts/supervision/component_place.py": "on_link_lost",  # of a component
         "plugins/aiorts_bench/push/answer.py": "fan_in fan_out",  # axes of its grid
         "plugins/aiorts_bench/push/grid.py": "fan_in fan_out",
         "plugins/aiorts_bench/push/load.py": "fan_in fan_out",

@@ -45,12 +45,14 @@ class Feature:
     """Whether a real-time thread may use such a connector: while one does, the connector is without the feature."""
 
 
+ORDER: Final = ("convert", "lifespan", "length = 0", "measure", "on_link_lost", "stamp = send", "dataflow = pull")
+"""The keys of all features, outermost first: at a connector with several, the first sees a sample before the others."""
 _FEATURES: Final[list[Feature]] = []
 
 
 def offer(*features: Feature) -> None:
-    """Add features to the table; of several at one connector the first is the outermost."""
-    _FEATURES.extend(feature for feature in features if feature not in _FEATURES)
+    """Add these features to the table, in `ORDER`; those of one key stay as they are given."""
+    _FEATURES[:] = sorted(dict.fromkeys((*_FEATURES, *features)), key=lambda feature: ORDER.index(feature.key))
 
 
 def features_of(profile: ConnectorProfile) -> list[Feature]:

@@ -43,4 +43,3 @@ FEATURES: Final = (
     Feature("length = 0", lambda profile: not profile.length, _rendezvous),
     Feature("measure", lambda profile: profile.measure > 0, _measured, settles=True, lock_free=True),
 )
-"""The first stands outermost: it sees a sample before the others do."""
