@@ -14,7 +14,7 @@ from threading import get_ident
 from types import MappingProxyType
 from typing import Any, Final, Protocol
 
-from aiorts.kernel.ports.connector import transport_of
+from aiorts.kernel.ports.current import at_current
 from aiorts.kernel.ports.features import Feature, FeaturedTransport, features_of, offer
 from aiorts.kernel.ports.transport import Waiting
 from aiorts.kernel.quality.dated import Dated, times_of
@@ -172,14 +172,12 @@ class Confirmed(Linked):
             self.resolve(entry)
             self.receiver.room_made()
 
+    @at_current
     def give_up(self, entry: Waiting) -> bool:
-        with self.guard():
-            if (now := transport_of(self.connector)) is not self:
-                return now.give_up(entry)
-            if entry.done:
-                return False
-            self.leave_line(entry)
-            return True  # sent: it stays in flight, and no write waits for it any more
+        if entry.done:
+            return False
+        self.leave_line(entry)
+        return True  # sent: it stays in flight, and no write waits for it any more
 
     def time_out(self, entry: Waiting) -> None:
         if isinstance(entry, Confirmation) and entry.number:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from anyio import WouldBlock
 
 from aiorts.kernel.ports.connector import Connector
+from aiorts.kernel.ports.current import at_current
 from aiorts.kernel.ports.periodic_transport import PeriodicTransport
 from aiorts.kernel.ports.receiver import Receiver
 from aiorts.kernel.ports.transport import Transport
@@ -157,20 +158,18 @@ class SettlingReceiver(Receiver):
             transport.settle()
         return super().newest()
 
+    @at_current
     def drain(self) -> list[Any]:
         samples: list[Any] = []
-        with self.guard(), suppress(WouldBlock):  # the last sample was there, and expired just now
-            if (now := self.port._receiver) is not self:
-                return now.drain()
+        with suppress(WouldBlock):  # the last sample was there, and expired just now
             while self.unread():
                 samples.append(self.port.read_nowait())
         return samples
 
+    @at_current
     def drain_sources(self) -> list[tuple[Connector, Any]]:
         pairs: list[tuple[Connector, Any]] = []
-        with self.guard(), suppress(WouldBlock):  # as above
-            if (now := self.port._receiver) is not self:
-                return now.drain_sources()
+        with suppress(WouldBlock):  # as above
             while self.unread():
                 sample, source = self.port.read_nowait(), self.last_source
                 assert source is not None  # noqa: S101 - it was read

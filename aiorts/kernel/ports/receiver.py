@@ -18,6 +18,7 @@ from anyio import WouldBlock
 
 from aiorts.errors import BusyError, ClosedError, ThreadError
 from aiorts.kernel.loop.blocking import PortLock
+from aiorts.kernel.ports.current import at_current
 from aiorts.kernel.ports.last_sample import offer_last, to_be_offered
 from aiorts.kernel.ports.port import NOTHING, OFF, UNLOCKED
 from aiorts.model.policy import Dataflow
@@ -95,6 +96,11 @@ class Receiver:
         """Whether the next sample wakes waiting readers and calls the callbacks."""
         self.extra: Any = None
         """Data that another kind of receiver keeps in addition."""
+
+    @property
+    def current(self) -> Receiver:
+        """The receiver that the port has now."""
+        return self.port._receiver
 
     def replace(self, kind: Kind, *, all_transports: bool) -> Receiver:
         """Put a receiver of another kind in the place of this one, with all that it holds; and transports of that kind.
@@ -232,44 +238,36 @@ class Receiver:
             self.source = transport.connector
             return sample
 
+    @at_current
     def peek(self) -> Any:
         """The oldest unread sample, which stays unread; None when there is none."""
         self.check_thread()
-        with self.guard():
-            if (now := self.port._receiver) is not self:
-                return now.peek()
-            transport = self.next()
-            return None if transport is None else transport.queue[0]
+        transport = self.next()
+        return None if transport is None else transport.queue[0]
 
+    @at_current
     def drain(self) -> list[Any]:
         """Every unread sample, oldest first."""
         samples: list[Any] = []
-        with self.guard():
-            if (now := self.port._receiver) is not self:
-                return now.drain()
-            while self.unread():
-                samples.append(self.port.read_nowait())
+        while self.unread():
+            samples.append(self.port.read_nowait())
         return samples
 
+    @at_current
     def drain_sources(self) -> list[tuple[Connector, Any]]:
         """Every unread sample, oldest first, with the connector that it came through."""
         pairs: list[tuple[Connector, Any]] = []
-        with self.guard():
-            if (now := self.port._receiver) is not self:
-                return now.drain_sources()
-            while self.unread():
-                sample, source = self.port.read_nowait(), self.last_source
-                assert source is not None  # noqa: S101 - it was read
-                pairs.append((source, sample))
+        while self.unread():
+            sample, source = self.port.read_nowait(), self.last_source
+            assert source is not None  # noqa: S101 - it was read
+            pairs.append((source, sample))
         return pairs
 
+    @at_current
     def look(self) -> Any:
         """The newest unread sample, which stays unread, else the one read last; None before the first."""
-        with self.guard():
-            if (now := self.port._receiver) is not self:
-                return now.look()
-            transport = self.newest() or self.next()
-            return self.last_read if transport is None else transport.queue[-1]
+        transport = self.newest() or self.next()
+        return self.last_read if transport is None else transport.queue[-1]
 
     @property
     def last_read(self) -> Any:

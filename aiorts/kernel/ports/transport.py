@@ -6,8 +6,8 @@ Only `written` and drops are counted; what was delivered follows from them, so t
 out-port counts once the samples that it gives to all direct connectors alike (`OutPort._sent`); those that full buffers
 displace there are one number (`displaced`). A look at the counts adds both. `model/` decides; this file carries out.
 
-Across threads the receiver has a lock, and every path here that touches its queues takes it: its fast path is off. A
-method that has waited for the lock asks whether this is still the connector's transport (or the port's receiver).
+Across threads the receiver has a lock, and every path here that touches its queues takes it: its fast path is off. The
+transport may be replaced while a method waits for the lock: `at_current` runs it on the current one.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from contextlib import AbstractContextManager
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Protocol
 
+from aiorts.kernel.ports.current import at_current
 from aiorts.kernel.ports.figures import statistics_of
 from aiorts.kernel.ports.port import NOTHING, OFF, UNLOCKED
 from aiorts.kernel.ports.port_types import stamped
@@ -161,6 +162,11 @@ class Transport:
         """Samples that a full buffer displaced or refused and `dropped` does not have yet."""
         self.dropped: Mapping[str, int] = _NO_DROPS
 
+    @property
+    def current(self) -> Transport:
+        """The transport that the connector has now."""
+        return self.connector._transport
+
     def replace(self, kind: Kind, receiver: Receiver) -> None:
         """Put a transport of another kind in the place of this one, with all that waits in it and its counts.
 
@@ -214,25 +220,21 @@ class Transport:
 
     # -- the ledger ------------------------------------------------------------------------------------------------
 
+    @at_current
     def statistics(self) -> ConnectorStatistics:
         """See `Connector.statistics`."""
         host = self.connector.in_._host
         if self.receiver.lock is None and host is not None:
             host.check_loop_thread(f"{self.connector.name}: statistics")
-        with self.guard():
-            if (now := self.connector._transport) is not self:
-                return now.statistics()
-            self.settle()
-            delivered = self.delivered()
-            return statistics_of(self, self.total(), delivered, self.buffered, self.dropped)
+        self.settle()
+        delivered = self.delivered()
+        return statistics_of(self, self.total(), delivered, self.buffered, self.dropped)
 
+    @at_current
     def delivered(self) -> int:
         """Samples that were read: what was written, less what was dropped and what is still buffered."""
-        with self.guard():
-            if (now := self.connector._transport) is not self:
-                return now.delivered()
-            self.count_displaced()
-            return self.total() - sum(self.dropped.values()) - self.buffered
+        self.count_displaced()
+        return self.total() - sum(self.dropped.values()) - self.buffered
 
     def glance(self) -> tuple[int, int, Mapping[str, int]]:
         """Written, buffered, and dropped by reason, from any thread, without a lock and without counting anything.
@@ -381,13 +383,11 @@ class Transport:
                 return True
             return self.store(sample)
 
+    @at_current
     def time_out(self, entry: Waiting) -> None:
         """Count a sample that was written and had no room in time."""
-        with self.guard():
-            if (now := self.connector._transport) is not self:
-                return now.time_out(entry)
-            self.written += 1
-            self.drop("timeout")
+        self.written += 1
+        self.drop("timeout")
 
     def take(self) -> Any:
         """The oldest sample of the queue, which has one; the caller holds the lock."""
@@ -486,15 +486,13 @@ class Transport:
         """Whether the sample of a waiting thread was moved in; called in that thread."""
         return entry.done
 
+    @at_current
     def give_up(self, entry: Waiting) -> bool:
         """Stop waiting; False when the sample was moved in the meantime."""
-        with self.guard():
-            if (now := self.connector._transport) is not self:
-                return now.give_up(entry)
-            left = not entry.done and self.leave_line(entry)
-            if left and not self.waiting:
-                self.connector.in_._fast = self.receiver.direct
-            return left
+        left = not entry.done and self.leave_line(entry)
+        if left and not self.waiting:
+            self.connector.in_._fast = self.receiver.direct
+        return left
 
     def leave_line(self, entry: Waiting) -> bool:
         """Take a writer out of the line of those that wait; False: it is not in that line."""
@@ -572,14 +570,12 @@ class Transport:
         """Samples written, with those that wait for room."""
         return self.total() + (len(self.waiting) if self.waiting else 0)
 
+    @at_current
     def held(self) -> Any:
         """The last sample that the writer wrote, if this transport has it; else NOTHING."""
-        with self.guard():
-            if (now := self.connector._transport) is not self:
-                return now.held()
-            if self.missed == self.position:
-                return NOTHING
-            return next(reversed(self.waiting)).sample if self.waiting else self.newest_here()
+        if self.missed == self.position:
+            return NOTHING
+        return next(reversed(self.waiting)).sample if self.waiting else self.newest_here()
 
     def newest_here(self) -> Any:
         """The newest sample that came in, read or unread; NOTHING if there was none."""

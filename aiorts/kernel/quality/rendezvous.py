@@ -13,7 +13,7 @@ from collections import deque
 from itertools import count, islice
 from typing import Any, Final
 
-from aiorts.kernel.ports.connector import transport_of
+from aiorts.kernel.ports.current import at_current
 from aiorts.kernel.ports.features import FeaturedTransport
 from aiorts.kernel.ports.port import OFF
 from aiorts.kernel.ports.transport import Transport, Waiting
@@ -73,27 +73,25 @@ class Rendezvous(FeaturedTransport):
         entry.arrived_at = self.arrived_at
         return entry
 
+    @at_current
     def give_up(self, entry: Waiting) -> bool:
-        with self.guard():
-            if (now := transport_of(self.connector)) is not self:
-                return now.give_up(entry)
-            waiting = self.waiting
-            if entry.done or not waiting or not isinstance(entry, _Offered):
-                return False
-            place = bisect_left(waiting, entry.turn, key=lambda one: one.turn)
-            if place == len(waiting) or waiting[place] is not entry:
-                return False
-            del waiting[place]
-            self.take_out(place)
-            tokens = self.receiver.tokens
-            if tokens is not None:
-                mine = (index for index, token in enumerate(tokens) if token is self)
-                del tokens[next(islice(mine, place, None))]
-            if waiting:
-                self.arrived_at = waiting[-1].arrived_at
-            else:
-                self.connector.in_._fast = self.receiver.direct
-            return True
+        waiting = self.waiting
+        if entry.done or not waiting or not isinstance(entry, _Offered):
+            return False
+        place = bisect_left(waiting, entry.turn, key=lambda one: one.turn)
+        if place == len(waiting) or waiting[place] is not entry:
+            return False
+        del waiting[place]
+        self.take_out(place)
+        tokens = self.receiver.tokens
+        if tokens is not None:
+            mine = (index for index, token in enumerate(tokens) if token is self)
+            del tokens[next(islice(mine, place, None))]
+        if waiting:
+            self.arrived_at = waiting[-1].arrived_at
+        else:
+            self.connector.in_._fast = self.receiver.direct
+        return True
 
     def admit_waiting(self) -> None:
         """Let the writers go on whose samples have left the queue."""
