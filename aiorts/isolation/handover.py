@@ -1,4 +1,4 @@
-"""What a component takes along into another process: its state as plain values, and the samples that it has not read.
+"""The state that a component takes into another process, as plain values, and the samples that it has not read.
 
 Its attributes go over: plain data, arrays and records. Ports, parameters and a state machine, which begins in its
 initial state, are made by its class there. The `on_reload` of a class that has one gets a look-alike of the old
@@ -105,7 +105,7 @@ def unpacked(value: Any) -> Any:
 
 
 def _name_of(kind: type, where: str) -> str:
-    """What finds a class in another process. StateError: nothing does."""
+    """The text by which another process finds a class. StateError: there is none."""
     name = f"{kind.__module__}:{kind.__qualname__}"
     try:
         found = _named(name)
@@ -157,7 +157,7 @@ def _takes_over(component: Component) -> bool:
 
 
 async def give_state(kernel: Microkernel, component: Component, state: Mapping[str, Any]) -> None:
-    """Have the attributes of the instance in whose place it is; or run its `on_reload` with what looks like that.
+    """Give a component the attributes of the instance before it; or run its `on_reload` with a look-alike of that.
 
     Raises:
         ComponentError: `on_reload` failed.
@@ -178,7 +178,7 @@ async def give_state(kernel: Microkernel, component: Component, state: Mapping[s
 
 
 def hold(component: Component) -> None:
-    """Have its in-ports take samples wherever it is, if they do now: what is unread stays unread."""
+    """Keep its in-ports open wherever it is, if they are open now: unread samples stay unread."""
     cell(component).held_open = is_open(component)
 
 
@@ -195,7 +195,7 @@ def release(component: Component) -> None:
 
 
 def taken(connector: Connector) -> list[Any]:
-    """What is unread in a connector, which loses it as dropped{moved}: it goes where its reader goes."""
+    """Take the unread samples of a connector, which counts them as dropped{moved}: they go where its reader goes."""
     transport = transport_of(connector)
     transport.settle()
     with transport.guard():
@@ -206,7 +206,7 @@ def taken(connector: Connector) -> list[Any]:
 
 
 def put_in_front(connector: Connector, samples: Sequence[Any]) -> None:
-    """Have these be unread in a connector, before what is unread in it already; they count as written to it."""
+    """Put samples in front of the unread ones of a connector; they count as written to it."""
     transport, receiver = transport_of(connector), receiver_of(connector.in_)
     transport.settle()
     with transport.guard():

@@ -73,7 +73,7 @@ class Isolation(KernelService):
         kernel.bus.subscribe(Disconnected, self._rewired)
 
     def report(self) -> Mapping[str, Any]:
-        """Of each component its process, for how many seconds a hook has held it, and lines that were not printed."""
+        """The process of each component, the seconds that a hook has held it, and the lines that were not printed."""
         lost = self._printing.left_out
         return {
             one.name: {"pid": one.pid, "runs": one.runs, "busy": round(one.busy, 1), "unprinted": lost[one.name]}

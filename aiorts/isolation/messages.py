@@ -1,4 +1,4 @@
-"""What a kernel and the processes of its components say to each other: the first message, requests and reports.
+"""The messages between a kernel and the processes of its components: the first message, requests and reports.
 
 Requests and answers are JSON. The bytes in them, such as those of samples, stand behind it as they are.
 
@@ -37,13 +37,13 @@ _LONGEST: Final = 10_000
 
 @dataclass(frozen=True, slots=True)
 class First:
-    """What a process is told first."""
+    """The first message to a process."""
 
     kernel: str
     """The name of its kernel."""
     component: str
     path: list[str]
-    """What `sys.path` is to be."""
+    """The `sys.path` of the process."""
     plugins: list[str]
     """Folders with plugins."""
     loop: str
@@ -80,14 +80,14 @@ def _exactly(sock: socket.socket, size: int) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What has become of the component in a process."""
+    """A report on the component in a process."""
 
     state: str
     """The lifecycle state in its context."""
     finished: bool
     """Whether it was a source that has nothing more."""
     error: str
-    """What it failed with, where it is in error."""
+    """The error of the component, where it is in error."""
     ports: list[Any] | None = None
     """Its ports, where they have changed."""
 
@@ -123,7 +123,7 @@ def refused(error: AiortsError) -> bytes:
 
 
 def value_of(body: bytes) -> Any:
-    """What a request gave.
+    """The result of a request.
 
     Raises:
         AiortsError: what refused it, as the class that has its code.

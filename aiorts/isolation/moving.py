@@ -1,8 +1,8 @@
 """Moves a component to another context, or into a process and back, while its neighbours run.
 
-What takes long is done first, beside the component that still runs: the process is started, the other instance made.
-Then it leaves its context, with its in-ports open. In one moment of the loop the other one has its place and its
-connectors, with what was unread; then state goes over, and it is started.
+Slow work is done first, while the component still runs: the process is started, the other instance made. Then the
+component leaves its context, with its in-ports open. In one moment of the loop the other instance gets its place and
+its connectors, with the unread samples; then state goes over, and the instance is started.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def _check(kernel: Microkernel, component: Component, to: Context | str) -> None
 
 
 async def _change_context(kernel: Microkernel, component: Component, to: Context) -> Component:
-    """The same instance in another context; back in the one before, where that refuses it."""
+    """Put the same instance into another context; back into the one before, where that refuses it."""
     before = component.contexts[0] if component.contexts else None
     active = before is not None and before.state(component) is LifecycleState.ACTIVE
     hold(component)
@@ -213,11 +213,11 @@ class _Here:
         await self.hold(True)
 
     async def state(self) -> Mapping[str, Any]:
-        """What its attributes are. StateError: one of them cannot go over."""
+        """Its attributes. StateError: one of them cannot go over."""
         return state_of(self._component)
 
     async def give(self, kernel: Microkernel, state: Mapping[str, Any]) -> None:
-        """Have these attributes."""
+        """Set these attributes."""
         await give_state(kernel, self._component, state)
 
     async def hold(self, holds: bool) -> None:
@@ -243,12 +243,12 @@ class _There:
             await self._component.ask("stop_context", context=to.name)
 
     async def state(self) -> Mapping[str, Any]:
-        """What its attributes are. StateError: one of them cannot go over."""
+        """Its attributes. StateError: one of them cannot go over."""
         found: Mapping[str, Any] = await self._component.ask("state")
         return found
 
     async def give(self, _kernel: Microkernel, state: Mapping[str, Any]) -> None:
-        """Have these attributes."""
+        """Set these attributes."""
         await self._component.ask("give", state=state)
 
     async def hold(self, holds: bool) -> None:
@@ -305,7 +305,7 @@ async def _exchange(
 
 
 async def _make(kernel: Microkernel, old: Component, cls: type[Component]) -> Component:
-    """The other instance, whose `on_initialize` has run, and which is in no place.
+    """Make the other instance and run its `on_initialize`; it is in no place yet.
 
     Raises:
         StateError: it has other ports. What making it raises.
@@ -327,17 +327,17 @@ async def _make(kernel: Microkernel, old: Component, cls: type[Component]) -> Co
 
 
 class _Move:
-    """What another instance takes over from an old one: its place, its connectors and what is unread in them.
+    """The place, the connectors and the unread samples that another instance takes over from an old one.
 
     Raises:
-        StateError, WiringError: a connector cannot be made anew there.
+        StateError, WiringError: a connector cannot be made there.
     """
 
     def __init__(self, kernel: Microkernel, old: Component) -> None:
         self._kernel, self._old = kernel, old
         self.here = _place_of(old)
         self.context = old.contexts[0] if old.contexts else None
-        """Where it ran."""
+        """The context in which it ran."""
         self._links = kernel.service(Links)
         self._options = {one: self._options_of(one) for one in self._connectors()}
         self._fed: list[tuple[Connector, Connector]] = []
@@ -356,7 +356,7 @@ class _Move:
             await _join(self._kernel, self._old, given_of(self.context), active=active)
 
     async def arrive(self) -> None:
-        """What is unread in the old one's process is here, and links lead to that of the new one."""
+        """Wait until the unread samples of the old process are here, and links lead to the new instance."""
         await self._unread()
         for connector in self._made:
             await self._links.connect(_there_already, (connector,), {})
@@ -372,14 +372,14 @@ class _Move:
         return port in self._old.ports.values() or str(getattr(port, "far", "")) in self._elsewhere()
 
     def _elsewhere(self) -> set[str]:
-        """Where the old one's ports are, if that is in a process."""
+        """The kernels of the old instance's ports, if it is in a process."""
         return {str(port.elsewhere) for port in self._old.ports.values() if port.elsewhere is not None}
 
     def _options_of(self, connector: Connector) -> dict[str, Any]:
         """The options of the connector in its place.
 
         Raises:
-            StateError, WiringError: it cannot be made anew there.
+            StateError, WiringError: it cannot be made there.
         """
         old, profile = self._old, connector.profile
         where = f"{connector.out.path} -> {connector.in_.path}"
@@ -453,7 +453,7 @@ class _Move:
     # -- what is on its way ----------------------------------------------------------------------------------------
 
     async def _unread(self) -> None:
-        """What is unread in the process of the old one is unread here, before what came meanwhile."""
+        """Fetch the unread samples of the old process; they stand before those that came meanwhile."""
         old = self._old
         if not isinstance(old, RemoteComponent):
             return
@@ -530,7 +530,7 @@ async def _there_already(connectors: Sequence[Connector], options: Mapping[str, 
 
 
 class _Moved:
-    """What a handle has in the place of ports and of all that the kernel kept on it: each use raises."""
+    """The stand-in for the ports and the cell of an old handle: each use raises."""
 
     __slots__ = ("text",)
 
@@ -542,7 +542,7 @@ class _Moved:
 
 
 def _disown(old: Component, new: Component) -> None:
-    """Have each use of the old handle raise, and name the new one."""
+    """Let each use of the old handle raise, and name the new one."""
     moved = _Moved(f"{new.name}: this handle is not valid since it was moved; use what `move` returned, {new!r}")
     ports = [name for name, value in vars(old).items() if isinstance(value, PortDeclaration)]
     vars(old).clear()

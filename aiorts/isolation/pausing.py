@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
 
 _LONGEST: Final = 5.0
-"""Seconds that a thread stands still at the most."""
+"""The most seconds that a thread stands still."""
 
 
 @asynccontextmanager
@@ -52,7 +52,7 @@ async def threads_paused(kernel: Microkernel, components: Iterable[Component]) -
 
 
 class _Pause:
-    """What a thread does between two cycles: it says that it stands still, and waits."""
+    """A pause of a thread between two cycles: it reports that it stands still, and waits."""
 
     def __init__(self, kernel: Microkernel, still: asyncio.Future[None], goes_on: threading.Event) -> None:
         self._kernel, self._still, self._goes_on = kernel, still, goes_on

@@ -52,7 +52,7 @@ class RemoteContext(Context):
         return self._rate
 
     async def set_rate(self, rate: float, timeout: float | None = 5.0) -> None:
-        """Have another rate from the next cycle on. Errors as those of the context that it stands for."""
+        """Set another rate from the next cycle on. Errors as those of the context that it stands for."""
         before, self._rate = self._rate, rate
         try:
             for member in self.members:
@@ -63,7 +63,7 @@ class RemoteContext(Context):
 
     @property
     def counts(self) -> ContextStatistics:
-        """What its process has said last, about twice a second; a process that is started anew counts from 0."""
+        """The last counts of its process, which reports twice a second; a new process counts from 0."""
         return replace(self._there, hooks={}, at_ns=super().counts.at_ns)
 
     def counted(self, statistics: ContextStatistics, overdue: OverdueHook | None) -> None:
@@ -88,7 +88,7 @@ class RemoteContext(Context):
         return self._there.hooks
 
     def as_started(self) -> dict[str, Any]:
-        """What starts it in the process: name, kind and options."""
+        """The arguments that start it in the process: name, kind and options."""
         given, options = self.given, {}
         for argument, parameter in inspect.signature(type(given)).parameters.items():
             value = getattr(given, argument, _MISSING)

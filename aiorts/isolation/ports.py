@@ -36,7 +36,7 @@ def described(component: Component) -> list[list[Any]]:
 
 
 def follow(component: Component, rows: Iterable[list[Any]], kernel: str, host: str = "") -> None:
-    """Have the ports that these rows describe, and no others; a port that is the same stays, with its connectors.
+    """Give a component the ports that these rows describe, and no others; an equal port stays, with its connectors.
 
     Args:
         kernel, host: the one in which they are.

@@ -1,6 +1,7 @@
-"""What isolated components print comes out of standard output of this program, line by line, and nobody waits for it.
+"""Prints the output of isolated components on standard output of this program, line by line; no component waits for it.
 
-Lines go out in the order in which they came, from one task. What a slow terminal or pipe does not take is left out.
+Lines go out in the order in which they came, from one task. Lines that a slow terminal or pipe does not take are left
+out.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class Printing:
         """Lines that it did not take, by component."""
 
     def put(self, component: RemoteComponent, line: str) -> None:
-        """Have a line written; it is left out where too many wait already, which is said of a component once."""
+        """Queue a line; it is left out where too many wait already, which is logged once for a component."""
         if sys.stdout is None:  # as for `print`
             return
         if len(self._lines) >= _LINES:
@@ -47,7 +48,7 @@ class Printing:
             self._writing = kernel_task(component.kernel.loop, self._write(), "aiorts isolation output")
 
     async def flush(self, component: RemoteComponent) -> None:
-        """Wait until what it printed is written, a moment at the most; say how many lines were left out in all."""
+        """Wait until its lines are written, at most for a moment; log how many lines were left out in all."""
         if self._writing is not None:
             await asyncio.wait((self._writing,), timeout=_FLUSHED)
         kept = [one for one in self._lines if one[0] is not component]

@@ -126,7 +126,7 @@ class Process:
                 "uvloop" if type(self._kernel.loop).__module__.startswith("uvloop") else "asyncio",
                 logging.getLogger("aiorts").getEffectiveLevel(),
                 self._limits.memory,
-                self._child is not None,  # started anew, to be active again soon
+                self._child is not None,  # started again, to be active again soon
                 self._transport.program.hex(),
             )
             first.send(ours)
@@ -173,7 +173,7 @@ class Process:
         return ProcessError(f"{self.name}: {why}{lines}")
 
     async def ask(self, operation: str, within: float = _ANSWERS, **arguments: Any) -> Any:
-        """What an operation gives there.
+        """The result of an operation in the process.
 
         Raises:
             ProcessError: the process is gone, or does not answer in time.
@@ -191,7 +191,7 @@ class Process:
         return messages.value_of(answer)
 
     async def end(self) -> None:
-        """Have it end in order, or kill it, where a hook holds it or it does not end."""
+        """End the process in order, or kill it, where a hook holds it or it does not end."""
         self._ending = True
         if self._looking is not None:
             self._looking.cancel()

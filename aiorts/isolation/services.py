@@ -1,7 +1,8 @@
 """The service ports of a component that runs in a process of its own.
 
-What it provides is answered here by what stands for it: any number of components of this kernel are connected with
-that as with any other. What it requires is connected in the process, with whoever is connected here.
+Its stand-in answers here for the interfaces that it provides: any number of components of this kernel are connected
+with the stand-in as with any other component. An interface that it requires is bound in the process with the provider
+that is connected here.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _LONGEST: Final = 86_400.0
 
 
 def remote_end(owner: str, attribute: str, end: ServiceEnd[Any]) -> ServiceEnd[Any]:
-    """What a stand-in declares for an interface of the class that it stands for.
+    """The declaration of a stand-in for an interface of the class that it stands for.
 
     Raises:
         DeclarationError: a method of the interface may not wait, and a call into another process does.
@@ -77,10 +78,10 @@ class RemoteServices:
             self._links.calls.end_relay(far)
 
     async def bind(self, process: Process) -> None:
-        """Have what it requires bound in the process with who is connected here, and with nobody else.
+        """Bind the required interfaces in the process with the providers that are connected here, and with no others.
 
         Raises:
-            WiringError: who is connected here cannot be reached from there.
+            WiringError: a provider here cannot be reached from there.
         """
         async with self._turn:
             wanted = dict(self._wanted())
@@ -94,7 +95,7 @@ class RemoteServices:
                 return  # it has ended: they are bound in the one that is started in its place
 
     def _wanted(self) -> Iterator[tuple[tuple[str, str], str]]:
-        """Who calls and who answers, and as what the process knows that."""
+        """The caller, the provider, and the path by which the process knows it."""
         for end in self._required:
             for link in [link for connector in end.connectors for link in connector.links if link.required is end]:
                 path = link.provided.path

@@ -1,4 +1,4 @@
-"""What stands in a kernel for a component that runs in a process of its own.
+"""The stand-in of a kernel for a component that runs in a process of its own.
 
 It is a component of this kernel like any other: it has the ports and parameters that the class declares, is in one
 context, and its hooks ask the process to do the same. No code of the class runs here, and none of its other attributes
@@ -57,13 +57,13 @@ class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
     original: ClassVar[type[Component]]
     """The class whose code runs in the process."""
     type_text: ClassVar[str]
-    """What the process finds that class by."""
+    """The text by which the process finds that class."""
     limits: ClassVar[Mapping[str, Any]]
-    """What its process may use."""
+    """The limits of its process."""
     _process: Process | None = None
     _services: RemoteServices | None = None
     before: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
-    """Of connectors that were made before it was moved into its process: their options, by name."""
+    """The options of connectors that were made before it was moved into its process, by name."""
     _there = LifecycleState.INACTIVE
     """The state that the process has reported last."""
 
@@ -132,7 +132,7 @@ class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
             await self._services.begin(self._running)
 
     async def _follow(self) -> None:
-        """Have the ports that it has in the process."""
+        """Follow the ports that it has in the process."""
         follow(self, await self._running.ask("ports"), self._running.kernel)
 
     @property
@@ -142,7 +142,7 @@ class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
         return self._process
 
     def process_ended(self, how: str, last_lines: Sequence[str]) -> None:
-        """Its process has ended, and nobody asked it to."""
+        """Note that its process has ended without being asked to."""
         lines = "".join(f"\n  {text_of(line)}" for line in last_lines[-3:])
         self._there = LifecycleState.ERROR
         self._fail(ProcessError(f"{self.name}: its process has ended: {how}{lines}"))
@@ -172,7 +172,7 @@ class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
         fail(self, error)
 
     async def ask(self, operation: str, **arguments: Any) -> Any:
-        """What its process answers. ProcessError: it does not. AiortsError: what refused it."""
+        """The answer of its process. ProcessError: there is none. AiortsError: the error that refused it."""
         return await self._running.ask(operation, **arguments)
 
     # -- its context -----------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """The changes that a kernel makes to the loop it runs in: it wraps two things and leaves both as they were.
 
 The task factory is called, never replaced, and each task that a component's hook makes is marked with that component;
-so is what such a task makes in turn. A marked task that fails and whose exception nobody has asked for half a second
+so is what such a task makes in turn. A marked task that fails and whose exception was not asked for half a second
 later is that component's failure; as long as the hook or the task that made it still runs, it may yet ask. The
 exception handler is called likewise, after anything that belongs to a component's task was reported there.
 

@@ -96,13 +96,13 @@ class Application:
         self._shown = {name: shown for name, shown in names.items() if shown != name}
         """By the name of a connector: what plans call it, where that is another."""
         self._connectors: list[Connector] = []
-        """Those that are parked, in order."""
+        """The parked connectors, in order."""
         self._of_services: list[Connector] = []
-        """Those of services that are parked: no step is about them, they come back with their ports."""
+        """The parked connectors of services: no step is about them, they come back with their ports."""
         self.ended: frozenset[str] = frozenset()
         """Once all steps are carried out: the components that they have taken out of all contexts."""
         self._trials: dict[str, Trial] = {}
-        """Those that are instances of another type now, by name."""
+        """The trials of components that are instances of another type now, by name."""
         self._held: set[Component] = set()
         self._replacements: dict[str, Component] = {}
         """The replacements of components that go into another process, by name."""
@@ -127,7 +127,7 @@ class Application:
             Activate: (self._activate, self._activate_back),
             Move: (partial(self._move, self._activates), partial(self._move, self._was_active)),
         }
-        """What carries out a step, and what undoes it: that is given the reverse step, also of a step half done."""
+        """The functions that carry out a step and undo it; the undo gets the reverse step, also of a step half done."""
 
     # -- forth and back --------------------------------------------------------------------------------------------
 
@@ -391,7 +391,7 @@ class Application:
                 self._shown[made.name] = name
 
     def _named(self, name: str) -> str:
-        """What the kernel calls the connector that plans call so."""
+        """The kernel's name of the connector that has this name in plans."""
         there = self._kernel.connectors
         return next((here for here, shown in self._shown.items() if shown == name and here in there), name)
 
@@ -460,7 +460,7 @@ class Application:
         if connector is not None and not (connector.in_.is_far or connector.out.is_far):
             connections.replace_options(connector, without_identity(options))
         else:
-            # Both kernels agree anew on a link: what was under way is counted, and whether it came is not known.
+            # Both kernels agree on a new link: samples under way are counted, and whether they came is not known.
             connections.end(connections.service_connectors[step.name] if connector is None else connector)
             await self._make(step.name, replace(step.after, options=options))
 
@@ -566,7 +566,7 @@ class Application:
         return entry is not None and entry.activate and (rules is None or rules.start is None)
 
     def _hold(self, components: list[Component]) -> None:
-        """Have open in-ports stay open, wherever their component is meanwhile: what is unread stays unread."""
+        """Keep open in-ports open while their components are in no context: unread samples stay unread."""
         for component in components:
             for one in parts_of(component):
                 if one not in self._held and is_open(one):
@@ -579,7 +579,7 @@ def _setting(entry: ComponentEntry) -> Setting:
 
 
 def _as_wanted(setting: Setting, component: Component, state: ConfigurationState) -> ConfigurationState:
-    """What the entry says; parameters that were added at run time stay."""
+    """The configuration of the entry; parameters that were added at run time stay."""
     declared = declarations(type(component)).configuration
     base = declared
     for name, spec in state.specs.items():

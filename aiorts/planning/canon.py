@@ -1,4 +1,4 @@
-"""The one form in which `Wanted` says a thing, whether it is read from a kernel or from a system file."""
+"""The canonical form of entries in `Wanted`, whether they are read from a kernel or from a system file."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Canon:
     def __init__(self, catalogue: Catalogue, notes: list[str]) -> None:
         self.notes = notes
         self.faults: list[str] = []
-        """What keeps a system file from being made."""
+        """The faults that keep a system file from being made."""
         self._catalogue = catalogue
         self._types: dict[Any, str] = {}
         self._unmakeable: dict[type, str] = {}
@@ -63,7 +63,7 @@ class Canon:
             raise SystemFileError("\n".join(self.faults[:_SHOWN]) + more)
 
     def named(self, thing: Any, kind: str) -> str:
-        """What names a class or function; "" where nothing does."""
+        """The text that names a class or function; "" where there is none."""
         text = self._types.get(thing)
         if text is None:
             text = self._types[thing] = type_text(thing, self._catalogue, kind)
@@ -138,7 +138,7 @@ class Canon:
         return True
 
     def context_options(self, context: Context) -> Mapping[str, Any]:
-        """What the table of a context has beside kind, members and activate."""
+        """The options in the table of a context, without kind, members and activate."""
         kind, name = type(context), context.name
         if self.named(kind, "contexts") != context.kind:
             what = f"no plugin offers {kind.__qualname__} as the kind of context {context.kind!r}"
@@ -293,7 +293,7 @@ def _plain(value: Any) -> Any:
 
 
 def _as_read(plain: Any) -> Any:
-    """What TOML gives for it."""
+    """The value that TOML gives for it."""
     if isinstance(plain, tuple):
         return list(map(_as_read, plain))
     if isinstance(plain, Mapping):

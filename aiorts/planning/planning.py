@@ -38,7 +38,7 @@ _TRIES: Final = 3
 """How often a system that changes while it is read is read with turns of the loop in between."""
 
 _LATE: Final = ("aiorts.reload", "aiorts.supervision", "aiorts.planning.applying", "aiorts.planning.reading")
-"""What `apply` needs besides: imported late and one by one, so that the loop has its turns in between."""
+"""The modules that `apply` needs besides: imported late and one by one, so that the loop has its turns in between."""
 
 
 class Planning(KernelService):
@@ -47,11 +47,11 @@ class Planning(KernelService):
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)
         self.clock: ClockEntry | None = None
-        """What the system file said of the clock, whatever the command line said; None where there was no file."""
+        """The clock of the system file, whatever the command line chose; None where there was no file."""
         self.exclusive: dict[str, bool] = {}
         """Components that a plan ends before anything is made, as system files say."""
         self.health = Health(kernel)
-        """What the windows of `apply` are measured by."""
+        """The measuring of the windows of `apply`."""
         self._applying: asyncio.Task[Applied] | None = None
         self._measuring = False
         """Whether it measures before the change yet."""
@@ -68,7 +68,7 @@ class Planning(KernelService):
         return _saved(wanted_of(self.kernel, notes), folder, notes)
 
     async def text_aside(self, folder: Path) -> Saved:
-        """The same; the loop has its turns while it is read, and the text is written in a thread."""
+        """The text as `text` gives it; the loop has its turns meanwhile, and a thread writes the text."""
         from anyio import to_thread
 
         notes: list[str] = []
@@ -86,13 +86,13 @@ class Planning(KernelService):
         return saved.notes
 
     def plan(self, wanted: Wanted) -> Plan:
-        """What would be done to make this system of the one that runs; see `Kernel.apply`."""
+        """The plan that makes this system of the one that runs; see `Kernel.apply`."""
         from aiorts.planning.reading import wanted_of
 
         return finished(self._planning(wanted_of(self.kernel), wanted))
 
     async def plan_aside(self, wanted: Wanted) -> Plan:
-        """The same; the loop has its turns meanwhile."""
+        """The plan as `plan` gives it; the loop has its turns meanwhile."""
         return await self._plan(await self._wanted([]), wanted)
 
     async def apply(
@@ -179,7 +179,7 @@ class Planning(KernelService):
                 return await self._carried_out(wanted, why, making)
 
     async def _before(self, wanted: Wanted, window: float) -> Window | None:
-        """What is counted before anything is read to be changed, so that the plan is of the system then."""
+        """The window of counts before the change; the kernel is read after it, so that the plan fits the system."""
         planned = await self._plan(await self._wanted([]), wanted)
         if planned.refused or planned.empty:
             return None
@@ -216,7 +216,7 @@ class Planning(KernelService):
         return Applied(application.plan, not refused, refused, left)
 
     async def _worse(self, before: Window, window: float, application: Application) -> Unhealthy | None:
-        """What the system does worse than before; None when the kernel closes meanwhile: it stays as it is."""
+        """The finding that the system does worse than before; None if it does not, or the kernel closes meanwhile."""
         try:
             return verdict(before, await self.health.window(window), application.new, application.ended)
         except ClosedError:
@@ -258,7 +258,7 @@ class Planning(KernelService):
 
     @property
     def _takes_turns(self) -> bool:
-        """On a simulated clock nobody waits for the loop, and a run is the same each time."""
+        """Whether work gives the loop its turns: not on a simulated clock, where a run is the same each time."""
         return not isinstance(self.kernel.clock, SimulatedClock)
 
 

@@ -56,7 +56,7 @@ def wanted_of(kernel: Microkernel, notes: list[str] | None = None) -> Wanted:
 
 
 def reading(kernel: Microkernel, notes: list[str]) -> Generator[None, None, Wanted]:
-    """The same a little at a time: what it returns is of no one moment where the system changes in between."""
+    """Read a kernel a little at a time: the result is of no single moment where the system changes in between."""
     return _Reader(kernel, notes).wanted()
 
 

@@ -1,4 +1,4 @@
-"""What a system file says of a component's configuration, put in force in one step: parameters, sets, active set."""
+"""A component's configuration in a system file, put in force in one step: parameters, sets, active set."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Setting:
     """The configuration of one component, checked."""
 
     params: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
-    """What the set "default" has other than declared."""
+    """The values of the set "default" that are not the declared ones."""
     sets: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
     active: str | None = None
     """None: the default one."""
@@ -55,9 +55,9 @@ class Setting:
 
 
 def setting_alone(component: Component, given: Mapping[str, Any]) -> Setting:
-    """What is said of a component that runs alone: values of parameters, and in `active` which set is active.
+    """The setting of a component that runs alone: values of parameters, and in `active` the name of the active set.
 
-    What is said is in force, though the active set may have another value.
+    These values are in force, even where the active set has others.
 
     Raises:
         ConfigurationError: names all parameters that are wrong, or says that there is no such set.

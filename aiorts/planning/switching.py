@@ -76,7 +76,7 @@ class CompositesAside:
 async def switch(
     kernel: Microkernel, after: Places, activates: Callable[[str, Any], bool], aside: CompositesAside | None = None
 ) -> None:
-    """Have the places be as these say.
+    """Put components, contexts and composites into these places.
 
     Args:
         activates: whether a component that comes into a context of this name is to be active there.
@@ -146,7 +146,7 @@ def _is_alone(context: Context | None) -> bool:
 
 
 def _forget_placements(component: Component) -> None:
-    """Who leaves a composite goes where the plan says, and not back to where it was before."""
+    """Forget where members ran before: a component that leaves a composite goes where the plan says."""
     for part in parts_of(component):
         cell(part).previous_placements = ()
 
@@ -197,7 +197,7 @@ async def _change(composite: Composite, entry: CompositeEntry) -> None:
 
 
 async def _fill(context: Context, wanted: list[Component], activates: Callable[[str, Any], bool]) -> None:
-    """Have these run there, in this order; single components come and go in one moment."""
+    """Fill a context with these members, in this order; single components come and go in one moment."""
     whole = [one for one in wanted if isinstance(one, Composite) and context not in one.contexts]
     if whole:
         await context.add(*whole)
@@ -234,7 +234,7 @@ class _Switch:
         self._activates = activates
 
     def steps(self, done: Done) -> Steps:
-        """The steps, as one action; who cannot start is taken out again, and nobody leaves."""
+        """The steps, as one action; a component that cannot start is taken out again, and no member leaves."""
         context, life = self._context, self._context.runner.life
         joined: list[Member] = []
         for member in self._joining:

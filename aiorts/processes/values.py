@@ -10,7 +10,7 @@ from aiorts.model.declared import check_declared, option
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a process may use; None is without a limit.
+    """The limits of a process; None is without a limit.
 
     Raises:
         ConfigurationError: a value is out of range; it is named.

@@ -1,8 +1,8 @@
-"""The code of one component type read anew: which type is meant, its file compiled and run aside, its names put right.
+"""The code of one component type, read again: the type that is meant, its file compiled and run aside, its names set.
 
-Nothing that is in use changes until `adopt`: until then the new module stands under a name of its own, so that nobody
-imports a module that is half done. The file is always read (no byte code of it is trusted: an edit within one second,
-of the same length, is an edit), and of what it imports nothing is read anew.
+Nothing that is in use changes until `adopt`: until then the new module stands under a name of its own, so that no
+import finds a module that is half done. The file is always read, and nothing that it imports. No byte code of it is
+trusted: an edit within one second, of the same length, is an edit.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ if TYPE_CHECKING:
 
 _NUMBERS = itertools.count(1)
 _READ_ANEW: WeakKeyDictionary[type, tuple[int, str]] = WeakKeyDictionary()
-"""How often the code of a class was read anew before, and the module that it stands for."""
+"""The number of times that the code of a class was read again before, and the module that it stands for."""
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where the code of a type comes from."""
+    """The module and file of a type's code."""
 
     module: str
     name: str
-    """Of the class, within the module."""
+    """The name of the class within the module."""
     path: Path
     readings: int = 0
-    """How often it was read anew before."""
+    """The number of times that it was read again before."""
 
     def __str__(self) -> str:
         return f"{self.path.name}:{self.name}"
@@ -60,7 +60,7 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """What an instance is made of that takes the place of another."""
+    """The code of an instance that takes the place of another."""
 
     origin: Origin
     cls: type[Component]
@@ -69,7 +69,7 @@ class Code:
 
 @dataclass(frozen=True, slots=True)
 class FreshCode(Code):
-    """A module that was read anew and is not in use yet."""
+    """A module that was read again and is not in use yet."""
 
     module: ModuleType
 
@@ -185,12 +185,12 @@ def _key(cls: type) -> tuple[str, str]:
 
 
 def readings_of(cls: type) -> int:
-    """How often the code of this very class had been read anew when it was made."""
+    """The number of times that the code had been read again when this class was made."""
     return next((_READ_ANEW[base][0] for base in cls.__mro__ if base in _READ_ANEW), 0)
 
 
 def forget_file(path: Path) -> None:
-    """Have a file read anew when one of its types is asked for next; it is for files of which there is no component."""
+    """Forget a file, which is read again for the next of its types; for files of which there is no component."""
     for name, module in list(sys.modules.items()):
         if getattr(module, "__file__", None) == str(path):
             del sys.modules[name]
@@ -200,7 +200,7 @@ def forget_file(path: Path) -> None:
 
 
 class _Anew(SourceFileLoader):
-    """Reads and compiles the source, whatever byte code lies beside it, and leaves none."""
+    """Reads and compiles the source, whatever byte code there is, and leaves none."""
 
     def get_code(self, fullname: str) -> CodeType:
         path = self.get_filename(fullname)
@@ -227,11 +227,11 @@ async def read_anew(kernel: Microkernel, origin: Origin, limit: float) -> FreshC
             done.set_result(outcome)
 
     def report_from_thread(outcome: ModuleType | PluginError) -> None:
-        with suppress(RuntimeError):  # the loop has been closed meanwhile: nobody wants to know any more
+        with suppress(RuntimeError):  # the loop has been closed meanwhile: no caller waits any more
             loop.call_soon_threadsafe(deliver, outcome)
 
     too_slow = PluginError(f"{origin.path}: still being run after {limit:g} s; it was abandoned, nothing was changed")
-    # A thread that nobody waits for: a file that never ends must not keep the interpreter from ending.
+    # A daemon thread: a file that never ends must not keep the interpreter from ending.
     work = threading.Thread(
         target=lambda: report_from_thread(_run(name, origin)), name=f"aiorts reload {origin}", daemon=True
     )
@@ -311,7 +311,7 @@ def _line_of(function: Any) -> str:
 
 
 def _rename(values: Iterable[Any], aside: str, name: str) -> None:
-    """What the module made says the module's real name from now on."""
+    """Give the classes and functions of a module its real name."""
     for value in _named(values, aside, set()):
         value.__module__ = name
 

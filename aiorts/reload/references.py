@@ -1,4 +1,4 @@
-"""Who knows a component by more than its name, and is to know another instance in its place from now on."""
+"""Passes on the references to a component to the instance that takes its place."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def pass_on_references(kernel: Microkernel, old: Component, new: Component) -> None:
-    """What the kernel, composites, supervision and observers keep of it. On the loop, between two cycles."""
+    """Pass on the references of kernel, composites, supervision and observers. On the loop, between two cycles."""
     kernel.registry.replace(old, new)
     group = cell(new).group
     if group is not None:
@@ -22,7 +22,7 @@ def pass_on_references(kernel: Microkernel, old: Component, new: Component) -> N
 
 
 def pass_on_distant_references(kernel: Microkernel, pairs: Mapping[Component, Component]) -> None:
-    """Those that only a look at every component finds, for all of a context at once."""
+    """Pass on the references that only a look at every component finds, for all instances of a context at once."""
     for component in kernel.components.values():
         for kind in kinds_of(component):
             kind.others_replaced(component, pairs)

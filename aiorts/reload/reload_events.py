@@ -17,9 +17,9 @@ class Dropped:
     name: str
     why: str
     connectors: tuple[str, ...] = ()
-    """Of a port: those that ended with it."""
+    """The connectors that ended with a port."""
     unread: int = 0
-    """Of a port: samples that were unread; they are counted as disconnected."""
+    """The samples that were unread at a port; they are counted as disconnected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class ComponentReloaded(Event):
     kind: str
     """File and class, as "pid.py:Pid"."""
     old: int
-    """Which reading of the file its code came from: 0 is the first."""
+    """The reading of the file that its code came from: 0 is the first."""
     new: int
     kept: tuple[str, ...]
     """Ports with their connectors and unread samples, and parameters with their values."""

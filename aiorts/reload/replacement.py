@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 Edit: TypeAlias = "Callable[[ConfigurationState], ConfigurationState]"
 _ON_LOOP: Final = ("on_initialize", "on_finalize")
 _WORDS: Final = ("unit", "shape", "doc", "max_connectors", "stamp")
-"""What of a declaration can be changed on a live port."""
+"""The parts of a declaration that can be changed on a live port."""
 _ERROR: Final = LifecycleState.ERROR
 _LOG = KernelLog()
 _INACTIVE: Final = LifecycleState.INACTIVE
@@ -78,7 +78,7 @@ class Replacement:
         self.initialized = False
         self.services = ServiceHeritage(old)
         self._words: dict[Port[Any], dict[str, Any]] = {}
-        """What the new code says of the ports that stay."""
+        """The declarations of the new code for the ports that stay."""
         self._seen: ConfigurationState | None = None
         """The configuration of the old one, as it was handed over."""
         self.switched = False
@@ -95,9 +95,9 @@ class Replacement:
         self._made_ports: dict[str, Port[Any]] = {}
         """The ports that the new one was made with, as it holds them."""
         self._standing: tuple[tuple[Any, ...], tuple[Any, ...]] = (), ()
-        """What was known of the old one, and of the new one, before it was put in place."""
+        """The standing of the old and of the new instance before the new one was put in place."""
         self._limits: Any = _MISSING
-        """What limits the old one's hooks, while something else does."""
+        """The limits of the old instance's hooks, while others are in force."""
         self.gone: list[Port[Any]] = []
         """Ports that the new one does not have."""
         self._fresh: list[Port[Any]] = []
@@ -165,7 +165,7 @@ class Replacement:
             raise refused
 
     def _check_thread(self, where: str) -> None:
-        """What runs in a thread, where nothing can wait, cannot be `async def` all at once."""
+        """Refuse `async def` hooks that are new where the component runs in a thread, which cannot await."""
         if all(context.suspends for context in self.old.contexts):
             return
         awaiting = [hook for hook in coroutine_hooks(cell(self.new).hook_kinds) if hook not in _ON_LOOP]
@@ -312,7 +312,7 @@ class Replacement:
             self._configure_back(configured)
 
     def _configure_back(self, configured: ConfigurationState) -> None:
-        """What was configured while the new one was in place, as far as the old code has it, too."""
+        """Configure the old instance as the new one was meanwhile, as far as the old code has the parameters."""
         refused = commit(self.old, lambda state: handed_over(configured, state, configured.specs, bool, "")[0])
         if refused is not None:
             _LOG.warning("%s: what was configured meanwhile is not in force: %s", self.old.name, refused)
@@ -334,7 +334,7 @@ class Replacement:
         self._handed = frozenset(self._changed())
 
     def end_tasks(self) -> None:
-        """What the old one started ends with its code: it would go on reading and writing at the same ports."""
+        """End the tasks of the old instance: they would go on reading and writing at the same ports."""
         tasks = [task for task in self.kernel.registry.tasks.get(self.old, ()) if not task.done()]
         self.tasks += tuple(task.get_name() for task in tasks if task not in self._ended)
         for task in tasks:
@@ -348,7 +348,7 @@ class Replacement:
                 receiver_of(port).end_waiting()
 
     def _ports_wanted(self) -> dict[str, Port[Any]]:
-        """What the new code declares or adds, and what was added to the old one at run time."""
+        """The ports that the new code declares or adds, and those that were added to the old instance at run time."""
         old, ports = self.old, dict(cell(self.new).ports)
         declared = {port.name or name for name, port in declarations(type(old)).ports.items()}
         for name, port in self._ports.items():
@@ -389,7 +389,7 @@ class Replacement:
         ]
 
     def _give_back(self) -> None:
-        """What `on_reload` took over; what the new one's own cycles made stays with it, to be ended."""
+        """Give back the attributes that `on_reload` took over; the new instance keeps its own, to be ended."""
         new = self.new
         handed = self._changed() if self._handed is None else self._handed
         for name in handed:
@@ -444,7 +444,7 @@ class Replacement:
         return event
 
     def _end_trial(self) -> None:
-        """Who goes to error takes no more samples; a thread that is just about it looks again after that."""
+        """End the trial: a component in error takes no more samples; a thread on the way there looks again."""
         place = cell(self.new)
         members, place.trial = place.trial, ()
         for member in place.members:

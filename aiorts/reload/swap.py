@@ -53,7 +53,7 @@ class Group:
         return self.begun and (self.context is None or self.context.suspends)
 
     def late(self, timeout: float | None) -> str:
-        """What has not happened in time."""
+        """The step that was not done in time, in words."""
         names = ", ".join(replacement.old.name for replacement in self.replacements)
         where = "" if self.context is None else f" in {self.context.name}"
         what = "on_reload did not return" if self.begun else "no cycle ended"
@@ -113,7 +113,7 @@ class Swap:
                 timer.cancel()
 
     def regroup(self) -> None:
-        """Have each be taken back where it runs now, if all are in their places: contexts may be others by now."""
+        """Group the instances by their present contexts, to be taken back there, if all are in their places."""
         if not all(group.came.done() and group.came.result() is None for group in self.groups):
             return
         groups: dict[Context | None, Group] = {}
@@ -215,7 +215,7 @@ class Swap:
         group.passed_on = True
 
     def pass_back(self, group: Group) -> None:
-        """Those that keep references know the old instances again."""
+        """Pass the references back to the old instances."""
         if group.passed_on:
             pass_on_distant_references(self._kernel, {one.new: one.old for one in group.replacements})
 
@@ -226,7 +226,7 @@ class Swap:
         if kind == HookKind.ABSENT:
             return None
         if kind == HookKind.ASYNC or not self._kernel.on_loop_thread():
-            _on_loop(self._kernel, replacement.end_tasks)  # they would go on meanwhile, beside what it starts itself
+            _on_loop(self._kernel, replacement.end_tasks)  # they would go on, together with those that it starts itself
         return replacement.new.on_reload(replacement.old)
 
     def _refusal(self, replacement: Replacement, error: BaseException) -> BaseException:

@@ -32,7 +32,7 @@ _GOING_BACK: Final = 10.0
 
 
 class Trial:
-    """New instances beside the old ones, and then in their places.
+    """A trial: new instances next to the old ones, and then in their places.
 
     Args:
         timeout: seconds of the kernel's clock until each is made, and until all are in their places; None is forever.
@@ -47,7 +47,7 @@ class Trial:
     async def prepare(
         self, old: Component, code: Code, edit: Callable[[ConfigurationState], ConfigurationState] | None = None
     ) -> None:
-        """Make a new instance beside an old one, which goes on.
+        """Make a new instance next to an old one, which goes on.
 
         Args:
             edit: makes its configuration of the declared one; by default it takes over the old one's.
@@ -113,7 +113,7 @@ class Trial:
             self.swap.regroup()
         self.swap.go_back()
         for group in self.swap.groups:
-            # One whose hook never returns in its thread takes itself back when it does; nobody waits for that.
+            # An instance whose hook does not return in its thread takes itself back when it does: that is not awaited.
             waited = [one for one in (group.came, group.back) if one is not None and not kernel.closed]
             if waited:
                 await asyncio.wait(waited, timeout=_GOING_BACK)
@@ -129,7 +129,7 @@ class Trial:
         await self._start_anew([replacement for replacement in self.swap.replacements if not replacement.late])
 
     async def _start_anew(self, replacements: Iterable[Replacement]) -> None:
-        """What the old code had started was ended for the new code's sake: it starts it again, without a gap."""
+        """Start the old instances again without a gap: their tasks were ended for the new code."""
         waited = []
         for replacement in replacements:
             old = replacement.old
@@ -150,14 +150,14 @@ class Trial:
                 self.swap.pass_back(group)
 
     async def _end_one(self, replacement: Replacement) -> None:
-        """The one of the two that has no place."""
+        """End the instance that has no place."""
         if replacement.switched or replacement.homeless:
             await retire(self._kernel, replacement.old, replacement.new)
         elif replacement.made is not None:
             await retire(self._kernel, replacement.made, finalize=replacement.initialized)
 
     def _leave_late(self, error: BaseException) -> None:
-        """Where a hook of the new code has not returned, the old one comes back when it does: none is ended before."""
+        """Leave the old instance until a hook of the new code returns: it comes back then, and none is ended before."""
         registry, names = self._kernel.registry, []
         for group in self.swap.groups:
             driver = None if group.context is None else group.context.runner.driver
@@ -205,7 +205,7 @@ def _add_text(error: BaseException, text: str) -> None:
 
 
 def log_error(task: asyncio.Task[Any]) -> None:
-    """Log what a task that nobody waits for has failed with."""
+    """Log the error of a task that has no waiter."""
     error = None if task.cancelled() else task.exception()
     if error is not None:
         _LOG.warning("%s failed: %s", task.get_name().removeprefix("aiorts "), error)

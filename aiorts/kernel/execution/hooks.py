@@ -2,9 +2,9 @@
 
 A hook is a coroutine function or a plain function, has no argument beyond `self` (`on_error` and `on_aborting` get
 the error), and returns nothing. Anything else is refused here, with class and hook named, not when it first runs. So
-is a method that is a hook but for its spelling, which nobody would ever call: `onExecute`, or one slip of the pen
+is a method that is a hook but for its spelling, which the kernel would never call: `onExecute`, or one slip of the pen
 (`on_excute`, `on_activate`) in a method that could be called as a hook is. `on_button` and `on_preset(self, number)`
-are nobody's affair.
+are left alone.
 """
 
 from __future__ import annotations

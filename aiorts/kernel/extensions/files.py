@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 INSTALL: Final = "install it, or go to the folder that it lies in"
-"""What to do where a module is not found."""
+"""The remedy where a module is not found."""
 _FILES: Final[dict[str, str]] = {}
 """The name of the module that each file was loaded as."""
 _MADE: Final[set[str]] = set()

@@ -4,8 +4,8 @@ Every record carries `kernel`, `component`, `hook`, `tick`, `repeated` and `fold
 level and template as one of the last second is counted instead of emitted (`repeated`), and the count comes with the
 next line, so nothing is lost in silence: calls = lines + repeated + dropped, once `flush()` was called. How the line
 says so is `folded`: only lines of one text are called repeated. Output over 200 kB in a second is dropped and counted
-too, so a component that logs in a tight loop harms nobody; and so is what all components of a kernel together say
-beyond `SharedBudget`. A handler or filter that raises harms nobody either: the line stands on standard error then.
+too, so a component that logs in a tight loop harms no other; and so is what all components of a kernel together say
+beyond `SharedBudget`. A handler or filter that raises harms no code either: the line stands on standard error then.
 Importing this configures no logging.
 """
 

@@ -1,4 +1,4 @@
-"""The one way from a transport or a receiver to the one that has its place once the lock is taken."""
+"""Methods that run on the current transport or receiver: another one may have its place once the lock is taken."""
 
 from __future__ import annotations
 
