@@ -300,7 +300,7 @@ class Kernel(Microkernel):
             kinds: of `ConnectorEventKind`; all by default.
 
         Raises:
-            StateError: the connector is not of this kernel, or a real-time thread is at it.
+            StateError: the connector is not of this kernel, or a real-time thread uses it.
         """
         self.check_thread("listen")
         return self._introspection.listening.add(connector, listener, kinds)
@@ -487,14 +487,14 @@ class Kernel(Microkernel):
     # -- the system as a file ----------------------------------------------------------------------------------------
 
     async def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> tuple[str, ...]:
-        """Save the system of this moment as a system file, which `aiorts run` makes it of again.
+        """Save the system as it is now in a system file, from which `aiorts run` makes it again.
 
         The file states what was chosen: values as declared, or by default, are left out. Types are names that plugins
         offer, "package.module:Class", or "FILE.py:Class" counted from the file's folder. Samples, attributes of
         components and lifecycle states of single components are not in it, nor choices of a command line for one run.
 
         Args:
-            overwrite: replace a file that is there already; it is the old one or the new one, whatever happens.
+            overwrite: replace a file that is there already; a failure leaves the old one or the new one whole.
 
         Returns:
             The parts of the system that no system file can state, and that are left out.

@@ -108,7 +108,7 @@ class Kernels(Protocol):
         ...
 
     def path_of(self, port: Port[Any], peer: Peer | None = None) -> Path:
-        """The path of a port of this kernel as others know it, or as `peer` does, where it knows another name."""
+        """The path of a port here; it names this kernel as `peer` does, or, without `peer`, as others do."""
         ...
 
     def there(self, path: Path, caller: Caller, right: str) -> Port[Any] | Answer:

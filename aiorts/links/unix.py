@@ -468,7 +468,7 @@ class _Connection:
             raise LinkError("it speaks of a ring that there is not")
 
     def ask(self, number: int, question: bytes) -> None:
-        """Send a question. LinkError: it is not taken."""
+        """Send a question. LinkError: it was not sent."""
         if not self.stream.control(_ASK, number, question):
             raise LinkError(f"{self._name}: takes no more questions now")
 

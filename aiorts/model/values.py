@@ -370,7 +370,7 @@ def pairs_of(value: object) -> Mapping[str, object]:
     try:
         found = loads(text)
     except RecursionError:
-        raise ValueError("must be a mapping, this one is nested too deeply") from None
+        raise ValueError("must be a mapping not nested too deeply") from None
     except ValueError:
         pass  # not JSON: read as bare words below
     else:

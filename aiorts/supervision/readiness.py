@@ -26,7 +26,7 @@ async def until(kernel: Microkernel, ready: Callable[[], bool], timeout: float |
     late: asyncio.Future[bool] = kernel.loop.create_future()
 
     def look(_event: Event | None = None) -> None:
-        # While the kernel closes components leave: then none is missing, and nothing is ready.
+        # Components leave while the kernel closes: none is missing then, but none is ready.
         if not late.done() and not kernel.closed and ready():
             late.set_result(True)
 

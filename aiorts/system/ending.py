@@ -166,7 +166,7 @@ class _Look:
             return False
         if LifecycleState.ERROR in states or component.name in self._finished or component.has_finished:
             return True
-        # It was stopped with a member of its composite, and comes back when that member is recovered.
+        # A component stopped for a failed member of its composite goes on only with that member.
         return any(self._is_dead(name) for member in cell(component).members for name in member.stopped_for)
 
     def _is_dead(self, name: str) -> bool:

@@ -280,7 +280,7 @@ class MapKind(Kind):
 
 
 def _undeclared(value: Any, where: str, key: Any, levels: int) -> Any:
-    """The value of a map that declares no kind for it."""
+    """Check a value of a map that declares no kinds."""
     if type(value).__name__ == "ndarray":
         # The key is added to `where` only if the value is refused: that takes as long as the check.
         with suppress(RecordError):

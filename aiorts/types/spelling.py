@@ -114,7 +114,7 @@ class Seq(Spelled["Sequence[T]", "Iterable[T]"], Generic[T]):
 
 
 class Rows(Spelled["RecordArray[T]", "Iterable[T] | npt.NDArray[np.generic]"], Generic[T]):
-    """A sequence of records whose leaves all have one element type: takes records or an (n, k) array, gives both."""
+    """Records whose leaves all have one element type: takes records or an (n, k) array, gives a `RecordArray`."""
 
 
 class Map(Spelled["Mapping[str, Any]", "Mapping[str, MapValue]"]):

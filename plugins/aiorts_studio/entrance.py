@@ -56,7 +56,7 @@ class Entrance:
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[None]:
-        """Give codes to this user's commands for as long as the block takes."""
+        """While the block runs, give login codes to this user's commands."""
         path = folder() / f"{os.getpid()}.sock"
         path.unlink(missing_ok=True)  # left by a process that was killed
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:

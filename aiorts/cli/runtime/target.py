@@ -75,7 +75,7 @@ class Target:
     doubts: tuple[str, ...] = ()
     """The warnings about options of a system file that do nothing."""
     streams: tuple[str, ...] = ()
-    """The names of the command's own components, which read and write the samples of a component alone."""
+    """The names of the components by which the command feeds and prints a component run alone."""
     ends: Ends | None = None
     """The ends of a component alone that standard input feeds; they report bad lines at the end."""
     plan: Blueprint | None = None

@@ -71,7 +71,7 @@ class NotifiedPorts(list[InPort[Any]]):
 
     def find_data(self) -> bool:
         """Enable all ports that have notified; return whether one still has data: it counts as having notified."""
-        # Enabled before the look: a sample that a thread writes in between notifies again, and is not missed.
+        # Ports are enabled before they are checked: a sample written by a thread in between notifies again.
         notified, self.notified = self.notified, []
         for port in notified:
             port._receiver.enable_notify()

@@ -358,7 +358,7 @@ class Transport:
 
     @property
     def is_awaited(self) -> bool:
-        """Whether a write that must not wait is possible despite `must_wait`: a waiting read will take the sample."""
+        """Whether `write_nowait` is possible although `must_wait` is true: a waiting read will take the sample."""
         return False
 
     def admits_next(self) -> bool:

@@ -4,8 +4,8 @@ The table has a list of patterns for each right and name:
 
     write: {station: ["drive.velocity", "lamp.*"], "*": ["display.text"]}
 
-Every kernel has a right that is not in the table. For a right in the table, a name has the ports of its own list,
-else those of the list of "*". The first pattern of the list that matches `component.port` decides; one that begins
+A right that is not in the table is granted to every kernel. For one that is, the list of the kernel's name holds,
+else the list of "*". The first pattern of the list that matches `component.port` decides; one that begins
 with "!" denies. Where none matches, the port is denied.
 """
 

@@ -173,7 +173,7 @@ CROWD_CASES: Final[tuple[Case, ...]] = (
 
 
 def report(options: Options) -> Report:
-    """Measure the headline table, or with an option of the grid every combination; `--plot` adds load curves."""
+    """Measure the headline table or, if lists are given, their combinations; `--plot` adds load curves."""
     axes = grid.chosen(options)
     if axes:
         return grid.report(options, axes)

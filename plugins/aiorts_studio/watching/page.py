@@ -1,4 +1,4 @@
-"""One page: its view, the rows that it was told, and the messages that wait for it."""
+"""A page in a browser: its view, the rows sent to it, and its waiting messages."""
 
 from __future__ import annotations
 
