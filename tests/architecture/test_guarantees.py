@@ -104,7 +104,7 @@ GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
     (
         "aiorts.kernel.embedding",
         "",
-        "A marked task that fails and whose exception nobody has asked for half a second later is that component's",
+        "A marked task that fails and whose exception was not asked for half a second later is that component's",
         ("loop/test_own_tasks.py::test_failure_of_a_task_is_attributed_within_a_second_a_hundred_times",),
     ),
     (
@@ -158,7 +158,7 @@ GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
     (
         "aiorts.assembly",
         "Kernel.load_configuration",
-        "of every component in it, or of none when anything is wrong",
+        "for every component in it, or for none when anything is wrong",
         (
             "configuration/test_configuration_files.py::test_a_wrong_file_is_refused_with_its_place_and_nothing_changes",
             "configuration/test_configuration_files.py::test_when_the_last_component_refuses_what_the_first_took_is_taken_back",
