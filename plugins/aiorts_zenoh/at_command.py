@@ -88,7 +88,7 @@ async def _at(settings: NetworkSettings, caller: str, command: tuple[str, ...]) 
 
 
 async def _open(gateway: Gateway, settings: NetworkSettings, secured: Secured | None) -> None:
-    """Open the gateway. LinkError: nothing is reached, with the reasons that a probe of each place finds."""
+    """Open the gateway. LinkError: no kernel is reached; the text has the reason that a probe of each place found."""
     try:
         await gateway.open()
     except LinkError as error:
@@ -99,7 +99,7 @@ async def _open(gateway: Gateway, settings: NetworkSettings, secured: Secured | 
 
 
 async def _run(command: tuple[str, ...], folder: str) -> int:
-    """Run the command; its exit status."""
+    """Run the command; return its exit status."""
     before = os.environ.get(FURTHER)
     environment = os.environ | {FURTHER: f"{before}{os.pathsep}{folder}" if before else folder}
     words = (sys.executable, "-m", "aiorts", *command) if command else (os.environ.get("SHELL") or "/bin/sh",)

@@ -1,4 +1,4 @@
-"""One session with a kernel as one host carries it: a local connection on the one side, messages on the other."""
+"""One host's end of a session with a kernel: passes bytes between a local connection and messages of the network."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from aiorts_zenoh.envelope import Message
 from aiorts_zenoh.stream import CHUNK, Stream
 
 _LOOK_AGAIN: Final = 0.3
-"""Seconds until the other end is asked again how far it has come."""
+"""Seconds until the other end is asked again how many bytes it has used."""
 _REST: Final = 2.0
 """Seconds for the other end to take what is under way, once this end sends nothing more."""
 
@@ -37,7 +37,7 @@ class Carried:
         self._is_over = False
 
     def arrived(self, message: Message) -> None:
-        """Take a message of the other end."""
+        """Handle a message from the other end."""
         if data := self._stream.arrived(message):
             self._came.append(data)
         self._news.set()

@@ -1,6 +1,6 @@
-"""The known claims of names, in order, and the kernels that were told of each. It has no engine and no clock.
+"""The known claims of kernels' names, in order, and the kernels that were told of each. Uses no engine and no clock.
 
-The work for a claim that comes or goes does not grow with the claims that are there, but for moving a list in memory.
+The work for a claim that comes or goes is the same however many claims there are, but for moving a list in memory.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from aiorts_zenoh.names import Claim, Rank, first_seen, gives_way
 LOOKED_AT: Final = 8
 """The most rivals of one claim that are compared with it."""
 TOLD: Final = 4_000
-"""The most kernels that are remembered as told of a claim; beyond it the oldest are forgotten."""
+"""The most kernels that are remembered as told of a claim; beyond that number the oldest are forgotten."""
 
 
 class _Scope:
@@ -24,7 +24,7 @@ class _Scope:
 
     def __init__(self) -> None:
         self.tokens: dict[Claim, set[bool]] = {}
-        """The tokens that are there of each claim: for each, whether it is the owner's."""
+        """The present tokens of each claim; True: the token of an owner, False: the token of a mere claim."""
         self.order: list[Rank] = []
         self.of_kernel: dict[str, list[Rank]] = {}
         self.machines: Counter[int] = Counter()
@@ -53,8 +53,8 @@ class Claims:
     """The claims that are there, and which of them are seen.
 
     Args:
-        bound: whether a kernel's name is that of its certificate. Then a claim has rivals of its own name alone: what
-            one certificate claims takes nothing from another. Else all claims of one host name may be rivals.
+        bound: whether a kernel's name is that of its certificate. If so, only claims of the same name are rivals: no
+            certificate takes a name from another. If not, all claims of one host name may be rivals.
     """
 
     def __init__(self, *, bound: bool) -> None:
@@ -78,11 +78,11 @@ class Claims:
         return owned in self._tokens(claim).get(claim, ())
 
     def meets(self, one: Claim, two: Claim) -> bool:
-        """Whether only one of both can be seen."""
+        """Whether the two claims are rivals: only one of them can be seen."""
         return self.scope_of(one) == self.scope_of(two) and one.meets(two)
 
     def put(self, claim: Claim, *, owned: bool, up: bool) -> None:
-        """Take a token of a claim as there (`up`) or as gone."""
+        """Note that a token of a claim is there (`up`) or is gone."""
         name = self.scope_of(claim)
         scope = self._scopes.get(name)
         if scope is None:
@@ -153,7 +153,7 @@ class Claims:
 
 
 class Told:
-    """The kernels that were told of a claim: each is told of one at a time, until that one is gone."""
+    """The kernels that were told of a claim. A kernel is told of a second claim only after the first is gone."""
 
     def __init__(self) -> None:
         self._of: OrderedDict[Claim, tuple[Claim, str]] = OrderedDict()
@@ -176,7 +176,7 @@ class Told:
             self._forget(next(iter(self._of)))
 
     def ended(self, of: Claim) -> list[tuple[Claim, str]]:
-        """The kernels that were told of a claim which is gone, and the token of it that each was told of."""
+        """The kernels that were told of a claim that is gone now, each with the token that it was told of."""
         return [(who, self._forget(who)) for who in tuple(self._by.get(of, ()))]
 
     def _forget(self, who: Claim) -> str:

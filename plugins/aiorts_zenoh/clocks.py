@@ -1,7 +1,7 @@
-"""The lead of another machine's clock over this one's. It asks no clock, and never changes stamps.
+"""Estimates by how much another machine's clock is ahead of this one's. Reads no clock, and never changes stamps.
 
-A question has the time of this clock when it was asked and when it was answered, and its answer the other clock's time
-in between. So the offset is that at the middle, and its error is at most half of the round trip.
+A round trip gives three times: this clock's when the question is sent and when the answer comes, and the other clock's
+in between. The offset is taken at the middle of the round trip, and its error is at most half of the round trip.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ DRIFT: Final = 100e-6
 
 
 class Offset(NamedTuple):
-    """The lead of the other clock over this one, at a time of this one."""
+    """By how much the other clock is ahead of this one, at a time of this clock."""
 
     ahead_ns: int
     within_ns: int
@@ -33,13 +33,13 @@ class _Trip(NamedTuple):
 
 
 class ClockOffset:
-    """The offset to one other clock, by the shortest of the last round trips; the older, the less exact."""
+    """The offset to one other clock, by the shortest of the last round trips; an older one counts as less exact."""
 
     def __init__(self) -> None:
         self._trips: deque[_Trip] = deque(maxlen=LAST)
 
     def add(self, asked_ns: int, theirs_ns: int, answered_ns: int) -> None:
-        """Add a round trip. The former ones are forgotten if they cannot be true any more: a clock was set."""
+        """Add a round trip. Earlier round trips are forgotten if they contradict it: a clock was set."""
         half = (answered_ns - asked_ns + 1) // 2
         if half < 0:
             return  # this clock was set in between
@@ -53,5 +53,5 @@ class ClockOffset:
         self._trips.append(trip)
 
     def at(self, now_ns: int) -> Offset | None:
-        """The offset by the best round trip at this time; None: there is none yet."""
+        """The offset by the best round trip at this time; None: there was no round trip yet."""
         return min((trip.at(now_ns) for trip in self._trips), key=lambda offset: offset.within_ns, default=None)

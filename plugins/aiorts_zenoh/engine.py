@@ -30,26 +30,26 @@ _ITEMS: Final = 100_000
 _BYTES: Final = 64 << 20
 """The most that waits for the loop: so many items, and so many bytes in items that are not short."""
 _SHORT: Final = 512
-"""The most bytes of a short message, for which the bound of the items is enough."""
+"""The most bytes of a short message. Only the number of short messages is bounded, not their bytes."""
 _PLACE: Final = re.compile(r" at /\S+\.rs:\d+\.?")
 """The place in the engine's own sources that its error names."""
 _ATTEMPT: Final = 1_000
-"""Milliseconds of one attempt of a client to connect; nothing can end it sooner."""
+"""Milliseconds of one attempt of a client to connect; nothing can end an attempt sooner."""
 _UNREACHED: Final = "Unable to connect"
 _EMPTY: Final = 0.3
-"""Seconds without a token until the engine is believed that there is none."""
+"""Seconds without a token after which the engine's answer that there is none counts."""
 _AGAIN: Final = 0.05
 _LEAVES: Final = 4.0
 """The most seconds that the interpreter's end waits for threads inside the engine."""
 _AT_ONCE: Final = 256
 """Items that are handled before the loop has its turn."""
 _MANY: Final = 16
-"""Items at once after which the loop is not woken for the next: it looks again after a pause."""
+"""After so many items at once the next item does not wake the loop: the loop looks again after a pause."""
 _PAUSE: Final = 0.001
 _LONG_PAUSE: Final = 0.004
-"""Seconds: the first pause and the longest; each is twice the one before, as long as as many have come again.
+"""Seconds of the first pause and of the longest. While as many items come again, each pause is twice the last.
 
-A loop that is woken at each message of a flood fights for the interpreter with the thread that brings them.
+A loop that is woken at each message of a flood fights for the interpreter with the thread that brings the messages.
 """
 
 
@@ -63,7 +63,7 @@ class Inbox:
         self._came = self._left = 0
         """Bytes ever put in and taken out, without those of short messages; each count is changed by one side alone."""
         self._due = False
-        """Whether the loop looks again by itself."""
+        """Whether the loop will look for items by itself."""
         self._closed = False
         self._pause = 0.0
         self.dropped = 0
@@ -72,7 +72,7 @@ class Inbox:
     def put(self, handle: Callable[..., None], *arguments: Any, size: int = 0) -> None:
         """Let the loop call `handle`; from any thread, without waiting.
 
-        No lock is taken for short messages: it would be half of what they cost the engine's thread here.
+        Short messages take no lock: a lock would be half of their cost in the engine's thread.
         """
         items = self._items
         if self._closed or ((size > _SHORT or len(items) >= _ITEMS) and not self._has_room(size)):
@@ -84,7 +84,7 @@ class Inbox:
                 self._loop.call_soon_threadsafe(self._handle)
 
     def _has_room(self, size: int) -> bool:
-        """Whether there is room for an item of so many bytes: they count as put in, or the item as dropped."""
+        """Whether there is room for an item of so many bytes; they are counted as put in, or the item as dropped."""
         with self._lock:
             if len(self._items) >= _ITEMS or (size > _SHORT and self._came - self._left + size > _BYTES):
                 self.dropped += 1
@@ -98,7 +98,7 @@ class Inbox:
         return self._loop.is_closed()
 
     def close(self) -> None:
-        """Handle nothing any more."""
+        """Handle no more items."""
         with self._lock:
             self._closed = True
             self._items.clear()
@@ -161,9 +161,9 @@ class Engine:
         """Decides which messages, questions and tokens are taken; None: all are."""
 
     def open(self, settings: Mapping[str, Any], inbox: Inbox) -> None:
-        """Open the session. LinkError: the engine refuses, such as for a port that is taken, or is closed meanwhile.
+        """Open the session. LinkError: the engine refuses, for example as a port is in use, or was closed meanwhile.
 
-        A client waits here until it is connected, for as long as it takes where the time to connect is -1.
+        A client waits here until it is connected, without a limit where the time to connect is -1.
 
         Args:
             inbox: hands the items of callbacks over to the loop.
@@ -188,7 +188,7 @@ class Engine:
 
     @property
     def _is_over(self) -> bool:
-        """Whether it was closed, or its loop has ended: the interpreter's end waits for the thread that opens it."""
+        """Whether it was closed, or its loop has ended; the interpreter's end waits for the thread that opens it."""
         return self._closed or self._inbox.is_over
 
     def close(self) -> None:
@@ -202,7 +202,7 @@ class Engine:
     def subscribe(
         self, key: str, arrived: Callable[[str, bytes], None], inbox: Inbox | None = None
     ) -> Callable[[], None]:
-        """Call `arrived` with key and bytes of each message, by this inbox or the general one; returns what ends it."""
+        """Call `arrived` with key and bytes of each message, by `inbox` or the general one; return what ends this."""
         put = (inbox or self._inbox).put
 
         def came(sample: Any) -> None:
@@ -217,7 +217,7 @@ class Engine:
     def answer(
         self, key: str, asked: Callable[[str, bytes, bytes, Any], None], inbox: Inbox | None = None
     ) -> Callable[[], None]:
-        """Call `asked` with key, body, attachment and the query that `reply` takes; returns what ends that."""
+        """Call `asked` with key, body, attachment and `reply`'s query for each question; return what ends this."""
         put = (inbox or self._inbox).put
 
         def came(query: Any) -> None:
@@ -235,7 +235,7 @@ class Engine:
     def presence(
         self, key: str, present: Callable[[str, bool], None], inbox: Inbox | None = None
     ) -> Callable[[], None]:
-        """Call `present` with each token that is there, comes or goes; returns what ends that."""
+        """Call `present` for each token that is there, comes or goes; return what ends this."""
         put = (inbox or self._inbox).put
 
         def came(sample: Any) -> None:
@@ -268,7 +268,7 @@ class Engine:
                     self._tokens[token] = self._session.liveliness().declare_token(token)
 
     def hold(self, token: str) -> Any:
-        """Declare a token, such as that of a client's session, until `release` takes what is returned."""
+        """Declare a token, such as that of a client's session; `release` of the returned object ends it."""
         return self._session.liveliness().declare_token(token)
 
     def release(self, held: Any) -> None:
@@ -279,7 +279,7 @@ class Engine:
     def ask_all(
         self, key: str, within: float, answered: Callable[[str, bytes], None], over: Callable[[], None]
     ) -> None:
-        """Ask all kernels: call `answered` with key and bytes of each answer, and `over` at their end."""
+        """Ask all kernels: call `answered` with key and bytes of each answer, and `over` after the last."""
         put = self._inbox.put
 
         def came(reply: Any) -> None:
@@ -302,7 +302,7 @@ class Engine:
 
         The question is repeated until all have answered and there is a token; a peer, whose neighbours may not know
         yet what is behind them, also waits until two answers are the same. It ends after at most `within`
-        seconds, and after `_EMPTY` where all have answered and there is none.
+        seconds, and after `_EMPTY` where all have answered and there is no token.
         """
         began, found = time.monotonic(), set[str]()
         while (left := began + within - time.monotonic()) > 0:
@@ -324,7 +324,7 @@ class Engine:
         return bool(info.peers_zid() or info.routers_zid())
 
     def publisher(self, key: str, priority: str, *, declared: bool) -> Any:
-        """A publisher of bytes at a key, with a priority of the engine by its name; `declared`: see `expect`.
+        """A publisher of bytes at a key; `priority` is the name of a priority of the engine; `declared`: see `expect`.
 
         `sending` bounds what is under way, so that the engine's queue is never full.
         """
@@ -374,7 +374,7 @@ class Engine:
         )
 
     def reply(self, query: Any, data: bytes, *, good: bool, key: str | None = None) -> None:
-        """Answer a question, or refuse to; with a key of its own where the question goes to several kernels."""
+        """Answer or refuse a question; the answer has a key of its own where the question goes to several kernels."""
         with contextlib.suppress(self._zenoh.ZError):  # the caller is gone
             if good:
                 query.reply(key or query.key_expr, data, express=True)
@@ -383,12 +383,12 @@ class Engine:
         query.drop()
 
     def _direct(self, callback: Callable[[Any], None]) -> Any:
-        """A callback in the engine's own thread: a further one would only pass it on."""
+        """A callback that runs in the engine's own thread: a further thread would only pass the call on."""
         return self._zenoh.handlers.Callback(callback, indirect=False)
 
 
 async def in_thread(work: Callable[[], T]) -> T:
-    """The result of work that may wait for the network, done in a thread of its own; the work is done in any case.
+    """Return the result of work that a thread of its own does, since it may wait for the network; no cancel stops it.
 
     The thread ends with the work. Threads of a pool would stay; one that was interrupted at its start would never end.
     """
@@ -416,9 +416,9 @@ async def in_thread(work: Callable[[], T]) -> T:
 
 
 _inside: Final[set[threading.Thread]] = set()
-"""Threads that may be inside the engine: one that is there when the interpreter is gone aborts the process."""
+"""Threads that may be inside the engine: one still in it after the interpreter's end aborts the process."""
 _open: Final[weakref.WeakSet[Engine]] = weakref.WeakSet()
-"""Sessions that are not closed yet: a callback of the engine when the interpreter is gone aborts the process, too."""
+"""Sessions that are not closed yet: a callback of the engine after the interpreter's end aborts the process, too."""
 
 
 @atexit.register

@@ -20,13 +20,13 @@ FRAME: Final = 1
 PIECE: Final = 2
 """A part of a frame that is longer than PIECES: the length of the whole, its place there, and its bytes."""
 TAKEN: Final = 3
-"""The news how far the receiver has come; the first number is the cost of what it has taken."""
+"""The receiver's report how far it has come; the first number is the cost of the messages that it has taken."""
 LOOK: Final = 4
 """Asks for TAKEN; the first number is the cost of what was sent until now."""
 END: Final = 5
 """The end of one direction of a session with a kernel."""
 HAVE: Final = 6
-"""Asks, in a session, for all that was sent from the first number on, again."""
+"""Asks, in a session, to send again all bytes from the first number on."""
 BATCH: Final = 65_536
 """Bytes that the engine writes in one go; a message that does not fit into what is left of a batch begins another."""
 PIECES: Final = 64_000
@@ -43,7 +43,7 @@ _HEAD_OF_ONE: Final = struct.Struct("<BBHIQqI")
 """A head, and the length of the only block."""
 _ONE: Final = _HEAD_OF_ONE.size
 _COPIED: Final = 512
-"""The most bytes of a message that is copied: a view takes longer."""
+"""The most bytes of a message that is copied: for so few a view takes longer than a copy."""
 _LENGTH: Final = struct.Struct("<I")
 _PLACE: Final = struct.Struct("<QQ")
 _FILLED: Final = 65_400
@@ -67,7 +67,7 @@ class Message(NamedTuple):
 
 
 def message(kind: int, epoch: int, first: int, sent_ns: int, blocks: Sequence[Block] = ()) -> bytes:
-    """A message of these blocks."""
+    """The bytes of a message with these blocks."""
     if len(blocks) == 1 and not isinstance(block := blocks[0], list):
         return _HEAD_OF_ONE.pack(VERSION, kind, 1, epoch, first, sent_ns, len(block)) + block
     head = _HEAD.pack(VERSION, kind, len(blocks), epoch, first, sent_ns)
@@ -75,15 +75,15 @@ def message(kind: int, epoch: int, first: int, sent_ns: int, blocks: Sequence[Bl
 
 
 def alone(epoch: int, first: int, sent_ns: int, frame: bytes) -> bytes:
-    """A message of one frame, as most are; see `message`."""
+    """The bytes of a message with one frame, as most have; see `message`."""
     return _HEAD_OF_ONE.pack(VERSION, FRAME, 1, epoch, first, sent_ns, len(frame)) + frame
 
 
 def cost(size: int) -> int:
     """The most bytes of the engine's batches that a message of so many bytes takes up in its queue.
 
-    Two batches in a row of short messages hold more than one batch has room for: else they would be one. A longer
-    message ends the batch before it, whatever is in that, and has the batches that it fills for itself.
+    Two successive batches of short messages hold more than fits into one: else they would be one batch. A longer
+    message ends the batch before it, however little that holds, and shares its own batches with no other message.
     """
     return 2 * size if size <= _SHORT else (1 - -size // _FILLED) * BATCH
 
@@ -114,7 +114,7 @@ def read(data: bytes) -> Message:
 
 
 def frame_of(data: bytes, epoch: int) -> tuple[int, bytes] | None:
-    """First number and frame of a short message with one frame of this epoch alone; None: `read` says what it is."""
+    """First number and frame of a short message that has just one frame, of this epoch; None: it is another message."""
     size = len(data)
     if not _ONE <= size <= _COPIED:
         return None
@@ -137,7 +137,7 @@ def pieces(blocks: Sequence[Block]) -> Iterator[tuple[bytes, list[memoryview]]]:
 
 
 def _cut(whole: deque[memoryview], size: int) -> list[memoryview]:
-    """Take so many bytes off the front."""
+    """Take `size` bytes off the front of `whole`, and return them."""
     found = []
     while size:
         view = whole.popleft()

@@ -69,7 +69,7 @@ class Gate:
             self._counted(self._who(sender_of(key)), "bad", time.monotonic())
 
     def took(self, key: str, size: int, ns: int) -> None:
-        """Count a message if the processor took too long for it, for a frame of this size."""
+        """Count a message if the processor spent too long on it for a frame of this size."""
         if ns > SLOW_NS + size * SLOW_NS_PER_BYTE:
             with self._lock:
                 self._counted(self._who(sender_of(key)), "slow", time.monotonic())

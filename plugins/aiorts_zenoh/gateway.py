@@ -1,8 +1,8 @@
 """A client's end: makes kernels of other hosts reachable by a socket in a folder, as kernels of this host are.
 
 So every command for kernels of this host reaches those of other hosts, and knows nothing of it. The folder lists the
-kernels whose tokens are there. A session with a kernel begins when a command wants it; a command's question to very
-many kernels goes to all of them as one, without sessions.
+kernels whose tokens are there. A session with a kernel begins when a command needs it; a command's question to very
+many kernels is sent once, to all of them, without sessions.
 """
 
 from __future__ import annotations
@@ -75,14 +75,14 @@ class Gateway:
         self._engine.presence(self._keys.tokens, self._present)
 
     def _declare(self, inbox: Inbox) -> list[str]:
-        """Open the session; the tokens of the kernels that are there."""
+        """Open the session; return the tokens of the kernels that are there."""
         engine, keys = self._engine, self._keys
         engine.open(self._settings, inbox)
         self._sessions.declare()
         return engine.present(keys.tokens, DEADLINE)
 
     def ask_early(self, operation: str) -> None:
-        """Ask all kernels now, for a command that is being started: the first that wants the answers gets them."""
+        """Ask all kernels now, for a command that is being started; the first command to want the answers gets them."""
         self._early = operation, self._run(self._answers(operation))
 
     async def close(self) -> None:

@@ -13,7 +13,7 @@ from aiorts_zenoh.names import Claim
 _VERSION: Final = "aiorts/1"
 _OWNED: Final = "own"
 _START: Final = re.compile(r"(0|[1-9][0-9]{0,18})-([0-9a-f]{16})-([0-9a-f]{16})")
-"""The start of a kernel, its epoch and its machine: written in one way alone, so that one claim has one token."""
+"""The start of a kernel, its epoch and its machine: each has only one spelling, so that a claim has one token."""
 BY_WRITER: Final = "w"
 BY_READER: Final = "r"
 """The last part of a link's key: the end that sends."""
@@ -66,7 +66,7 @@ class Keys:
         return f"{_VERSION}/{self.domain}/live/{claim.host}/{claim.kernel}/{start}"
 
     def told(self, peer: Peer) -> str:
-        """The key at which this kernel tells another of tokens that the other may not see: + or -, and the token."""
+        """The key at which this kernel tells `peer` of tokens that `peer` may not see: + or -, and the token."""
         return f"{_at(self.domain, 'heard', peer)}/{self.own.kernel}"
 
     @property
@@ -118,7 +118,7 @@ class Keys:
         return f"{self._control(branch)}/*/*"
 
     def call(self, branch: str, caller: str, operation: str) -> str:
-        """The key of one such call of a client."""
+        """The key of a client's call without a session."""
         return f"{self._control(branch)}/{caller}/{operation}"
 
     def _control(self, branch: str) -> str:
@@ -165,7 +165,7 @@ def teller_in(key: str) -> str:
 
 
 def denied(domain: str, name: str, teller: str) -> str:
-    """The token by which a kernel or router tells a name that it takes nothing from it any more; `*`: any."""
+    """The token by which `teller` tells `name` that it refuses all messages of that name from now on; `*`: any."""
     return f"{base_of(domain)}/denied/{name}/{teller}"
 
 

@@ -42,7 +42,7 @@ LIMITS: Final[Mapping[str, Limit]] = {
 }
 """The limits, by the kind of what is counted."""
 SLOW_NS: Final = 10_000_000
-"""Nanoseconds that the processor may take to read a message; so many, since garbage may be collected meanwhile."""
+"""Nanoseconds that the processor may take to read a message, with time for a garbage collection meanwhile."""
 SLOW_NS_PER_BYTE: Final = 10
 """Nanoseconds in addition for each byte of a long frame."""
 
@@ -52,12 +52,12 @@ class Limits:
 
     def __init__(self) -> None:
         self._levels: OrderedDict[tuple[str, str], tuple[float, float]] = OrderedDict()
-        """Amount and time, by peer and kind. In a plain dict the first item would be searched among those gone."""
+        """Amount and time, by peer and kind. A plain dict would search its first item among those removed."""
         self._until: OrderedDict[str, float] = OrderedDict()
         self._said: OrderedDict[str, float] = OrderedDict()
 
     def admits(self, who: str, now: float) -> bool:
-        """Whether this peer is heard: it is not cut off."""
+        """Whether messages of this peer are taken: the peer is not cut off."""
         until = self._until.get(who)
         if until is None:
             return True
@@ -125,7 +125,7 @@ class Names:
         return next((one for one in _both(host, kernel) if self._counts[one] >= MOST[one[0]]), None)
 
     def is_first(self, one: tuple[str, str]) -> bool:
-        """Whether to report now that a host or name has too many: once, until it has none any more."""
+        """Whether to report now that a host or name has too many tokens: once, until its last token is gone."""
         if one in self._full or len(self._full) > _PEERS:
             return False
         self._full.add(one)

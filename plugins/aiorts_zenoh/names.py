@@ -33,7 +33,7 @@ class Claim(NamedTuple):
     kernel: str
 
     def meets(self, other: Claim) -> bool:
-        """Whether only one of both can be seen: they have one name, or one host name on two machines."""
+        """Whether only one of the two claims can be seen: both have one name, or one host name on two machines."""
         return self.host == other.host and (self.machine != other.machine or self.kernel == other.kernel)
 
 
@@ -43,7 +43,7 @@ class Standing(Enum):
     CLAIMS = "claims"
     OWNS = "owns"
     WITHDRAWN = "withdrawn"
-    """Another kernel has the name, or another machine the host name; it is claimed again when that one has gone."""
+    """Another kernel has the name, or another machine the host name; claimed again when that one is gone."""
     REFUSED = "refused"
     """Another machine claims the same host name, and neither has it."""
 
@@ -53,7 +53,7 @@ Rank = tuple[bool, Claim]
 
 
 def seen(claims: Mapping[Claim, bool]) -> dict[str, Claim]:
-    """The claims that other kernels see, of claims which may be rivals; by the kernels' names.
+    """The claims that other kernels see, chosen from claims that may be rivals; by the kernels' names.
 
     Args:
         claims: all claims of names of one host, and whether each is owned.
@@ -62,7 +62,7 @@ def seen(claims: Mapping[Claim, bool]) -> dict[str, Claim]:
 
 
 def first_seen(order: Sequence[Rank]) -> dict[str, Claim]:
-    """The claims that other kernels see, of claims that are in order; see `seen`."""
+    """The claims that other kernels see, chosen from claims that are in order; see `seen`."""
     if not order or (order[0][0] and any(claim.machine != order[0][1].machine for _, claim in order)):
         return {}
     found: dict[str, Claim] = {}
@@ -94,7 +94,7 @@ class Name:
         self.own = own
         self.standing = Standing.CLAIMS
         self.given_to: Claim | None = None
-        """The claim that it gave way to last."""
+        """The claim to which this kernel gave way last."""
         self._since = now
 
     @property
@@ -103,7 +103,7 @@ class Name:
         return self.standing in (Standing.CLAIMS, Standing.OWNS)
 
     def meets(self, other: Claim, *, owned: bool) -> None:
-        """Take another claim of its host name that has come, or the token of that claim's owner."""
+        """Handle another claim of the same host name that has come, or the token that makes it an owner."""
         owns = self.standing is Standing.OWNS
         if not self.is_shown or not gives_way(self.own, other, owned=owns, other_owned=owned):
             return
@@ -112,12 +112,12 @@ class Name:
         self.standing = Standing.WITHDRAWN if taken else Standing.REFUSED
 
     def passed(self, others: Iterable[Claim], now: float) -> None:
-        """Take the time that has passed, and the claims of names of its host now."""
+        """Update the standing by the present time and the present claims of names of this host."""
         if self.standing is Standing.CLAIMS and now - self._since >= CLAIMS:
             self.standing = Standing.OWNS
         elif self.standing is Standing.WITHDRAWN and not any(other.meets(self.own) for other in others):
             self.standing, self._since = Standing.CLAIMS, now
 
     def unseen(self, now: float) -> None:
-        """Begin the time of the claim again: no kernel can have seen the token until now."""
+        """Begin the time of the claim again, since no kernel can have seen the token before now."""
         self._since = now

@@ -1,4 +1,4 @@
-"""Watches the connections of a kernel or router, and says in the log, once, why one is refused or does not come about.
+"""Watches the connections of a kernel or router, and logs, once, why a connection is refused or does not come about.
 
 The engine refuses without a word. So a place that is not reached gets a handshake from here (`security.probe`), which
 finds out why. Of connected neighbours the engine gives the name in their certificate.
@@ -69,7 +69,7 @@ class Neighbours:
         return tuple(dict.fromkeys(self._links.values()))
 
     def admits(self, name: str) -> bool:
-        """Whether a kernel of this name may be there; one that came past the engine's table is reported."""
+        """Whether a kernel of this name may be there; a kernel that the engine's table did not stop is reported."""
         if self._secured is None:
             return True
         if self._secured.access.is_kernel(name):
@@ -84,7 +84,7 @@ class Neighbours:
         return self._secured is not None
 
     def heeds(self, name: str) -> bool:
-        """Whether a kernel of this name may tell of tokens that this one does not see: if this one connected to it.
+        """Whether a kernel of this name may tell of tokens that this one does not see: if this one connects to it.
 
         A kernel that connects here by itself may tell nothing: it could take away the name of this kernel.
         """
@@ -171,7 +171,7 @@ class Neighbours:
             )
 
     def _denied(self, token: str, up: bool) -> None:
-        """Report that another kernel or router has this name as revoked: it says so for itself alone."""
+        """Report that another kernel or router refuses this name as revoked; this holds for that one alone."""
         if up:
             *_, own, teller = token.split("/")
             self._say(f"{teller!r} says that the name {own!r} was revoked: it takes nothing from this kernel")
@@ -189,7 +189,7 @@ class Neighbours:
             await asyncio.sleep(EVERY)
 
     async def _deny(self, name: str, own: str) -> None:
-        """Cut off a name that was revoked, everywhere. A failure is logged, and all else is cut off all the same."""
+        """Cut off a revoked name in every part. A failure in one part is logged, and the others go on."""
         if name == own:
             self._say_revoked(own)
         else:

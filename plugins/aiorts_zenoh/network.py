@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 
 _LOG: Final = logging.getLogger("aiorts.zenoh")
 _NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,252}")
-"""One part of a key; the user has to name a host whose own name is none."""
+"""A valid part of a key; the user has to name a host whose own name is not valid."""
 LEASE: Final = 2.5
 """Seconds without a word after which a connection is over."""
 PATIENCE: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
 _HARDENED: Final[Mapping[str, Any]] = {
     "transport/link/tx/lease": int(LEASE * 1_000),
-    # A lost link is noticed a lease after the last word that came: with this many in a lease, within 3 s.
+    # A lost link is noticed a lease after the last message came: with so many messages in a lease, within 3 s.
     "transport/link/tx/keep_alive": 8,
-    # A silent connection has a place for a second. There are so many places that others find one.
+    # A silent connection keeps its place for a second. There are enough places for other connections meanwhile.
     "transport/unicast/accept_timeout": 1_000,
     "transport/unicast/accept_pending": 2_000,
     # The microseconds that a message waits for room at a neighbour that stands still.
@@ -52,7 +52,7 @@ _HARDENED: Final[Mapping[str, Any]] = {
     # Questions of aiorts have time-outs of their own; this one is for others' questions that pass through here.
     "queries_default_timeout": 2_000,
 }
-"""Settings by which a peer of the engine finds nothing open that is not needed, and holds nothing up for long."""
+"""Settings by which the engine offers a peer nothing that is not needed, and no peer holds the engine up for long."""
 
 
 _PORTS: Final = {
@@ -135,7 +135,7 @@ class Network(KernelService):
     name = "zenoh"
     settings = NetworkSettings
     last = True
-    """Configured after other services: they are given the name of the kernel, which picks its certificate."""
+    """Configured after the other services: these are given the kernel's name, which picks the certificate."""
 
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)

@@ -52,7 +52,7 @@ class Trust(Protocol):
 
 
 class AnyName:
-    """All kernels may be there, and say so, where there are no certificates."""
+    """The rules without certificates: all kernels may be there, and may tell of others."""
 
     is_bound = False
 
@@ -71,8 +71,8 @@ class Presence:
 
     Args:
         show: called with each kernel that others may see, and when it is to be seen no more.
-        connects: whether this kernel is to connect to others: before it has, none can say that its name is taken.
-        listens: whether others connect to it: they do not see each other, and hear from it of others with their names.
+        connects: whether this kernel is to connect to others: before it has, no other can say that its name is taken.
+        listens: whether others connect to it: those do not see each other, and it tells each of rivals for its name.
         trust: which kernels may be there, and which may tell of others.
         renamed: called in a thread with the keys of another name that this kernel takes where its own is taken, to
             declare all that is asked there; None: it takes none, and is not seen until its own is free.
@@ -110,7 +110,7 @@ class Presence:
         self._due_scopes: set[str] = set()
         """Names to look at again, and whole scopes."""
         self._seen: dict[str, Mapping[str, Claim]] = {}
-        """The claims that were seen of a scope of several machines when all of it was looked at last."""
+        """The claims that were seen in each scope of several machines when the whole scope was last looked at."""
         self._works: asyncio.Handle | None = None
         self._said: set[str] = set()
         self._renamed, self._declared = renamed, keys
@@ -145,7 +145,7 @@ class Presence:
                 self._gone(claim)
 
     def close(self) -> None:
-        """Tell nothing any more."""
+        """Stop telling others of tokens."""
         self._closed = True
         for handle in (self._timer, self._works):
             if handle is not None:
@@ -244,7 +244,7 @@ class Presence:
     # -- telling rivals of each other ------------------------------------------------------------------------------
 
     def _tell_rivals(self, claim: Claim) -> None:
-        """Tell this claim's kernel, or the rivals that give way to it, of the other claim; each of one at a time."""
+        """Tell this claim's kernel of a rival that goes first, or the rivals that give way of this claim."""
         is_shared = self._claims.is_shared(self._claims.scope_of(claim))
         for other in self._claims.rivals(claim):
             if other == self._name.own:  # all that connect here see its tokens themselves
@@ -271,7 +271,7 @@ class Presence:
         self._engine.put(self._keys.told(_peer(to)), f"{what}{token}".encode())
 
     def _was_told(self, key: str, data: bytes) -> None:
-        """Take a token that another kernel tells of. An owner of its name believes only tokens that it sees itself."""
+        """Handle a token that another kernel tells of. An owner of its name believes only tokens that it sees."""
         if self._closed or not self._trust.heeds(teller_in(key)):
             return
         token, up = data[1:].decode(errors="replace"), data[:1] == b"+"
@@ -307,7 +307,7 @@ class Presence:
             self._kernel.report(text)
 
     def _look_at(self, scope: str, kernel: str) -> None:
-        """Look soon which kernel has this name; in a scope that several machines claim, at all names."""
+        """Look soon which kernel has this name; in a scope that several machines claim, look at all names."""
         if self._claims.is_shared(scope):
             self._look_at_all(scope)
         else:

@@ -20,7 +20,7 @@ from aiorts_zenoh.security.tls import secured_by
 _OWN: Final = {
     "mode": "router",
     "transport/unicast/max_sessions": 10_000,  # a fleet meets here
-    # While it waits it carries nothing of others. Kernels wait longer: else they would give up the router meanwhile.
+    # A router that waits for a blocked neighbour carries nothing. Kernels wait longer: else they would give it up.
     PATIENCE: 250_000,
 }
 

@@ -56,15 +56,15 @@ class Budget:
         self.unasked: OrderedDict[Sender, None] = OrderedDict()
         """Senders that have sent a message since the other kernel was asked last how far it has come."""
         self.asked: dict[Sender, None] = {}
-        """Senders at which the other kernel was asked, and has not answered."""
+        """Senders whose question how far the other kernel has come is not answered yet."""
         self.telling: dict[Sender, None] = {}
-        """Senders of which the other kernel will soon say so by itself: few, since they have much under way."""
+        """Senders for which the other kernel will soon report by itself: few, since each has much under way."""
         self.waiting: OrderedDict[Sender, None] = OrderedDict()
         """Senders with messages that wait, in turn; few of thousands of channels have any."""
         self.refusing: dict[Sender, None] = {}
         """Senders that have refused a frame, and have not been told since that there is room."""
         self.untold: OrderedDict[Receiver, None] = OrderedDict()
-        """Receivers of messages of which the other kernel was not told."""
+        """Receivers of messages that the other kernel does not know to have come."""
         self.untold_cost = 0
 
     @property
@@ -82,7 +82,7 @@ class Budget:
     def look(self) -> None:
         """Ask how far the other kernel has come, unless it will soon say so by itself.
 
-        It is not asked at thousands of channels at once: at some, and when it has answered there, at the next.
+        Where there are thousands of channels, it is asked at some; when it has answered there, at the next.
         """
         if not self.telling:
             self.look_at_some()
@@ -110,9 +110,9 @@ class Budget:
                 waiting.move_to_end(sender)
 
     def tell(self) -> None:
-        """Say how far this kernel has come, first where that was not said for longest, while much is unsaid in all.
+        """Report how far this kernel has come, the longest unreported channel first, while much is unreported in all.
 
-        Each of thousands of channels has too little under way to be said by itself.
+        With thousands of channels, each has too little under way to be reported by itself.
         """
         while self.untold_cost > _SOME:
             next(iter(self.untold)).say()
@@ -140,7 +140,7 @@ class Budgets:
         return sum(len(budget.senders) for budget in self.both)
 
     def pump(self) -> None:
-        """Send as much as there is room for; where there is none, ask how far the other kernel is; tell of room."""
+        """Send as much as there is room for; without room, ask how far the other kernel is; tell of new room."""
         for budget in self.both:
             budget.pump()
             if not budget.has_room:
@@ -185,7 +185,7 @@ class Sender:
         budget.senders[self] = None
 
     def send_alone(self, frame: bytes) -> bool:
-        """`send` of a short frame where none waits, written out; False: `send` decides."""
+        """Send a short frame while none waits, faster than `send`; False: nothing was sent, and `send` decides."""
         if self._queue or self._budget.used > _ROOM_FOR_ANY or len(frame) > _FEW:
             return False
         self._give(alone(self._epoch, self._sent, self._now(), frame))
@@ -265,7 +265,7 @@ class Sender:
         self._budget.unasked[self] = None
 
     def came(self, taken: int) -> None:
-        """Take the news of the other end that messages of this cost, of all that were sent, were taken or are lost."""
+        """Handle the other end's report that messages of this total cost were taken or are lost."""
         if self._taken < taken <= self._sent:
             budget = self._budget
             budget.used -= taken - self._taken
@@ -276,7 +276,7 @@ class Sender:
                 budget.telling.pop(self, None)
 
     def room_made(self) -> bool:
-        """Whether a frame was refused, and one would be taken now; then False until the next is refused."""
+        """Whether a frame was refused and would be taken now; True once, then False until the next is refused."""
         refusing = self._budget.refusing
         if self not in refusing or self._waits >= _FULL // 2:
             return False
@@ -284,7 +284,7 @@ class Sender:
         return True
 
     def close(self) -> None:
-        """Send nothing any more.
+        """Stop sending.
 
         A short frame that waits as the last one, or was refused, goes out at once, whatever is under way: it says that
         the link has ended, which is said once.
@@ -312,7 +312,7 @@ class Receiver:
         self._taken = self._told = 0
 
     def took(self, first: int, size: int) -> None:
-        """Take a message of `size` bytes; tell the sender how far this end is, if much is unsaid."""
+        """Count a message of `size` bytes; tell the sender how far this end is, if much is unreported."""
         taken = first + cost(size)
         if taken <= self._taken:
             return
@@ -334,12 +334,12 @@ class Receiver:
         self.say()
 
     def say(self) -> None:
-        """Tell the other end now."""
+        """Tell the other end now how far this end has come."""
         self.close()
         self._tell(self._taken)
 
     def close(self) -> None:
-        """Tell nothing of the messages that have come until now."""
+        """Never report the messages that have come until now."""
         self._budget.untold.pop(self, None)
         self._budget.untold_cost -= self._taken - self._told
         self._told = self._taken

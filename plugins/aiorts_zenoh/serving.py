@@ -30,7 +30,7 @@ _ANSWER_SECONDS: Final = 30.0
 _SESSIONS: Final = {INFO: 192, CTL: 256}
 """The most sessions of all clients, by the branch of the newest: the rest of 256 is for clients that operate."""
 _OF_ONE: Final = {INFO: 24, CTL: 128}
-"""The most sessions of one client's name: a few more than the kernel lets in, which tells these the reason."""
+"""The most sessions of one client's name: a few more than the kernel admits, so that it can tell these the reason."""
 _REMEMBERED: Final = 256
 """The most names and texts that are remembered, to report each once."""
 _KEPT: Final = 4_096
@@ -152,8 +152,8 @@ class Serving:
         name = branch, *session_in(key)
         carried = self._sessions.get(name)
         if carried is None:
-            # A session whose first message was lost begins with a question how much has come. One that has ended
-            # begins no more: a program that has recorded its messages may put them again.
+            # A session whose first message was lost begins with a question how much has come. A session that has ended
+            # does not begin again: a program that has recorded its messages may put them again.
             begins = message.kind == FRAME and not message.first
             if name in self._ended or not (begins or (message.kind == LOOK and name in self._there)):
                 return

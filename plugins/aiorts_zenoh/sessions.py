@@ -20,7 +20,7 @@ from aiorts_zenoh.keys import CTL, HELLO, INFO, ClientKeys, peer_of, session_in
 DEADLINE: Final = 3.0
 """Seconds in which kernels are found, and in which they say what this client may do."""
 _ROUND: Final = 0.5
-"""Seconds for the answers of all kernels; one without an answer is asked again when a session with it begins."""
+"""Seconds for the answers of all kernels; a kernel without an answer is asked again when a session with it begins."""
 _LATER: Final = 1.0
 """Seconds that the answer below `ctl` may come after the answer below `info`."""
 _AGAIN: Final = 0.05
@@ -38,7 +38,7 @@ class Sessions:
         self._engine, self._keys = engine, keys
         self._there: dict[str, tuple[Peer, Carried]] = {}
         self._begins: dict[str, Peer] = {}
-        """Sessions that begin: whether they are below `info` or `ctl` is being asked."""
+        """Sessions that begin: their kernels are being asked whether the branch is `info` or `ctl`."""
         self._operable: set[Peer] = set()
         """Kernels that have said that this client may operate them; the others are asked again."""
 

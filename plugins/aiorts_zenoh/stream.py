@@ -51,7 +51,7 @@ class Stream:
         self._send(FRAME, data)
 
     def end(self) -> None:
-        """Say that nothing comes any more; the end takes up the number of one byte."""
+        """Say that nothing comes any more; the end counts as one byte in the numbers."""
         self._send(END, b"")
 
     def _send(self, kind: int, data: bytes) -> None:
@@ -65,7 +65,7 @@ class Stream:
             self._say(LOOK, self._sent)
 
     def arrived(self, came: Message) -> bytes:
-        """Take a message; the next bytes in order that it brings, or b""."""
+        """Handle a message; return the bytes that now come next in order, or b""."""
         if came.epoch != self._number:
             return b""
         if came.kind == TAKEN:

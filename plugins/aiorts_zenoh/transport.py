@@ -50,7 +50,7 @@ _UNKNOWN: Final = 1 << 62
 """The possible error of another machine's time before the first answer, in ns."""
 _CLOSES: Final = 3.0
 _SHORT: Final = 4_096
-"""The most bytes of a message that is read in no long time, whatever is in it."""
+"""The most bytes of a message that is always read quickly, whatever is in it."""
 _MARGIN: Final = 1.0
 """Seconds that the engine keeps a question longer than the caller waits."""
 _GIVEN: Final = 10 << 16
@@ -129,7 +129,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         self.trust: Trust = AnyName()
         """The rules of which kernels may be there, and which may tell of others."""
         self.allowed = Allowed()
-        """Rights of the kernels that it reaches, to ports of this one."""
+        """The rights of other kernels to ports of this kernel."""
         self.keys: Keys
         self._sessions: Sessions
         self._presence: Presence | None = None
@@ -285,7 +285,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         """
         own, (peer, writes) = self.own, self.far_end(offer)
         ends = (own, peer) if writes else (peer, own)
-        # The reader has given the number: the same one may be that of another link with another kernel.
+        # The reader has chosen the number: a link with another kernel may have the same number.
         mine, theirs = (BY_WRITER, BY_READER) if writes else (BY_READER, BY_WRITER)
         at, of = (self.keys.link(*ends, str(offer.number), sender) for sender in (mine, theirs))
         self.drop(of)
@@ -407,7 +407,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
                         self._ways[peer].given = 0
                     self.settle(peer, number, good, data)
                 elif (left := until - self.loop.time()) > _ASK_AGAIN:
-                    # No kernel has answered: the one that will may not be known here yet.
+                    # No kernel has answered: the kernel that will answer may not be known here yet.
                     self.loop.call_later(_ASK_AGAIN, again, left)
 
             def give(left: float) -> None:
@@ -423,7 +423,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
         return await self.asked(peer, within, begin)
 
     async def session(self, peer: Peer) -> socket.socket:
-        """A connection for a session with another kernel, in which this one operates it if permitted, else looks.
+        """A connection for a session with another kernel: this kernel operates it if permitted, else looks.
 
         Raises:
             DeniedError: its own certificate lets this kernel do neither.
@@ -495,7 +495,7 @@ class ZenohTransport(BaseTransport["_ZenohChannel"]):
                 await in_thread(work)
 
     def _forget_answers(self) -> None:
-        """Forget the given ones of the oldest answers; the others are looked at again after all later ones."""
+        """Forget the oldest answers that were given; answers not given yet are looked at again after all later ones."""
         for key in tuple(islice(self._answers, _ASKED // 2)):
             if self._answers[key].done():
                 del self._answers[key]
@@ -562,7 +562,7 @@ class _ZenohChannel(BaseChannel):
         if not parts and not is_urgent and self.sender.send_alone(head):
             return True
         if is_urgent:
-            # Not in the queue of the samples, which it may overtake. So its cost does not count there.
+            # This message is not in the queue of the samples, and may overtake them: its cost does not count there.
             self._urgent.put(message(FRAME, self._epoch, 0, time.time_ns(), (head,)))
             return True
         if not parts:
@@ -571,7 +571,7 @@ class _ZenohChannel(BaseChannel):
         return self.sender.send([head, *flat])
 
     def arrived(self, data: bytes) -> bool:
-        """Take a message; whether others may be sent now. ValueError: the bytes are none."""
+        """Handle a message; return whether others may be sent now. ValueError: the bytes are no message."""
         if (found := frame_of(data, self._epoch)) is not None:
             self.events.on_frames(((found[1], ()),))
             if self.is_open:

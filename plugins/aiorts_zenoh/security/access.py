@@ -26,7 +26,7 @@ ROLES: Final = (VIEWER, OPERATOR, COMPONENT, COORDINATOR, ROUTER)
 KERNELS: Final = (COMPONENT, COORDINATOR)
 OPERATORS: Final = (OPERATOR, COORDINATOR)
 _DENIED: Final = "denied"
-"""The role of a name that was revoked: it hears that it was, and nothing else."""
+"""The role of a revoked name: it receives the news that it was revoked, and nothing else."""
 _ANY: Final = "*"
 _WORD: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 """A name in a certificate: one part of a key of the engine, with at most the 64 letters of a common name."""
@@ -86,13 +86,13 @@ class Access:
 
     @classmethod
     def of_names(cls, roles: Mapping[str, str], denied: Iterable[str] = ()) -> Access:
-        """The access of names with these roles; a denied name has no role, whatever else is said."""
+        """The access of names with these roles; a denied name has no role, even if `roles` has one for it."""
         out = frozenset(denied)
         return cls(MappingProxyType({name: role for name, role in roles.items() if name not in out}), out)
 
     @classmethod
     def of_table(cls, table: Any, denied: Iterable[str] = ()) -> Access:
-        """The access of lists of names by their role. ConfigurationError: it is no such table."""
+        """The access by a table of names under each role. ConfigurationError: it is no such table."""
         roles: dict[str, str] = {}
         if not isinstance(table, Mapping):
             raise ConfigurationError(f"access: expected a table of names by role, got {table!r:.80}")
@@ -149,7 +149,7 @@ def sends(sender: tuple[str, str], receiver: tuple[str, str], base: str) -> Iter
 
 
 def access_control(own: str, access: Access, base: str) -> dict[str, Any]:
-    """The engine's `access_control` at one name's end: the messages that each other name may send it, and it them."""
+    """The engine's `access_control` for `own`: the messages that each other name may send to it, and it to them."""
     me = own, access.roles[own]
     rules: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []

@@ -111,7 +111,7 @@ def made_certificate(
 
 
 def facts(certificate: bytes, key: bytes, authority: bytes) -> Facts:
-    """The facts of a certificate. ConfigurationError: the certificate, the key or the authority is none."""
+    """The facts of a certificate. ConfigurationError: one of the three cannot be read."""
     found, issuer = _certificate(certificate), _certificate(authority)
     try:
         found.verify_directly_issued_by(issuer)

@@ -1,4 +1,4 @@
-"""The names that a folder of certificates has denied since it was read: another process writes or copies there."""
+"""Finds the names that another process denies in a folder of certificates while this process runs."""
 
 from __future__ import annotations
 

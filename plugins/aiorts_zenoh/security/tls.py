@@ -1,4 +1,4 @@
-"""The engine's settings by which beyond the host there is nothing but TLS with certificates at both ends."""
+"""The engine's settings that permit only TLS, with certificates at both ends, beyond this host."""
 
 from __future__ import annotations
 
