@@ -1,4 +1,4 @@
-"""The answers: operations of kernels, the kernels that run, tokens, and the description of all this."""
+"""Answers requests: for operations of kernels, the kernels that run, tokens, and the description of the API."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ class Api:
         return Response(content, media_type=PAGES[path.suffix])
 
     async def _file(self, request: Request) -> Response:
-        """A file of the page that shows what runs."""
+        """The response with a file of the page that shows what runs."""
         from starlette.responses import Response
 
         name = request.url.path[1:]
@@ -173,7 +173,7 @@ class Api:
 
     @contextmanager
     def _admit(self, scope: Scope) -> Iterator[Admission]:
-        """Admit a request, with its client in `scope`; HttpError: it needs a token, and has none, or asks too much."""
+        """Admit a request, with its client in `scope`; HttpError: it lacks the token that it needs, or asks too much."""
         from starlette.datastructures import Headers
 
         path: str = scope["path"]
@@ -278,7 +278,7 @@ def _page_files() -> Mapping[str, Path]:
 
 @cache
 def _modules() -> str:
-    """A header by which a browser asks for all modules of the page at once, not for each when another imports it."""
+    """A header by which a browser asks for all modules of the page at once, before a module imports another."""
     return ", ".join(f"<{name}>; rel=modulepreload" for name in _page_files() if name.endswith(".js"))
 
 

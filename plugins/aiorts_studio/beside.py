@@ -67,7 +67,7 @@ class StudioBeside(KernelService):
             command += ["--layout", str(layout_beside(runs))]
         if control.files is not None:
             command += ["--files", str(control.files)]
-        # It ends when its standard input does: also where this process is killed.
+        # The server ends when its standard input ends: also where this process is killed.
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)  # noqa: S603 # our own
         threading.Thread(target=self._say_address, args=(self._process,), name="aiorts studio", daemon=True).start()
 

@@ -20,9 +20,9 @@ CODE_SECONDS: Final = 60.0
 GOOD_ONCE: Final = f"it is good once, and for {CODE_SECONDS:.0f} s; `aiorts studio --url` prints another"
 """The message about an address that carries a code."""
 TRIES: Final = 10
-"""Wrong codes after which the good one is refused, too."""
+"""Wrong codes after which the right one is refused, too."""
 TOKENS: Final = 16
-"""Good tokens at a time; for one more the one used longest ago ends. A kernel takes as many sessions of a viewer."""
+"""The most good tokens; for one more the token used longest ago ends. A kernel takes as many sessions of a viewer."""
 _BYTES: Final = 20
 """The length of a code and of a token: 160 bits."""
 

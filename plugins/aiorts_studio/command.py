@@ -30,7 +30,7 @@ _NO_FILES_BEYOND: Final = "pages beyond the machine record nothing"
 _UNSEEN: Final = 600.0
 """Seconds for which the page of a run that has ended stays without being open."""
 _CLOSED: Final = 10.0
-"""Seconds for which it stays after its last page was closed: a page that is loaded again is back by then."""
+"""Seconds for which the server stays after the last page was closed: a page that is reloaded is back by then."""
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -129,7 +129,7 @@ class _Serving:
     studio: Studio
     opens: bool
     bare: bool
-    """Whether address and code are printed alone, for programs."""
+    """Whether only the address and the code are printed, for programs."""
     beside: bool
     """Whether it serves a run, which writes its status to the server's standard input, and closes that to end it."""
 

@@ -17,7 +17,7 @@ REQUEST_SECONDS: Final = 10.0
 STALL_SECONDS: Final = 30.0
 """Seconds after which a client that does not take what is sent is cut off."""
 WAITING: Final = 128
-"""The most connections without a whole request; for another the oldest gives way."""
+"""The most connections without a whole request; for another one the oldest is closed."""
 
 
 class _Reading(asyncio.Protocol):

@@ -171,7 +171,7 @@ class _Coming:
         return bytes(body)
 
     async def drop(self) -> None:
-        """Take the rest, up to a limit, and keep nothing of it.
+        """Read the rest of the body, up to a limit, and discard it.
 
         A client that still sends when the connection is closed may lose the answer.
         """

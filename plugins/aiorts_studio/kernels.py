@@ -32,7 +32,7 @@ class Running:
     """"host/kernel"; both it and the name stand for the kernel in a path."""
     pid: int
     epoch: str
-    """Another each time that the kernel starts."""
+    """A text that differs at each start of the kernel."""
 
 
 async def running() -> tuple[Running, ...]:
@@ -154,7 +154,7 @@ class Visitor:
 
 
 async def _at_once() -> None:
-    """The credit of a client that takes every item at once."""
+    """Wait for nothing: the credit of a client that takes every item at once."""
 
 
 def _is_open(opening: asyncio.Task[AsyncClient]) -> bool:

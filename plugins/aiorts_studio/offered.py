@@ -39,7 +39,7 @@ def operation_of(name: str, right: Right) -> Operation:
 
 
 def asked_in(said: Mapping[str, Any], what: str, right: Right) -> tuple[str, Operation, dict[str, Any]]:
-    """The kernel, the operation and the arguments that a message asks for; AiortsError: it is not offered."""
+    """The kernel, the operation and the arguments that a message asks for; AiortsError: these are not offered."""
     kernel, name, arguments = said.get("kernel"), said.get("operation"), said.get("arguments", {})
     if not (isinstance(kernel, str) and isinstance(name, str) and isinstance(arguments, dict)):
         raise RecordError(f"{what}: expected kernel and operation, and arguments as an object")
@@ -49,7 +49,7 @@ def asked_in(said: Mapping[str, Any], what: str, right: Right) -> tuple[str, Ope
 
 
 def check_names(operation: Operation, arguments: Mapping[str, Any]) -> None:
-    """Raise RecordError where an operation has no argument of a name: its description says so, too."""
+    """Raise RecordError where the operation has no argument of a given name, as its description says, too."""
     known = [one.name for one in fields(operation.arguments)]
     if unknown := sorted(arguments.keys() - set(known)):
         text = f"{operation.name}: no argument {unknown[0]:.60}; there are {', '.join(known) or 'none'}"

@@ -26,7 +26,7 @@ WebSocket at `/api/socket` one connection carries many of them.
 """
 _PLACE: Final = "#/components/schemas/"
 _INTEGER: Final = {"anyOf": [{"type": "integer"}, {"type": "string", "pattern": "^-?[0-9]{16,20}$"}]}
-"""An integer in an answer: one beyond 2^53 is a text."""
+"""The schema of an integer in an answer: beyond 2^53 it is a text."""
 _PROBLEM: Final[Json] = {
     "type": "object",
     "description": "What is wrong.",

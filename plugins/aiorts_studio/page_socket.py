@@ -34,7 +34,7 @@ _WATCHES: Final = 32
 _PORTS: Final = 64
 """The most ports of one recording."""
 _FARTHEST: Final = 1e9
-"""Numbers of a page are no larger: places, scales and rates."""
+"""The largest number that a page may send: a place, a scale or a rate."""
 _FIELDS: Final = 16
 """Fields of one port that may be shown."""
 
@@ -117,7 +117,7 @@ class _PageSocket:
                 await self._socket.send_text(text)
 
     def _do(self, said: Mapping[str, Any]) -> None:
-        """Carry out a request of the page; AiortsError: it is unknown."""
+        """Carry out a request of the page; AiortsError: the request is unknown."""
         match said.get("t"):
             case "view":
                 self._studio.see(self._page, _rect(said.get("rect")), _number(said.get("scale"), "scale"))
@@ -153,7 +153,7 @@ class _PageSocket:
                 raise RecordError(f"{kind!s:.40}: nothing that a page says")
 
     def _events(self, *, on: bool) -> None:
-        """Send the page events, first the changes of the last minute that it has missed; or end them."""
+        """Send events to the page, first the changes of the last minute that it has missed; or stop sending events."""
         if not on:
             if "events" in self._feeds:
                 self._follow("events", None)
@@ -188,7 +188,7 @@ class _PageSocket:
         task.add_done_callback(self._calls.discard)
 
     def _follow(self, kind: str, feed: Feed | None) -> None:
-        """Follow a feed in the place of the one of this kind before."""
+        """Follow a feed, which replaces the earlier feed of its kind."""
         if (before := self._feeds.pop(kind, None)) is not None:
             self._studio.unfollow(before)
         if feed is not None:

@@ -28,7 +28,7 @@ _PING: Final = 20.0
 
 
 def bound(host: str, port: int) -> socket.socket:
-    """A socket that listens there once it is served.
+    """A socket bound to host and port, which listens once it is served.
 
     Raises:
         ConfigurationError: the port is taken, or the address is none of this machine.
@@ -36,7 +36,7 @@ def bound(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     bound = socket.socket(family, socket.SOCK_STREAM)
     try:
-        # asyncio sets it only where a socket names TCP as its protocol. Without, a request took 44 ms, not 2.5.
+        # asyncio sets TCP_NODELAY only on sockets that name TCP as their protocol. Without, a request took 44 ms, not 2.5.
         bound.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         bound.bind((host, port))
@@ -112,7 +112,7 @@ def _server(config: uvicorn.Config) -> Any:
     import uvicorn
 
     class Server(uvicorn.Server):
-        """Waits for its end, where uvicorn looks ten times a second, and leaves signals to its caller."""
+        """A server that waits for its end, where uvicorn looks ten times a second, and leaves signals to its caller."""
 
         def __init__(self, config: uvicorn.Config) -> None:
             super().__init__(config)

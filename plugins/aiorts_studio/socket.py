@@ -2,7 +2,7 @@
 
 The client sends `{"token": ...}` first, then `{"subscribe": id, "kernel": ..., "operation": ..., "arguments": {...},
 "credit": n}`, `{"credit": id, "items": n}` and `{"unsubscribe": id}`. The server sends `{"right": ...}`, and for each
-stream, with its id, the content of the lines of one over HTTP.
+stream, with its id, what the lines of a stream over HTTP contain.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ GREETING_SECONDS: Final = 5.0
 STRANGERS: Final = 32
 """The most WebSockets that have sent no token; for another the oldest gives way."""
 CREDIT: Final = 4_096
-"""Items that a stream may be ahead of its client."""
+"""The most items that a stream may send beyond those that its client has taken."""
 REFUSED: Final = 1008
 """The status of a WebSocket that is refused."""
 OVER: Final = 1001
@@ -57,7 +57,7 @@ class Sockets:
             await self._carry(socket, visitor)
 
     async def greeted(self, socket: WebSocket) -> Visitor | None:
-        """The client that sends its token; None: it has gone. HttpError: it sends none."""
+        """Wait for a client's token, and return the client; None: it has gone. HttpError: it sends no token."""
         asking = asyncio.create_task(socket.receive())
         self._strangers[asking] = None
         try:
@@ -136,7 +136,7 @@ class _Carrier:
                     task.cancel()
 
     def _do(self, group: asyncio.TaskGroup, said: Mapping[str, Any]) -> None:
-        """Carry out a message; AiortsError: it is unknown."""
+        """Carry out a message; AiortsError: the message is unknown."""
         if "subscribe" in said:
             number = whole(said, "subscribe")
             if number in self._streams:

@@ -12,7 +12,7 @@ from aiorts_studio.plain.problems import HttpError
 OF_CLIENT: Final = 32
 """Calls and streams of one client that may be under way."""
 OF_KERNEL: Final = 128
-"""Calls and streams of all clients that one kernel may have: it takes twice as many of a program that only looks."""
+"""Calls and streams of all clients that one kernel may have: a kernel takes twice as many of a viewing program."""
 OPEN: Final = 2 * OF_CLIENT
 """Requests of one client that may be open, from their heads to the end of their answers."""
 BODIES_OF_CLIENT: Final = 2 << 20
@@ -71,7 +71,7 @@ class Open:
     def one(self, client: int) -> Iterator[Callable[[int], None]]:
         """Count a request while the block runs; HttpError: there are too many.
 
-        It gives a function that counts bytes of its body; HttpError: they are too many, and do not count.
+        The block gets a function that counts bytes of the body. HttpError: too many bytes, which do not count.
         """
         if self._requests[client] >= OPEN:
             raise _busy(f"this client: {OPEN} requests are open already")

@@ -15,7 +15,7 @@ from aiorts.errors import ControlError, RecordError
 from aiorts.types import to_plain
 
 LARGEST: Final = 2**53
-"""Integers beyond it, in either direction, are texts."""
+"""Integers beyond this, positive or negative, are texts."""
 DEEPEST: Final = 32
 """The most levels of objects and lists in a client's JSON."""
 

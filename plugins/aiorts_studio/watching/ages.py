@@ -1,4 +1,4 @@
-"""The ages of samples when they are read: where connectors are measured, and where a page asks for it."""
+"""Follows the ages of samples when they are read, on connectors that measure them or that a page asks for."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TIMED: Final = 64
 _RATE: Final = 1.0
 """Looks a second: the kernel sorts the ages for each."""
 _PAUSE: Final = 0.5
-"""Seconds between checks of which ages are wanted, while none are; no kernel is asked for it."""
+"""Seconds between checks of which ages are wanted, while none are; such a check asks no kernel."""
 
 
 class Ages:
@@ -42,7 +42,7 @@ class Ages:
         """Begin or end to measure connectors for a page.
 
         Raises:
-            BusyError: with them all pages would have more than `MOST` measured.
+            BusyError: all pages together would have more than `MOST` measured.
         """
         mine = self._asked.get(page, frozenset())
         wanted = mine | frozenset(wires) if on else mine - frozenset(wires)
@@ -92,6 +92,6 @@ class Ages:
 
 
 def _age_ms(spans: Mapping[str, Any]) -> float | None:
-    """The median; None: there is none yet, or it ends where a link takes the sample, which was not read there."""
+    """The median age; None: there is none yet, or it ends where a link takes the sample, not where it is read."""
     age = spans.get("age")
     return None if age is None or "link" in spans else round(age[1] / 1e6, 3)

@@ -28,7 +28,7 @@ class Feed:
     """A feed of one page.
 
     Args:
-        page: the page that is told.
+        page: the page that gets the items.
         kernel: the address of the kernel; "" is all.
     """
 
@@ -48,7 +48,7 @@ class Feed:
         raise NotImplementedError
 
     def failed(self, error: AiortsError) -> None:
-        """Tell the page that the kernel refuses; its end is told elsewhere."""
+        """Tell the page that the kernel refuses; the end of a kernel is told elsewhere."""
 
 
 class LogFeed(Feed):

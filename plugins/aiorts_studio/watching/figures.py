@@ -17,14 +17,14 @@ _KINDS: Final = ("connectors", "service_connectors", "contexts", "components")
 LEFT_OUT: Final = frozenset(("skipped", "superseded"))
 """The reasons of drops that options ask for: every nth sample, the newest alone."""
 _LOOKS: Final = 6
-"""Looks over which rates are taken: one second of five a second."""
+"""Looks over which rates are taken: six looks span one second, at five a second."""
 
 
 class EdgeFigures(NamedTuple):
     """The figures of an edge, in the order in which pages have them."""
 
     rate: float | None
-    """Samples a second; None: it is not known, or not now."""
+    """Samples a second; None: unknown, or unknown at the moment."""
     lost: int
     buffered: int
     losing: float
@@ -54,7 +54,7 @@ class Figures:
         self.lossy: set[str] = set()
         """The connectors that have lost samples."""
         self._boxes: dict[str, Row] = {}
-        """The rows of components that have been asked for since they changed last."""
+        """The rows of components that were made since the component changed last."""
         self._earlier: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_LOOKS)
 
     def take(self, item: Mapping[str, Any]) -> None:
@@ -129,7 +129,7 @@ class Figures:
         return 0 if counted is None else lost(counted.dropped)
 
     def rate(self, names: Iterable[str]) -> float | None:
-        """The samples a second that come to some connectors; None: it is not known, or not now."""
+        """The samples a second that come to some connectors; None: unknown, or unknown at the moment."""
         if self.are_old or not self._earlier or self.at_ns == self._earlier[0][0]:
             return None
         (at_ns, before), now = self._earlier[0], self.now["connectors"]
@@ -143,7 +143,7 @@ class Figures:
         return None
 
     def box(self, name: str) -> Row | None:
-        """The state of a component, and words on it; None: they are not known, or not now."""
+        """The state of a component, and words on it; None: unknown, or unknown at the moment."""
         if self.are_old:
             return None
         row = self._boxes.get(name)
@@ -162,17 +162,17 @@ class Figures:
 
 
 def lost(dropped: Mapping[str, int]) -> int:
-    """The samples that were lost, of all that were dropped, by reason: those left out by an option are no loss."""
+    """The number of lost samples among the drops by reason: samples left out by an option are not lost."""
     return sum(count for reason, count in dropped.items() if reason not in LEFT_OUT)
 
 
 def _digits(value: float) -> float:
-    """Three digits: more would flicker."""
+    """The value, rounded to three digits: more would flicker."""
     return float(f"{value:.3g}")
 
 
 def different(rows: Mapping[int, Row], told: dict[int, Row], wanted: Iterable[int]) -> dict[int, Row]:
-    """The rows that a page has in view and was not told; they count as told from then on."""
+    """The rows that a page has in view and was not sent yet; they count as sent from then on."""
     found = {number: rows[number] for number in wanted if number in rows and told.get(number) != rows[number]}
     told.update(found)
     return found

@@ -19,12 +19,12 @@ FAR: Final = 0.6
 
 
 class Page:
-    """The messages to one page. One that does not keep up misses what comes, and gets a fresh picture.
+    """The messages to one page. A page that does not keep up misses messages, and gets a whole new picture.
 
     Attributes:
-        rect: what it has in view, in the scene's coordinates: left, top, right, bottom; None: it has not said.
+        rect: what it has in view, in the scene's coordinates: left, top, right, bottom; None: not known yet.
         scale: pixels of a unit of the scene.
-        told: the rows that it was told, by kind.
+        told: the rows that it was sent, by kind.
         missed: messages that it was too slow for, since the last picture.
     """
 
@@ -40,7 +40,7 @@ class Page:
 
     @property
     def is_far(self) -> bool:
-        """Whether it shows so much that figures have no room."""
+        """Whether the page shows so much that figures have no room."""
         return self.scale < FAR
 
     def put(self, message: Mapping[str, Any] | str) -> None:

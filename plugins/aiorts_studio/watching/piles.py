@@ -13,7 +13,7 @@ _WIDE: Final = 1.55
 _MOST: Final = 8
 """The most piles that are tried."""
 _GOOD: Final = 0.7
-"""The part of the largest scale at which earlier piles are kept: users find things where they stood."""
+"""Earlier piles are kept if they reach this part of the largest scale: users find things where they stood."""
 
 
 def placed(
@@ -82,7 +82,7 @@ def _linked(layout: Layout, edges: Sequence[Edge], units: Mapping[str, str]) -> 
 
 
 def _dealt(linked: Sequence[str], heights: Mapping[str, float], count: int, units: Mapping[str, str]) -> dict[str, int]:
-    """The pile of each group, the highest pile as low as can be: those that are joined follow one another."""
+    """The pile of each group, the highest pile as low as possible; groups that edges join follow one another."""
     pile, tops = dict[str, int](), [0.0] * count
     if linked:
         tall, wanted = [heights[unit] for unit in linked], min(count, len(linked))

@@ -14,7 +14,7 @@ from typing import Final
 from aiorts.layout import LARGEST_LAYOUT, Places, places_of, text_of_places
 
 _MOST: Final = 500
-"""Files in the state folder; the oldest go first."""
+"""The most files in the state folder; beyond that the oldest are removed."""
 _BROKEN: Final = ".broken"
 
 
@@ -32,7 +32,7 @@ class PlaceFiles:
         self._unusable: set[Path] = set()
 
     def read(self, lasting: str) -> Places:
-        """The places that were written for a kernel; the file next to the system's goes before that of the folder."""
+        """The places that were written for a kernel; the file next to the system file goes before the folder's."""
         found = Places()
         for path in (self._path(lasting), self._beside):
             known = self._of(path) if path is not None else None

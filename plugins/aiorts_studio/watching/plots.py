@@ -21,7 +21,7 @@ FASTEST: Final = 60.0
 _TEXTS: Final = 10.0
 """Whole values a second, of a watch without fields."""
 _DIGITS: Final = 10
-"""Digits of a place in a sequence are fewer."""
+"""A place in a sequence has fewer digits than this."""
 Column: TypeAlias = tuple[float, float, float]
 """The time in s, the smallest and the largest value since the column before."""
 

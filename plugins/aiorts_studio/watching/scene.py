@@ -56,12 +56,12 @@ class Scene:
         self._told: list[Thing] = []
         self._folded: set[Key] = set()
         self._moved: dict[Key, Point] = {}
-        """Places that boxes were given, from the corners of their bands: by hand, or when they were shown before."""
+        """Places of boxes, set by hand or kept from an earlier show, counted from the corners of their bands."""
         self._by_hand: set[Key] = set()
         self._again = True
         """Whether all is to be placed again."""
         self._tidy = True
-        """Whether kernels may move then, too."""
+        """Whether kernels may move, too, when all is placed again."""
 
     def number(self, *key: str) -> int:
         """The number of a thing; the same for the same thing."""
@@ -293,7 +293,7 @@ def _laid_out(
 
 
 def _wanted(layout: Layout, moved: Mapping[Key, Point]) -> dict[Key, Point]:
-    """The places that boxes are to have, of those that are there."""
+    """The wanted places of those boxes that are there."""
     found: dict[Key, Point] = {}
     for key, (x, y) in moved.items():
         if (spot := layout.spots.get(key)) is not None:

@@ -189,7 +189,7 @@ class Studio:
         await self.recorder.close()  # takes its time: a page that comes meanwhile begins a new watching
 
     def see(self, page: Page, rect: tuple[float, float, float, float], scale: float) -> None:
-        """Take the part that a page has in view; it is told the figures of that at once."""
+        """Note the part that a page has in view, and send it the figures of that part at once."""
         if page.is_far != (scale < FAR):
             page.told["e"].clear()
         page.rect, page.scale = rect, scale
@@ -350,7 +350,7 @@ class Studio:
         self.changed()
 
     def _end(self, there: Collection[str]) -> None:
-        """Tell that kernels have ended which did so while no page was open."""
+        """Tell pages of the kernels that ended while no page was open."""
         for view in self.scene.views.values():
             watch = self._watches.get(view.key)
             is_watched = watch is not None and watch.session.is_open
@@ -421,7 +421,7 @@ class Studio:
         self._dirty.set()
 
     def state_changed(self, view: View) -> None:
-        """Tell pages that a kernel does not answer, or does so again, also pages that come within a minute."""
+        """Tell pages, also those that come within a minute, that a kernel does not answer, or answers again."""
         if view.about["simulated"]:
             return  # its events have times of its own
         said = {"at_ns": time.time_ns(), "kind": _SAID[view.about["state"]], "text": view.about["why"]}
@@ -523,6 +523,6 @@ class Studio:
 
 
 async def _take_links(client: AsyncClient, view: View) -> None:
-    """Take the name by which links reach a kernel; one that has just begun may have none yet."""
+    """Note the name by which links reach a kernel; a kernel that has just begun may have none yet."""
     with suppress(AiortsError):  # its session has ended, which is said where it is watched
         view.links = str((await client.call("names"))["links"])

@@ -41,7 +41,7 @@ class View:
     answered: float = field(default_factory=time.monotonic)
 
     def say(self, state: str, why: str) -> bool:
-        """Take a state and its reason; False: they were known."""
+        """Set a state and its reason; False: both were known."""
         if (state, why) == (self.about["state"], self.about["why"]):
             return False
         since = 0.0 if state == "live" else round(time.monotonic() - self.answered, 1)
@@ -49,7 +49,7 @@ class View:
         return True
 
     def is_called(self, name: str, host: str) -> bool:
-        """Whether a path of a connector that begins with this name leads to it, from a kernel of this host."""
+        """Whether a connector's path that begins with this name leads to this kernel, from a kernel of this host."""
         own, _, address = self.address.rpartition("/")
         names = [self.address, *([address] if own == host else [])]
         return name in names or (bool(self.links) and name in (self.links, f"{own}/{self.links}"))
@@ -85,7 +85,7 @@ class View:
         return kind in _LOOK_ON or (kind == _FILTER and self._is_adapter(component))
 
     def _is_adapter(self, component: str) -> bool:
-        """Whether a filter has the name, and the one connector at each end, of one that `adapt` put in."""
+        """Whether a component is a filter that `adapt` put in, by its name and its one connector at each end."""
         before = [one["source"] for one in self.connectors.values() if one["target"].startswith(f"{component}.")]
         after = [one["target"] for one in self.connectors.values() if one["source"].startswith(f"{component}.")]
         if len(before) != 1 or len(after) != 1:
@@ -94,7 +94,7 @@ class View:
         return component.startswith(f"{writer}_to_{reader}")
 
     def ends_of(self, connector: str) -> list[str]:
-        """The components at the ends of a connector; none of one that has gone."""
+        """The components at the ends of a connector; none for a connector that has gone."""
         report = self.connectors.get(connector)
         return [] if report is None else [report[end].rpartition(".")[0] for end in ("source", "target")]
 

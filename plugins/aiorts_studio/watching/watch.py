@@ -44,16 +44,16 @@ class Told(Protocol):
     """The receiver of the news of a kernel."""
 
     def changed(self) -> object:
-        """Take that the view has changed."""
+        """Handle a change of the view."""
 
     def counted(self, watch: Watch) -> object:
-        """Take that there are new figures."""
+        """Handle new figures."""
 
     def state_changed(self, view: View) -> object:
-        """Take that a kernel, which has answered before, does not any more, or does so again."""
+        """Handle that a kernel which has answered does not any more, or does again."""
 
     def happened(self, watch: Watch, item: Mapping[str, Any]) -> object:
-        """Take a change of the profile, as the kernel tells it."""
+        """Handle a change of the profile, as the kernel tells it."""
 
 
 class Follower(Protocol):
@@ -63,7 +63,7 @@ class Follower(Protocol):
     """The address of the kernel that it is about; "" is any."""
 
     async def run(self, watch: Watch) -> None:
-        """Follow the kernel; the session's end ends that, too."""
+        """Follow the kernel; the session's end ends this call, too."""
 
 
 class Watch:
@@ -90,7 +90,7 @@ class Watch:
         """Components that have changed since the last look: each may have a process of its own, and another one now."""
 
     async def run(self) -> None:
-        """Watch it until its session ends."""
+        """Watch the kernel until its session ends."""
         try:
             async with self.session.stream("changes") as changes:
                 self._take_snapshot(changes.began)
@@ -116,7 +116,7 @@ class Watch:
             await asyncio.gather(*tasks, return_exceptions=True)
 
     def start(self, one: Follower) -> None:
-        """Start a follower at this kernel, if it is about it."""
+        """Start a follower here, if it is about this kernel."""
         if self.session.is_open and one.kernel in ("", self.view.address):
             self._following[one] = begun(one.run(self), "studio follower")
 
@@ -165,7 +165,7 @@ class Watch:
                     self._told.counted(self)
 
     async def _next(self, stream: AsyncStream) -> Any:
-        """The next item; while there is none the kernel is said not to answer."""
+        """The next item; while no item comes, the kernel counts as silent."""
         while True:
             try:
                 item = await stream.next(timeout=_SILENT)
