@@ -1,4 +1,4 @@
-"""Recordings: ports written into an MCAP file by a thread of their own, read in order, replayed, salvaged when damaged.
+"""Recordings of ports in MCAP files: written by a thread, read in order, replayed, and salvaged when damaged.
 
 `mcap/` reads and writes the file format, `text/` the text formats; `recorder/` writes while a system runs, `playing/`
 replays; `analysis/` converts, compares and draws; `foreign/` imports recordings of other systems; `commands/` is

@@ -12,7 +12,7 @@ class RecordingError(AiortsError, ValueError):
 
 
 class UnwrittenError(RecordingError):
-    """Output could not be written and is not there: the disk is full, or it failed."""
+    """Output could not be written, and is not there: the disk is full, or a write failed."""
 
 
 class DamagedError(RecordingError):

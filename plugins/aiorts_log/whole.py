@@ -18,7 +18,7 @@ def check_target(target: Path, sources: Iterable[Path], overwrite: bool) -> None
     """Refuse a target that cannot be written, before any work is done.
 
     Raises:
-        RecordingError: it is one of the sources, exists and is not to be replaced, is no file, or has no folder.
+        RecordingError: the target is a source, exists and is not to be replaced, is no file, or has no folder.
     """
     for source in sources:
         with contextlib.suppress(OSError):
@@ -58,7 +58,7 @@ def whole_file(target: Path, sources: Iterable[Path] = (), overwrite: bool = Fal
 
 @contextlib.contextmanager
 def whole_folder(target: Path, sources: Iterable[Path] = ()) -> Iterator[Path]:
-    """Give the name of a folder to fill, and rename it to `target` as `whole_file` does; none is ever replaced."""
+    """Give the name of a folder to fill, and rename it to `target` as `whole_file` does; no folder is ever replaced."""
     if target.is_symlink() or target.exists():
         raise RecordingError(f"{target}: exists already, and a folder is not replaced; name another one")
     check_target(target, sources, overwrite=False)

@@ -173,7 +173,7 @@ class Api:
 
     @contextmanager
     def _admit(self, scope: Scope) -> Iterator[Admission]:
-        """Admit a request, with its client in `scope`; HttpError: it lacks the token that it needs, or asks too much."""
+        """Admit a request, with its client in `scope`; HttpError: it lacks the token that it needs, or is too much."""
         from starlette.datastructures import Headers
 
         path: str = scope["path"]

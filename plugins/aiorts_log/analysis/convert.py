@@ -63,7 +63,7 @@ class Converted:
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """The options for writing a target."""
+    """The options of the target that is written."""
 
     format: Format
     overwrite: bool
@@ -73,7 +73,7 @@ class _Wanted:
 
 
 def format_by_name(path: Path, option: str) -> Format:
-    """The format by the ending of a name. ConfigurationError for another ending."""
+    """The format that the ending of a name stands for. ConfigurationError for another ending."""
     chosen_format = _ENDINGS.get(path.suffix.lower())
     if chosen_format is None:
         raise ConfigurationError(f"{path}: unknown ending; {option} {' | '.join(FORMATS)}")
@@ -233,7 +233,7 @@ def refuse_damaged(reader: Recording) -> None:
 
 
 def _named(reader: Recording, front: str, unique: bool, **chosen: Any) -> Iterator[tuple[str, RecordedSample]]:
-    """The samples with the names of their ports; `unique` numbers ports of one name and several types."""
+    """The samples with the names of their ports; `unique` numbers ports that have one name and several types."""
     known = {id(port): f"{front}{name if unique else port.name}" for name, port in reader.ports.items()}
     for sample in reader.samples(**chosen):
         yield known[id(sample.port)], sample

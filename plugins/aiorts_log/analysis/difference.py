@@ -1,7 +1,7 @@
 """Compares two recordings port by port: samples missing, extra or changed, and how their times differ.
 
 Both are read once, side by side; the samples that wait for a partner are bounded. Samples are partners when their log
-times are within a tolerance ("time"), when their own stamps are ("tm"), or by their number within the port ("order").
+times are within a tolerance ("time"), when their own stamps are ("tm"), or by their number in the port ("order").
 With "tm", and where "log_time" is ignored, only values are compared: two runs never have the same log times.
 """
 
@@ -118,7 +118,7 @@ class Difference:
     """The differences of two recordings.
 
     Attributes:
-        ports: the ports in both; only_left, only_right: number of samples of the others that have some, by name.
+        ports: the ports in both; only_left, only_right: by name, the number of samples of ports in one alone.
         not_closed: the recordings that were not closed, with the number of unusable bytes at the end of each.
     """
 
@@ -129,7 +129,7 @@ class Difference:
 
     @property
     def equal(self) -> bool:
-        """Whether there is no difference; a recording with a torn end equals none, since its end is not known."""
+        """Whether there is no difference; a recording with a torn end equals no other, since its end is not known."""
         return self.equal_so_far and not any(length for _, length in self.not_closed)
 
     @property
@@ -139,7 +139,7 @@ class Difference:
 
     @property
     def apart(self) -> bool:
-        """Whether hardly a sample, one in ten at most, has a partner in the other recording."""
+        """Whether almost no sample has a partner in the other recording: one in ten at most."""
         partners = sum(port.partners for port in self.ports)
         samples = [sum(port.missing for port in self.ports), sum(port.extra for port in self.ports)]
         return min(samples) >= 9 * max(1, partners)
@@ -174,7 +174,7 @@ def difference(
 
 
 def _only(one: Recording, other: Recording, names: Collection[str]) -> dict[str, int]:
-    """Samples of the ports that the other recording lacks; most formats do not name a port without samples."""
+    """The number of samples of each port that the other recording lacks; most formats name no port without samples."""
     there = [name for name in names if name in one.ports and name not in other.ports]
     return {name: one.ports[name].count for name in there if one.ports[name].count}
 
@@ -217,7 +217,7 @@ _encode: Final = MsgpackCodec().encode
 
 
 def _packed(sample: RecordedSample) -> bytes:
-    """The record encoded, for a comparison of every bit: half the work of comparing field by field."""
+    """The encoded record, to compare every bit: half the work of a comparison field by field."""
     if sample.port.encoding == "msgpack":
         return sample.data
     try:
@@ -227,7 +227,7 @@ def _packed(sample: RecordedSample) -> bytes:
 
 
 class _Walk:
-    """One pass through both recordings."""
+    """One pass through both recordings, side by side."""
 
     def __init__(self, left: Recording, right: Recording, pairs: list[_Pair], options: DiffOptions) -> None:
         self._options = options
@@ -357,7 +357,7 @@ def _array_change(left: Any, right: Any, options: DiffOptions, path: str) -> str
 
 
 def _listed(value: Any) -> Any:
-    """An array as lists: the other recording has lists."""
+    """An array as lists, to compare it with lists of the other recording."""
     if not hasattr(value, "dtype"):
         return value
     return [_listed(one) for one in value] if value.ndim else _item(value.item())

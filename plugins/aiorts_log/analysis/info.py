@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PortInfo:
-    """A port; `rate` is samples a second from its first to its last, None for fewer than two."""
+    """A port; `rate`: samples a second from its first to its last, None where it has fewer than two."""
 
     name: str
     type: str
@@ -109,7 +109,7 @@ def info_of(reader: Recording) -> RecordingInfo:
 
 
 def _missed(ending: Any) -> Iterator[tuple[str, int]]:
-    """Drops of connectors on the way to the recorder, from an end report that any program may have written."""
+    """Drops of connectors on the way to the recorder, from an end report that may be of any program."""
     before = ending.get("dropped_before") if isinstance(ending, dict) else None
     for name, reasons in before.items() if isinstance(before, dict) else ():
         for why, count in reasons.items() if isinstance(reasons, dict) else ():

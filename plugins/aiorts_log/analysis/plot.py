@@ -25,11 +25,11 @@ _PIECES: Final = 1600
 """Number of pieces of the time axis: twice as many as a curve has pixels."""
 _CELLS: Final = 1200
 _ROW: Final = 0.2
-"""Inches of a row of a legend. Below: of the margin next to a diagram, and of a legend's line with its space."""
+"""Inches of a row of a legend. Below: inches of the margin next to a diagram, and of a legend's line with its space."""
 _MARGIN: Final = 0.8
 _KEY: Final = 0.65
 _TALL: Final = 1.8
-"""Inches of a name next to a diagram; a longer name stands above it."""
+"""The most inches of a name next to a diagram; a longer name stands above it."""
 _RC: Final = {
     "svg.hashsalt": "aiorts",
     "svg.fonttype": "none",
@@ -166,7 +166,7 @@ def _paired(x: Series, y: Series) -> tuple[Sequence[float], Sequence[float]]:
 
 
 class _matplotlib:  # noqa: N801
-    """Gives matplotlib's Figure, with settings that no file of the user changes."""
+    """Imports matplotlib's Figure, and sets options that no file of the user changes while the block runs."""
 
     def __enter__(self) -> Any:
         matplotlib: Any = import_module("matplotlib")

@@ -57,7 +57,7 @@ class _Field:
         self._items = 0
         self._shape: tuple[int, ...] = ()
         self._lengths: dict[str, int] = {}
-        """The length of the longest sequence, by the path of the item that it lacked."""
+        """The length of the longest sequence that lacked an item, by the item's path."""
         self.numbers: Callable[[RecordedSample], Sequence[float]] = self._of_plain if port.unknown else self._of_record
         if not port.unknown and hasattr(port.type, "__dataclass_fields__"):
             try:
@@ -67,7 +67,7 @@ class _Field:
 
     @property
     def series(self) -> list[Series]:
-        """The curves: one, or one for each item."""
+        """The curves: one for the field, or one for each item of a sequence."""
         if len(self._series) == 1:
             return [Series(self.label, self._series[0].unit, "", self._series[0].times, self._series[0].values)]
         if self._items > _MOST:
@@ -77,7 +77,7 @@ class _Field:
 
     @property
     def why_empty(self) -> str:
-        """The reason why no sample has a number there; "" when one has, and where there was no sample."""
+        """The reason why no sample has a number there; "" when a sample has one, or when there was no sample."""
         if any(value == value for one in self._series for value in one.values) or not self._series:
             return ""
         if not self._lengths:
@@ -132,12 +132,12 @@ class _Field:
         return self._checked(value)
 
     def _unit_of(self, sample: RecordedSample) -> str:
-        """The field's own unit, else the port's where that has one field."""
+        """The unit of the field, else that of the port if the port has only one field."""
         named = re.sub(r"\[[^\]]*\]", "", self._path)
         return self.port.units.get(named) or (self.port.metadata.get("unit", "") if self._has_unit(sample) else "")
 
     def _has_unit(self, sample: RecordedSample) -> bool:
-        """Whether the port's unit is that of the field: not of a stamp, nor of one of several fields."""
+        """Whether the port's unit is also the field's: the field is no stamp, and not one of several fields."""
         return re.split(r"[.\[]", self._path, maxsplit=1)[0] not in _STAMPS and _is_one(values_of(sample))
 
     def _too_short(self, item: str, length: int, index: int) -> bool:

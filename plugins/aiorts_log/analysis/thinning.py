@@ -47,7 +47,7 @@ def _of_piece(values: Sequence[float], start: int, stop: int) -> list[int]:
 
 
 def thinned_path(xs: Sequence[float], ys: Sequence[float], cells: int) -> list[int]:
-    """The numbers of the points of a path that are further from the last one kept than its size divided by `cells`."""
+    """The numbers of points on a path that are more than the path's size divided by `cells` from the last one kept."""
     pairs = [(x, y) for x, y in zip(xs, ys, strict=True) if math.isfinite(x) and math.isfinite(y)]
     if not pairs:
         return []

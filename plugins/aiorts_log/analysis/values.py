@@ -57,7 +57,7 @@ def _packed(data: bytes, about: Any) -> Any:
 
 
 def _unwrapped(plain: Any) -> Any:
-    """Plain data with the arrays that it describes."""
+    """Plain data, in which descriptions of arrays are replaced by the arrays."""
     if isinstance(plain, dict):
         if plain.keys() == _ARRAY:
             try:

@@ -20,7 +20,7 @@ _FULL: Final = (errno.ENOSPC, errno.EIO, errno.EFBIG)
 
 
 class _Group(click.Group):
-    """Reports a full or failing standard output in one line; errors of files have messages of their own."""
+    """A group that reports a full or failing standard output in one line; files have messages of their own."""
 
     def invoke(self, ctx: click.Context) -> Any:
         try:

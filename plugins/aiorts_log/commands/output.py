@@ -17,7 +17,7 @@ from aiorts_log.mcap.survey import Gap
 
 FILE: Final = click.Path(path_type=Path)
 MOST_LINES: Final = 10
-"""Lines of a list that are printed; of the others only their number is."""
+"""The most lines of a list that are printed; a number stands for the others."""
 UNLIMITED: Final = click.option(
     "--unlimited",
     "limits",
@@ -35,7 +35,7 @@ class Finite(click.FloatRange):
         super().__init__(least, most)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Refuse what is not finite as well: no range refuses NaN, since comparisons with it are false."""
+        """Refuse numbers that are not finite, too: no range refuses NaN, since comparisons with it are false."""
         found = super().convert(value, param, ctx)
         if not math.isfinite(found):
             self.fail(f"{found!r} is no finite number", param, ctx)

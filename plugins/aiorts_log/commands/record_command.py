@@ -201,7 +201,7 @@ class _Ending:
 
 @contextlib.contextmanager
 def _ending() -> Iterator[_Ending]:
-    """Note signals in this block, so that they do not end the process."""
+    """Note signals while the block runs, so that they do not end the process."""
     ending = _Ending()
     with contextlib.closing(ending), signals_to(ending.come):
         yield ending

@@ -1,6 +1,6 @@
 """Reads recordings of other systems as streams of messages: MCAP files, ROS 2 bags (.db3), and folders of both.
 
-A bag's `metadata.yaml` is never read: the files themselves have all that it has, and YAML can demand more than data.
+A bag's `metadata.yaml` is never read: the files themselves hold all its content, and YAML can demand more than data.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Makes a ROS 2 bag of a recording: a topic for each port whose samples are records of ROS's messages."""
+"""Makes a ROS 2 bag of a recording: a topic for each port whose samples are records of ROS messages."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ def export_ros2(
 ) -> ExportReport:
     """Write a recording as a bag of ROS 2: a new folder with a file of messages and `metadata.yaml`.
 
-    A port that was imported gets the topic that it came from, others one of their name: `/pid0/command`. Messages have
-    the log times of their samples.
+    A port that was imported gets the topic that it came from, others get `/pid0/command` for `pid0.command`. Messages
+    have the log times of their samples.
 
     Args:
         ports: the ports to export; None is all.

@@ -71,11 +71,11 @@ class Documents:
         return None
 
     def frame(self, document: Mapping[str, Any]) -> str | None:
-        """None: in JSON a frame is a text like others."""
+        """Return None: a frame in JSON is a text like any other."""
         return None
 
     def parts(self, document: Mapping[str, Any], lose: Lose, topic: str) -> Iterator[tuple[str, type, Any]]:
-        """Path, record type and data of each field with a value; calls `lose` for fields that become none."""
+        """Path, record type and data of each field with a value; calls `lose` for fields that become no record."""
         for path, value in _flat("", document, 0):
             if value is None:
                 if len(self.left) < _MOST:
@@ -112,7 +112,7 @@ class Documents:
         return cls, data
 
     def _learn(self, path: str, schema: Any, depth: int) -> None:
-        """Learn which fields are integers: JSON writes 1 for 1.0 as well."""
+        """Note from the schema which fields are integers: JSON writes 1 for 1.0 as well."""
         if not isinstance(schema, dict) or depth > _DEEPEST:
             return
         kind, items = schema.get("type"), schema.get("items")

@@ -25,12 +25,12 @@ from aiorts_log.recorder.port_state import PortState
 from aiorts_log.recorder.writer import RecordingWriter
 
 _LAST: Final = 2**32 * 10**9
-"""Time stamps of records are below it."""
+"""The bound of records' time stamps: all are below it."""
 _TURN: Final = 20_000
 _TURN_BYTES: Final = 16 * 2**20
 _LONGEST: Final = 90
 _REASON: Final = 120
-"""Characters of a reason."""
+"""The most characters of a reason."""
 
 
 @dataclass(slots=True)
@@ -77,7 +77,7 @@ class ImportReport:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is lost: neither messages, nor values of them, nor the end of a file."""
+        """Whether nothing is lost: no message, no value of a message, and no end of a file."""
         return not self.lost and not any(length for _, length in self.not_closed)
 
 
@@ -92,13 +92,13 @@ def import_recording(
     """Import a recording of another system: an MCAP file, a ROS 2 bag (.db3), or a folder of them.
 
     Args:
-        whole: take a message whose type has a record in `aiorts.types.ros` as that; else in parts, as all others.
+        whole: make one record of a message whose type has one in `aiorts.types.ros`; else split it, as all others.
         existing: what to do when the new file exists.
         limits: what a file may cost.
 
     Raises:
-        RecordingError: one of the two cannot be opened, the old one has nothing that can be imported, or is damaged;
-            messages before the damage are in the new one.
+        RecordingError: a file cannot be opened, or the source is damaged or has nothing that can be imported;
+            messages before the damage are in the target.
         MissingExtra: a library is needed that is not installed.
     """
     with open_bag(source, limits=limits) as bag:
@@ -142,7 +142,7 @@ class _Writer(RecordingWriter):
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.of: dict[int, _Message] = {}
-        """The message of each waiting sample, by its id, which is used again only after the thread is done with it."""
+        """The message of each waiting sample, by the sample's id, which is free again only when the thread is done."""
         self.refusals: list[tuple[_Message, str, str]] = []
         """Message, port and reason."""
         super().__init__(*args, **options)
@@ -203,7 +203,7 @@ class _Plans:
         return message.samples
 
     def _write(self, writer: _Writer, plan: _Plan, counted: _Message, time: int, data: bytes) -> bool:
-        """Write the parts of a message; returns whether one of them is lost."""
+        """Write the parts of a message; return whether a part is lost."""
         topic = plan.stream.topic
         try:
             message = plan.messages.decode(data)
@@ -243,7 +243,7 @@ class _Plans:
         return lost > 0
 
     def settle(self, writer: _Writer) -> None:
-        """Count the messages whose samples are encoded by now, or refused."""
+        """Count the messages whose samples are all encoded or refused by now."""
         for message, port, why in writer.refusals:
             message.refused += 1
             self.report.lose(self.report.ports[port], why)
@@ -257,7 +257,7 @@ class _Plans:
         writer.of.clear()
 
     def finish(self, writer: _Writer) -> ImportReport:
-        """The report, when the recording is closed. RecordingError when it is not whole."""
+        """Return the report, when the recording is closed. RecordingError when it is not whole."""
         if writer.failure is not None:
             raise writer.failure
         self.settle(writer)

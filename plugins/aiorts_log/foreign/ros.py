@@ -45,7 +45,7 @@ _LONGEST: Final = 262_144
 """Characters of a definition with all that it uses."""
 _MOST_FIELDS: Final = 4_096
 _UNROLLED: Final = 1_000
-"""Texts or messages of a list of fixed length: `rosbags` writes a line of code for each."""
+"""The most texts or messages of a list of fixed length: `rosbags` writes a line of code for each."""
 _DEEPEST: Final = 20
 _PACKED: Final = b"\x28\xb5\x2f\xfd"
 """The first bytes of what zstd compressed; no message in CDR begins with them."""
@@ -64,7 +64,7 @@ class Messages:
         name: the type's name ("sensor_msgs/msg/Imu").
         schema_format: of the definition: "ros2msg", "ros2idl", or "" for a type of the ROS 2 distributions.
         definition: its text, with all that it uses.
-        whole: take a message of a type that has a record as that record.
+        whole: make one record of a message whose type has a record.
 
     Attributes:
         columns: the parts that become a port each; a path of "" is the message itself.
@@ -119,9 +119,9 @@ class Messages:
         return str(message.header.frame_id) if self.stamped else None
 
     def parts(self, message: Any, lose: Callable[[str, str], None], topic: str) -> Iterator[tuple[str, type, Any]]:
-        """Path, record type and data of each part that becomes a sample; calls `lose` for parts that become none.
+        """Path, record type and data of each part that becomes a sample; calls `lose` for parts that become no sample.
 
-        The data of a message that is taken whole are the record.
+        The data of a message that becomes one record are that record.
         """
         for column in self.columns:
             try:
@@ -183,7 +183,7 @@ class Messages:
         return PARTS[name] if name in PARTS and tuple(self._numbers(name)) == FIELDS[name] else ()
 
     def _numbers(self, name: str) -> Iterator[str]:
-        """Paths of all fields of a type that consists of floating-point numbers; "" for a field that is none."""
+        """Paths of all fields of a type that consists of floating-point numbers; "" for a field of another kind."""
         for field, _, (kind, what) in self._fields(name):
             if kind == _NAME:
                 yield from (_joined(field, inner) for inner in self._numbers(what))

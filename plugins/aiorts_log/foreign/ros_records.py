@@ -16,7 +16,7 @@ _MESSAGES: Final = (
     *(ros.Odometry, ros.Twist, ros.TwistStamped, ros.PoseStamped, ros.TransformStamped),
 )
 MESSAGES: Final[dict[str, type]] = {full_name(cls): cls for cls in _MESSAGES}
-"""The records that stand for a whole message, by ROS's short name; parts of them alone become OpenRTM's records."""
+"""The records that stand for a whole message, by ROS's short name; single parts become OpenRTM's records."""
 
 
 def library() -> Any:
@@ -55,7 +55,7 @@ def with_nested(cls: type) -> Iterator[type]:
 
 
 def maker(cls: type) -> Callable[[Any], Any]:
-    """A function that makes a record of a decoded message; RecordError from it for a value that does not fit."""
+    """A function that makes a record of a decoded message; it raises RecordError for a value that does not fit."""
     gets = [_getter(field) for field in fields_of(cls)]
     return lambda message: cls(*[get(message) for get in gets])
 
@@ -71,7 +71,7 @@ def _getter(field: Field) -> Callable[[Any], Any]:
 
 
 def unmaker(cls: type, store: Any) -> Callable[[Any], Any]:
-    """A function that makes a message of a record, which `store` can write."""
+    """A function that makes from a record a message that `store` can write."""
     gets = [_ungetter(field, store) for field in fields_of(cls)]
     message = store.types[ros_name(cls)]
     return lambda record: message(*[get(record) for get in gets])

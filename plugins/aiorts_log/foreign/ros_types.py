@@ -42,7 +42,7 @@ _RECORDS: Final[dict[str, tuple[type, type, str]]] = {
     "string": (t.TimedString, t.TimedStringSeq, ""),
 }
 SCALARS: Final = {kind: scalar for kind, (scalar, _, _) in _RECORDS.items()}
-"""The record of a number or text of ROS 2, which is as wide or wider."""
+"""The record for a number or text of ROS 2; its type is as wide as ROS's, or wider."""
 LISTS: Final = {kind: (of_list, code) for kind, (_, of_list, code) in _RECORDS.items()}
 """The record of a list, and the type of its array; a list of texts is a tuple."""
 TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")

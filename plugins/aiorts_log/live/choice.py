@@ -14,7 +14,7 @@ _SHOWN: Final = 10
 
 
 class Choice:
-    """The out-ports that words mean.
+    """The out-ports that the words of a command line mean.
 
     Attributes:
         running: the kernel.
@@ -26,7 +26,7 @@ class Choice:
 
         Raises:
             AbsentError: nothing has such a name.
-            AmbiguousError: a name is that of several, or several kernels are meant.
+            AmbiguousError: several things have one name, or several kernels are meant.
             NoAnswerError: the kernel that may be meant does not answer.
         """
         meant = [(word, one) for word in words for one in found.all(word)]
@@ -37,7 +37,7 @@ class Choice:
         self.exact: list[str] = []
         self._globs: list[str] = []
         self._words: dict[str, str] = {}
-        """The word that each glob came from, except words of kernels, which may have no port yet."""
+        """The word that each glob came from, without words for kernels, which may have no port yet."""
         for word, one in meant:
             component = word.rpartition("/")[2].partition(".")[0]
             glob = f"{component if is_glob(component) else one.component or '*'}.{one.port or '*'}"
@@ -52,7 +52,7 @@ class Choice:
         self._excluded = [glob if "." in glob else f"{glob}.*" for glob in excluded]
 
     def of(self, outlines: Mapping[str, Any]) -> list[str]:
-        """The ports of these components that are meant, those named one by one first."""
+        """The ports of these components that the words mean, those named one by one first."""
         there = list(_out_ports(outlines))
         named = [path for path in dict.fromkeys(self.exact) if path in there]
         others = [path for path in there if path not in named and _fits(path, self._globs)]
@@ -62,7 +62,7 @@ class Choice:
         """Refuse a word that means no port.
 
         Raises:
-            AbsentError: the word means none; the message says which ports there are.
+            AbsentError: a word means no port; the message says which ports there are.
         """
         there = list(_out_ports(outlines))
         for path in self.exact:

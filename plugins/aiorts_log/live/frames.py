@@ -16,7 +16,7 @@ from aiorts_log.recorder.weight import SMALL
 from aiorts_log.recorder.writer import RecordingWriter
 
 _HEAD: Final = 8_192
-"""Bytes of a frame in which the name of its type ends."""
+"""The most bytes of a frame up to the end of its type's name."""
 
 
 class Frame:
@@ -68,7 +68,7 @@ class FrameWriter(RecordingWriter):
 
     @staticmethod
     def splitter(encoding: Encoding, cls: type) -> None:
-        """No part of a frame is copied."""
+        """None: no part of a frame is copied."""
 
     def _state(self, name: str, cls: type, metadata: Mapping[str, str]) -> PortState:
         return PortState(name, cls, metadata, _weigh, stamped=True, mutable=False)

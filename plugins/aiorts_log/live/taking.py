@@ -1,7 +1,7 @@
 """Takes samples out of a kernel in another process and records them, until the recording ends.
 
-Each port has a tap: a connector of this session's own, which never makes a writer wait. Its losses are counted, so
-that for each port `written = recorded + dropped`, from its tap to its last sample here.
+Each port has a tap: a connector of this session's own, which never makes a writer wait. Samples that it loses are
+counted: for each port `written = recorded + dropped`, from its tap to its last sample here.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _EVENTS: Final = ("ComponentAdded", "PortAdded", "ComponentReloaded")
 _TAPS: Final = 200
 """The most taps of one session: a kernel lets each session have 256 calls at a time."""
 _FULL: Final = 0.75
-"""The load of the writer's queue above which nothing is read: the kernel counts samples that it has no room for."""
+"""The load of the writer's queue above which nothing is read: the kernel then counts the samples that it drops."""
 _PAUSE: Final = 0.005
 _LOOK: Final = 0.25
 """Seconds between two looks at the clock and the disk."""
@@ -38,7 +38,7 @@ class Recorded:
 
     Attributes:
         name: as the recording has it.
-        offered: samples that came, and those that were dropped on the way: the writer knows what became of them.
+        offered: samples that came or were dropped on the way; the writer counts what became of them.
         refused: samples that cannot travel.
     """
 
@@ -55,14 +55,14 @@ class Taking:
 
     Args:
         choice: the ports.
-        say: reports a problem with one of them.
+        say: reports a problem with one of the ports.
     """
 
     def __init__(self, choice: Choice, say: Say) -> None:
         self.ports: dict[str, Recorded] = {}
         """The recorded ports, by name in the recording."""
         self.ended = ""
-        """The reason, when the kernel ended it; "" while it goes on."""
+        """The reason why the kernel has ended the recording; "" while it goes on."""
         self.cut_off = False
         """Whether the kernel runs on, and has given up waiting for this end."""
         self._choice = choice
@@ -109,7 +109,7 @@ class Taking:
     # -- taps ------------------------------------------------------------------------------------------------------
 
     def _tap_all(self, paths: Iterable[str]) -> None:
-        """Record ports from now on; a port that cannot be is refused, or only reported where a pattern meant it."""
+        """Record ports from now on; one that cannot be recorded is refused, or only reported if a pattern meant it."""
         begun = [(path, self._guarded(path, partial(self._stream, path))) for path in paths]
         for path, stream in begun:
             if stream is not None:
@@ -225,7 +225,7 @@ class Taking:
         self._take()
 
     def _take(self) -> bool:
-        """Record the samples that have come; False when they are enough, or the kernel has ended."""
+        """Record the samples that have come; False when there are enough, or the kernel has ended."""
         happened = False
         for item in _items(self._events):
             if item is END:
@@ -289,7 +289,7 @@ class Taking:
         return made
 
     def _look(self) -> None:
-        """Tap the ports that were added since."""
+        """Tap the ports that were added since the last look."""
         paths = self._choice.of(self._client.call("outline"))
         self._tap_all([path for path in paths if path not in self._taps and path not in self._passed])
 

@@ -1,6 +1,6 @@
 """Finds faults of a recording whose chunks are all whole: in its indexes, and in the checksum of all its data.
 
-Reading samples needs none of these; other programs use them.
+No sample is read by means of these; other programs use them.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ _SEPARATE: Final = 32_768
 """Bytes from which a message is a part of its own: copying it together with others would cost more than it saves."""
 _FEW: Final = 64
 _MANY: Final = 2**22
-"""Bytes of a chunk from which its messages are made one by one when they are used."""
+"""Bytes of a chunk from which each of its messages is made only when it is used."""
 _SHORT: Final = 1_024
 """Bytes below which a message is appended to its head at once."""
 _HEAD: Final = MESSAGE_HEAD.pack
@@ -48,7 +48,7 @@ class Message(NamedTuple):
 class Messages:
     """The messages of a large chunk, kept as places: each message is made when it is used.
 
-    As a list, the small messages of a chunk of 64 MiB would take ten times as much memory.
+    A list of the small messages of a 64 MiB chunk would take ten times as much memory.
     """
 
     __slots__ = ("_data", "_places")
@@ -87,7 +87,7 @@ class Messages:
         return set(self._all(HEAD.size, "<u2").tolist())
 
     def _all(self, offset: int, kind: str) -> Any:
-        """One number of the head of each message."""
+        """A number in the head of each message, read at this offset."""
         import numpy as np
 
         width = np.dtype(kind).itemsize
@@ -152,7 +152,7 @@ class ChunkBuilder:
 
     @property
     def is_empty(self) -> bool:
-        """Whether it has no message."""
+        """Whether the chunk has no message."""
         return not self._where
 
     @property
@@ -172,7 +172,7 @@ class ChunkBuilder:
         self.size += len(data)
 
     def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes, more: bytes = b"") -> int:
-        """Add a message, whose data are both parts; log times never go back. Returns the bytes collected."""
+        """Add a message, whose data are `data` and `more`; log times never go back. Returns the bytes collected."""
         # 22 bytes of channel, sequence and the two times, 31 with the record's own head of 9.
         length, at = len(data) + len(more), self.size
         head = _HEAD(MESSAGE, 22 + length, channel, sequence & 0xFFFF_FFFF, log_time, publish_time)
@@ -230,7 +230,7 @@ def unpack(head: ChunkHead, data: bytes, at: int) -> tuple[bytes, int]:
     """The unpacked bytes of a chunk and where its records begin, after their size and checksum were verified.
 
     Args:
-        data: the stored records are in it from `at` to the end.
+        data: bytes that have the stored records from `at` to the end.
 
     Raises:
         BadBytes: the bytes are not what the head promises.
@@ -258,7 +258,7 @@ def contents(data: bytes, at: int = 0, start: int = 0, end: int = 2**64 - 1, def
     """Parse the verified records of a chunk, or of a run of records outside one.
 
     Args:
-        data: the records begin in it at `at`.
+        data: bytes in which the records begin at `at`.
         start, end: the log times that the head and the index give for the chunk; a message outside them is an error.
         defined: the most definitions and entries of metadata: as objects they take much memory.
 
@@ -342,7 +342,7 @@ def _weight(schemas: list[Schema], channels: list[Channel]) -> int:
 
 
 def _other(data: bytes, at: int, schemas: list[Schema], channels: list[Channel]) -> tuple[int, int]:
-    """Take a record that is no message; returns where it ends, and its definitions with entries, 0 for another kind."""
+    """Take a record that is no message; return its end, and the number of its definitions and entries."""
     size = HEAD.size
     if len(data) - at < size:
         raise BadBytes(f"{len(data) - at} bytes are no record")

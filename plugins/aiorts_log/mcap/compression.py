@@ -46,7 +46,7 @@ def _lz4(data: bytes | memoryview, size: int) -> bytes:
 def _zstd(data: bytes | memoryview, size: int) -> bytes:
     library = _library("zstandard", "zstandard")
     try:
-        # A stream, since decompress() allocates the size that the frame claims before it reads the data.
+        # Unpacked as a stream, since decompress() allocates the size that the frame claims before it reads the data.
         with library.ZstdDecompressor(max_window_size=2**27).stream_reader(bytes(data)) as reader:
             parts, left = [], size + 1
             while left and (part := reader.read(min(left, 2**20))):

@@ -40,7 +40,7 @@ _LENGTH: Final = struct.Struct("<Q")
 
 
 def named_type(name: str) -> tuple[type | None, str]:
-    """The type that a recording names, or None and the reason; only a class that a plugin declares is imported."""
+    """The type that a recording names, or None and the reason why not; imports only classes that a plugin declares."""
     try:
         cls = wire_type(name)
     except UnknownTypeError as error:
@@ -58,7 +58,7 @@ def named_type(name: str) -> tuple[type | None, str]:
 
 
 def file_of_both(first: str, second: str) -> str:
-    """The file whose class two names may mean, one by its path and one as a module; "" where they cannot."""
+    """The file whose class two names may mean, one by its path and one as a module; "" where there is none."""
     by_name, by_path = sorted((first, second), key=len)
     folder = by_path.removeprefix(_OF_FILE).removesuffix(f".{by_name}")
     return f"{folder}/{by_name.partition('.')[0]}.py" if by_path == f"{_OF_FILE}{folder}.{by_name}" else ""
@@ -91,8 +91,8 @@ def encoder(encoding: Encoding, cls: type) -> Callable[[Any], bytes]:
 def splitter(encoding: Encoding, cls: type) -> Callable[[Any], tuple[bytes, bytes]] | None:
     """A function that encodes in two parts records whose last field is a large array, which is then copied once.
 
-    A recorder that copies a megabyte three times holds the interpreter for as long. None for all other types; records
-    below 65,536 bytes come in one part.
+    A recorder that copies a megabyte three times holds the interpreter three times as long. None for all other types;
+    records below 65,536 bytes come in one part.
     """
     if encoding != "msgpack" or sys.byteorder != "little" or not hasattr(cls, "__dataclass_fields__"):
         return None

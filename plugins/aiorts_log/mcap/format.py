@@ -1,6 +1,6 @@
 """Packs and parses the records of an MCAP file (version 0): little-endian, every length checked before it is used.
 
-The published format: https://mcap.dev/spec. Bytes that do not fit raise BadBytes, without a place: callers know it.
+The published format: https://mcap.dev/spec. Bytes that do not fit raise BadBytes, without a place, which callers know.
 """
 
 from __future__ import annotations

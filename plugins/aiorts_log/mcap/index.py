@@ -1,4 +1,4 @@
-"""Finds the index at the end of a recording, and uses it only when its checksum and the file's size agree with it."""
+"""Finds the index at the end of a recording, and uses it only if its checksum is right and it fits the file size."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from aiorts_log.mcap.summary import Summary
 
 
 def read_index(source: Source) -> tuple[Summary, int] | None:
-    """The content of a file by its index, and where the data end; None when it was not closed, or has no index.
+    """The content of a file by its index, and where the data end; None when the file was not closed, or has no index.
 
     Raises:
         BadBytes: the index is damaged.

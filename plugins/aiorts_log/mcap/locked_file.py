@@ -24,7 +24,7 @@ Existing: TypeAlias = Literal["refuse", "append", "overwrite"]
 # Linux takes at most 1,024 buffers in one writev (IOV_MAX).
 _MOST_PARTS: Final = 512
 _PAUSES: Final = (0.001, 0.01, 0.05, 0.0)
-"""Seconds between tries to lock a file: `held_by` in another process locks it for a moment."""
+"""Seconds between attempts to lock a file: `held_by` in another process locks the file for a moment."""
 GIB: Final = 2**30
 
 
@@ -42,7 +42,7 @@ def next_part(path: Path, number: int, existing: Existing) -> int:
 
 
 def least_free(path: Path, requested: int | None) -> int:
-    """Bytes to leave free on the disk: as requested, or else 1 GiB, or 5 % of a disk where that is less."""
+    """Bytes to leave free on the disk: as requested, else 1 GiB, or 5 % of the disk where that is less."""
     if requested is not None or not hasattr(os, "statvfs"):
         return requested or 0
     found = os.statvfs(path.parent)
@@ -143,12 +143,12 @@ class LockedFile:
 
     @property
     def descriptor(self) -> int:
-        """The descriptor of the open file, for reading what it has already."""
+        """The descriptor of the open file, to read what the file has already."""
         return self._file
 
     @property
     def displaced(self) -> str:
-        """The fate of its name: "deleted or renamed" or "replaced by another file"; "" while it is unchanged."""
+        """The present state of its name: "deleted or renamed", "replaced by another file"; "" while unchanged."""
         try:
             ours = os.fstat(self._file)
             named = os.lstat(self.path)
@@ -186,7 +186,7 @@ class LockedFile:
                     left[0] = left[0][written:]
 
     def put(self, parts: list[memoryview]) -> int:
-        """Write by one system call; returns the number of bytes written."""
+        """Write the parts by one system call; return the number of bytes written."""
         return os.writev(self._file, parts) if hasattr(os, "writev") else os.write(self._file, parts[0])
 
     def _check_room(self, size: int) -> None:
@@ -205,7 +205,7 @@ class LockedFile:
             os.ftruncate(self._file, size)
 
     def sync(self) -> None:
-        """Wait until everything is on the disk. OSError when it may not be there, and then never will be."""
+        """Wait until everything is on the disk. OSError when it may not be there, and will never be."""
         os.fsync(self._file)
 
     def use_reserve(self) -> None:

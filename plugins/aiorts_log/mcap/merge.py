@@ -65,7 +65,7 @@ def _weight(messages: Any) -> int:
 
 
 def _advance(held: list[tuple[int, int, int, Any, int]]) -> int:
-    """Go on to the next message of the first piece; returns the bytes of a piece that is done."""
+    """Go on to the next message of the first piece; return the bytes that a piece with no more messages held."""
     _, offset, number, messages, size = held[0]
     number += 1
     if number == len(messages):

@@ -120,7 +120,7 @@ class OutFile:
 
     @property
     def displaced(self) -> str:
-        """The fate of its name, see `LockedFile`."""
+        """The present state of the file's name, see `LockedFile`."""
         return self._file.displaced
 
     def channel_of(self, port: str, schema: Schema, encoding: str, metadata: Mapping[str, str]) -> Channel:
@@ -179,7 +179,7 @@ class OutFile:
         self.define_all()
 
     def attach(self, one: Attachment) -> None:
-        """Append a file within the file. OSError when that fails."""
+        """Append an attachment. OSError when that fails."""
         self.end_chunk()
         data, at = one.put(), self._file.size
         self._file.append([data])
@@ -191,7 +191,7 @@ class OutFile:
         self.attach(Attachment(time, time, name, "application/json", data))
 
     def sync(self) -> None:
-        """Wait until all of it is on the disk. OSError when it may not be."""
+        """Wait until the whole file is on the disk. OSError when it may not be."""
         self.can_sync = False
         self._file.sync()
         self.can_sync = True

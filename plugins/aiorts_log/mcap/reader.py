@@ -37,7 +37,7 @@ METADATA_NAME: Final = "metadata.json"
 END_NAME: Final = "end.json"
 """The attachment with the writer's counts, and the reason for its end."""
 _STEP: Final = 2048
-"""Items between two steps of a bar."""
+"""Samples between two calls that advance a progress bar."""
 T = TypeVar("T")
 
 
@@ -82,7 +82,7 @@ class RecordedPort:
 
     @cached_property
     def units(self) -> Mapping[str, str]:
-        """The units of its fields, by their paths without indices: as they were recorded, else as its type has them."""
+        """The units of its fields, by their paths without indices: as recorded, else as its type states them."""
         recorded: Mapping[str, str] = {}
         if self.schema is not None:
             with contextlib.suppress(ValueError, RecursionError):
@@ -107,7 +107,7 @@ class RecordedPort:
 
 
 def _alike(one: Schema, other: Schema) -> bool:
-    """Whether two schemas differ in units alone."""
+    """Whether two schemas differ only in units."""
     if (one.name, one.encoding) != (other.name, other.encoding):
         return False
     try:
@@ -130,7 +130,7 @@ class RecordedSample(NamedTuple):
 
     @property
     def record(self) -> Any:
-        """The record. RecordingError when its type is not loaded, WireError when the bytes are none."""
+        """The record. RecordingError when its type is not loaded, WireError when the bytes are no record of it."""
         return self.port.decode(self.data)
 
 
@@ -152,7 +152,7 @@ def not_closed(readers: Iterable[Recording]) -> Iterator[tuple[str, int]]:
 
 
 def unclosed_text(torn_bytes: int) -> str:
-    """The words for what a recording lacks that was not closed."""
+    """Words for the part that is missing in a recording that was not closed."""
     torn = f"; {torn_bytes} bytes at its end are unusable" if torn_bytes else ""
     return f"was not closed: what was not yet written when it ended is missing{torn}"
 
@@ -217,7 +217,7 @@ class Recording(ABC):
         """A function that loads the messages of a piece, for one pass over the samples."""
 
     def _channels(self, piece: Piece) -> Collection[int] | None:
-        """The channels that have messages in a piece, by an index; None when no index says it."""
+        """The channels that have messages in a piece, by its index; None when it has no index."""
         return None
 
     @abstractmethod
@@ -279,12 +279,12 @@ class Recording(ABC):
 
         Args:
             start: the first log time in ns that is wanted.
-            end: the first that is not wanted any more.
-            ports: names; None is all. RecordingError for one that is not there.
-            order: "file" gives them as they lie in the file.
+            end: the first log time in ns that is not wanted any more.
+            ports: names; None is all. RecordingError for a name that is not there.
+            order: "file" gives the samples as they lie in the file.
 
         Raises:
-            DamagedError: bytes are not what was written; everything before was given.
+            DamagedError: bytes are not what was written; all samples before them were given.
         """
         wanted = self._ports if ports is None else {port.id: port for port in self.chosen(ports).values()}
         first, last = start if start is not None else -1, end if end is not None else 2**64
@@ -333,7 +333,7 @@ class Recording(ABC):
 
         Raises:
             RecordingError: the type of one of the ports is not loaded.
-            DamagedError: a sample is none of its type.
+            DamagedError: a sample is not of its type.
         """
         for sample in self.samples(**chosen):
             try:
@@ -388,7 +388,7 @@ class RecordingReader(Recording):
         self._counts = found.counts
 
     def _indexed(self) -> Summary | None:
-        """The content by the index; None when there is none, or it is incomplete. BadBytes if it is damaged."""
+        """The content by the index; None when there is no index, or it is incomplete. BadBytes if it is damaged."""
         found = read_index(self._source)
         if found is None:
             return None
@@ -450,7 +450,7 @@ class RecordingReader(Recording):
         return load
 
     def resume(self) -> tuple[Summary, int]:
-        """The content, and where the data end, for continuing the file. DamagedError when that cannot be read."""
+        """The content, and where the data end, to continue the file. DamagedError when either cannot be read."""
         found, source = self._summary, self._source
         try:
             if not found.chunks:
@@ -461,7 +461,7 @@ class RecordingReader(Recording):
         return found, self._stop
 
     def check(self) -> tuple[Gap, ...]:
-        """Read everything; returns the damage, the torn end of a file that was not closed included.
+        """Read everything; return the damage, which includes the torn end of a file that was not closed.
 
         Indexes are verified as well, although this reader does not use them all.
         """

@@ -44,7 +44,7 @@ def salvage(
     limits: Limits | None = None,
     step: Step | None = None,
 ) -> SalvageReport:
-    """Copy the whole chunks of a recording into a new one, which appears when it is complete; report the losses.
+    """Copy the whole chunks of a recording into a new file, which appears when it is complete; report the losses.
 
     Args:
         existing: what to do when the new file exists.
@@ -103,7 +103,7 @@ class _Salvage:
         return SalvageReport(samples, tuple(self._gaps), missing, found.ended, tuple(attached))
 
     def _defined(self, found: Survey) -> Summary | None:
-        """Take the definitions of the index if that is whole: the chunk that had them may be damaged."""
+        """Take the definitions from the index if that is whole: the chunk that had them may be damaged."""
         try:
             index = read_index(self._old)
             if index is None:

@@ -33,14 +33,14 @@ from aiorts_log.mcap.format import (
 MIB: Final = 2**20
 _VERSION: Final = re.compile(r"recording format (\d{1,9})\.(\d{1,9})")
 _DEFINED: Final = 20_000
-"""Definitions that a chunk may have however well it is compressed: ports, types, entries of metadata; 8 bytes or more
+"""The most definitions of a chunk, however well it is compressed: ports, types, entries of metadata; 8 bytes or more
 each."""
 MAJOR: Final = 1
 MINOR: Final = 0
 
 
 _FOR_EACH_BYTE: Final = {"messages": 1.0, "unpacked": 100.0, "chunks": 1 / 64}
-"""The amounts that a file may hold more for each of its bytes, see `Limits`. Numbers, well compressed, take at least 4
+"""The amounts that each byte of a file adds to the budgets, see `Limits`. Well compressed numbers take at least 4
 bytes for a message; a chunk takes more than 64."""
 
 
@@ -48,8 +48,8 @@ bytes for a message; a chunk takes more than 64."""
 class Limits:
     """The memory and time that a file may cost.
 
-    The first four are bytes of memory. The others are budgets of a whole recording, to which its size adds: a small
-    file costs little, and a large one can be read. None is no budget.
+    The first four are bytes of memory. The others are budgets of a whole recording that grow with its size: a small
+    file costs little, and a large file can be read. None is no budget.
     """
 
     record: int = 64 * MIB + 4096
@@ -89,13 +89,13 @@ class Piece(NamedTuple):
     length: int
     chunk: bool = True
     filled: bool = True
-    """Whether it has messages. Definitions alone have the times 0 and 0, which are valid times."""
+    """Whether the piece has messages. Without, it has the times 0 and 0, which are also valid times."""
     unpacked: int = 0
     """Bytes of the chunk, unpacked."""
 
 
 def read_at(path: Path, file: int, length: int, offset: int) -> bytes:
-    """Read bytes of an open file, fewer at its end. RecordingError with the file's name when the disk fails."""
+    """Read bytes of an open file, fewer at the file's end. RecordingError with the file's name when the disk fails."""
     try:
         return os.pread(file, length, offset)
     except OSError as error:
@@ -103,7 +103,7 @@ def read_at(path: Path, file: int, length: int, offset: int) -> bytes:
 
 
 def open_regular(path: Path) -> tuple[int, int]:
-    """Open a regular file without waiting; its descriptor and size. RecordingError with the reason when it fails."""
+    """Open a regular file without waiting; return descriptor and size. RecordingError with the reason when it fails."""
     # O_NONBLOCK: opening a named pipe would wait for a writer.
     flags = os.O_RDONLY | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
@@ -219,15 +219,15 @@ class Source:
         return contents(*self._checked(piece))
 
     def tally(self, piece: Piece) -> Tally:
-        """Count the content of a piece, after the same checks, without keeping it. Errors as of `load`."""
+        """Count the content of a piece, after the checks of `load`, without keeping it. Errors as of `load`."""
         return tally(*self._checked(piece))
 
     def records(self, piece: Piece) -> tuple[bytes, int]:
-        """The bytes of a piece, after the same checks of the whole, and where its records begin."""
+        """The bytes of a piece, after the checks of `load` of the whole, and where its records begin."""
         return self._checked(piece)[:2]
 
     def _checked(self, piece: Piece) -> tuple[bytes, int, int, int, int]:
-        """The bytes of a piece, where its records begin, the times they lie between, and how much it may define."""
+        """The bytes of a piece, where its records begin, the bounds of their times, and how much it may define."""
         if not piece.chunk:
             return self.read(piece.offset, piece.length), 0, 0, 2**64 - 1, piece.length
         head, length = self.chunk_head(piece.offset)

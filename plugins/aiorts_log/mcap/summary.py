@@ -51,7 +51,7 @@ class Summary:
     skipped: int = 0
 
     def define(self, schema: Schema | None = None, channel: Channel | None = None) -> None:
-        """Add a definition. BadBytes for a second one of the same number that differs."""
+        """Add a definition. BadBytes for a different definition with the same number."""
         if schema is not None and self.schemas.setdefault(schema.id, schema) != schema:
             raise BadBytes(f"schema {schema.id} is defined twice, and differently")
         if channel is not None and self.channels.setdefault(channel.id, channel) != channel:
@@ -99,7 +99,7 @@ class Summary:
         """Parse the bytes between the end of the data and the footer.
 
         Raises:
-            BadBytes: the checksum is wrong, or they are no records.
+            BadBytes: the checksum is wrong, or the bytes are no records.
         """
         whole = Footer(footer.summary, footer.offsets, 0).put()[:-4]
         if footer.crc and zlib.crc32(whole, zlib.crc32(data)) != footer.crc:

@@ -1,6 +1,6 @@
 """Reads a recording from its beginning without trusting its index: finds what is whole, damaged, and torn off.
 
-Files that were not closed are opened by a survey, and `salvage` goes by it. Every chunk is verified; none is kept.
+Files that were not closed are opened by a survey, and `salvage` uses it. Every chunk is verified; none is kept.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ _PATIENCE: Final = 16
 """The multiple of a file's size that is read while whole chunks are searched for in damaged parts: a file made to look
 like many chunks within each other must not take hours."""
 _LOOKED: Final = 64
-"""Bytes of that budget that a place costs which is no chunk."""
+"""Bytes that each place without a chunk costs of that budget."""
 _IN_DATA: Final = (CHUNK, MESSAGE, SCHEMA, CHANNEL, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
-"""Kinds of records before the summary. Another kind is of a newer version, or damaged."""
+"""Kinds of records before the summary. A record of another kind is damaged, or of a newer version of the format."""
 _IN_OURS: Final = (CHUNK, MESSAGE_INDEX, ATTACHMENT, DATA_END)
-"""Kinds that aiorts writes there: a chunk whose kind was changed by a flipped bit is not taken for another record."""
+"""Kinds of records that aiorts writes there: a chunk whose kind a flipped bit has changed is not skipped as another."""
 
 
 class Gap(NamedTuple):
@@ -78,10 +78,10 @@ class Survey:
     missing: dict[int, int] = field(default_factory=dict)
 
     def take(self, piece: Piece, content: Tally) -> int:
-        """Count the content of a piece; returns how many samples are missing before it, by their numbers.
+        """Count the content of a piece; return how many samples are missing before it, by their numbers.
 
         Raises:
-            BadBytes: it contradicts another piece.
+            BadBytes: the piece contradicts another.
         """
         summary = self.summary
         for schema in content.schemas:
@@ -120,7 +120,7 @@ class _Walk:
         self._may_be_newer = not self._is_own or source.minor > MINOR
         self._patience = _PATIENCE * source.size + _WINDOW
         self._unpacked = self._messages = 0
-        """Bytes of chunks, and messages, that were found on the way."""
+        """Bytes of chunks, and messages, that were found so far."""
 
     def survey(self) -> Survey:
         source, found = self._source, self._found
@@ -143,7 +143,7 @@ class _Walk:
         return found
 
     def _step(self, opcode: int, at: int, length: int) -> int:
-        """Take the record at `at`; returns where to look for the next one."""
+        """Take the record at `at`; return where to look for the next."""
         found, summary = self._found, self._found.summary
         try:
             if opcode == CHUNK:
@@ -182,10 +182,10 @@ class _Walk:
         return at + length
 
     def _chunk(self, at: int, head: ChunkHead, length: int) -> tuple[Piece, Tally]:
-        """The chunk with that head and its counts, after all checks; it counts for the budget.
+        """The chunk with that head and its counts, after all checks; the chunk counts for the budget.
 
         Raises:
-            BadBytes: it is none.
+            BadBytes: there is no valid chunk.
             RecordingError: with it the recording costs too much.
         """
         if head.compression:
@@ -200,7 +200,7 @@ class _Walk:
             self._suspect = None
 
     def _note_missing(self, at: int, missing: int) -> None:
-        """Report samples that are missing by their numbers: a chunk of a damaged kind looks like a record to skip."""
+        """Report samples that are missing by their numbers: a chunk with a damaged kind looks like a record to skip."""
         last = self._found.pieces[-2] if len(self._found.pieces) > 1 else None
         begin = last.offset + last.length if last is not None else self._source.begin
         is_reported = self._found.damage and self._found.damage[-1].offset >= begin
@@ -265,7 +265,7 @@ class _Walk:
         self._found.take(piece._replace(start=content.start, end=content.end), content)
 
     def _split_tail(self) -> None:
-        """Turn damage behind the last whole piece into the torn end, where the data were not ended."""
+        """Turn damage behind the last whole piece into the torn end, where the writer did not mark the data's end."""
         found = self._found
         last = found.pieces[-1].offset if found.pieces else self._source.begin - 1
         tail = [gap for gap in found.damage if gap.offset > last]

@@ -55,7 +55,7 @@ _HOOKS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class ReplaySettings:
-    """A recording that is replayed in the place of the components that sent it."""
+    """The recording that is replayed in the place of the components that sent its samples."""
 
     file: Path | None = setting(  # noqa: RUF009 - it makes a field
         None, "Send what this recording has in the place of the components that sent it.", option=""
@@ -104,7 +104,7 @@ class InPlace(KernelService):
         self._recorded: dict[str, dict[str, RecordedPort]] = {}
         """The recorded ports of each path of an out-port, by their keys in the recording."""
         self._in_place: dict[str, frozenset[str]] = {}
-        """The components in whose place others stand, each with the paths of its ports that are replayed."""
+        """The replaced components, each with the paths of its ports that are replayed."""
         try:
             with open_recording(settings.file) as reader:
                 for key, port in reader.ports.items():
@@ -217,7 +217,7 @@ class InPlace(KernelService):
         self._task = asyncio.get_running_loop().create_task(self._play(self._player), name="replay")
 
     async def _play(self, player: Player) -> None:
-        """Play to the end; however it ends, the components are finished then, and the run goes on to its own end."""
+        """Play to the end; however that comes, the components are finished then, and the run goes on to its own end."""
         lost = True
         try:
             await player.play()
@@ -254,7 +254,7 @@ class InPlace(KernelService):
 
 def _without_hooks(cls: type[Component]) -> type[Component]:
     """A class with the ports and parameters of `cls`, whose hooks do nothing and which answers no call."""
-    # It is listed, and saved, by the original's name.
+    # The class is listed, and saved, by the original's name.
     names: dict[str, Any] = {"__module__": cls.__module__, "__qualname__": cls.__qualname__}
     for attribute in dir(cls):
         if isinstance(end := inspect.getattr_static(cls, attribute), Provided):
@@ -269,7 +269,7 @@ def _without_hooks(cls: type[Component]) -> type[Component]:
 
 
 def _nothing_for(hook: Callable[..., object]) -> Callable[..., None]:
-    """A hook that does nothing. It wraps the original: no other may stand where a state machine runs."""
+    """A hook that does nothing. It wraps the original hook: a state machine accepts no other."""
 
     @wraps(hook, updated=())
     def nothing(*_: object) -> None:

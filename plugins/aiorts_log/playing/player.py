@@ -1,7 +1,7 @@
 """Plays a recording: sends each sample when it is due; can be paused, stepped and moved meanwhile.
 
 `schedule` decides when a sample is due, `read_ahead` which is next; the player waits. A slow receiver delays the
-samples behind, in order; none is left out.
+samples after, in order; none is left out.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Send: TypeAlias = Callable[[Any, Any], Awaitable[None]]
 _AT_ONCE: Final = 8
 """Samples between two turns of the loop: the default length of a connector's buffer."""
 _LONGEST_SLEEP: Final = 100_000 * 1_000_000_000
-"""Nanoseconds; more of them cannot be exact as seconds in a float."""
+"""Nanoseconds of the longest sleep; more of them cannot be exact as seconds in a float."""
 _PAUSE: Final = 0.001
-"""Seconds after a pass that took no time: endless passes would otherwise stop simulated time."""
+"""Seconds of a pause after a pass that took no time: endless passes would otherwise stop simulated time."""
 _STAMP_LIMIT: Final = 2**32 * 1_000_000_000
 
 
@@ -59,8 +59,8 @@ class Player:
     """One replay of a recording, from its activation to its end.
 
     Args:
-        reading: what is played.
-        playing: how.
+        reading: the recording that is played.
+        playing: the options.
         clock: whose time it keeps; sleep: waits for seconds of it.
         send: sends a sample, and may wait; by default it writes to the target, an out-port.
         notify: called with a sentence about a problem found.
@@ -100,7 +100,7 @@ class Player:
         """Targets that got samples since the last turn of the loop."""
         self._before: Any = None
         self._moment = -1
-        """Target and log time of the sample before."""
+        """Target and log time of the last sample."""
         if playing.paused:
             self._schedule.pause(clock.monotonic_ns())
 
@@ -149,7 +149,7 @@ class Player:
         """Play the recording to its end.
 
         Raises:
-            RecordingError: it cannot be opened, or not be read to its end; samples before were sent.
+            RecordingError: it cannot be opened, or not read to its end; the samples before that were sent.
         """
         self._task = asyncio.current_task()
         try:
@@ -191,7 +191,7 @@ class Player:
                 await self._ahead.begin(None)
 
     async def _is_over(self) -> bool:
-        """Wait at the end while it is paused, since `seek` may go back. False when it did."""
+        """Wait at the end while the player is paused, since `seek` may go back. False when `seek` did."""
         while self.paused and self._target is None:
             self._changed.clear()
             await self._changed.wait()
@@ -259,7 +259,7 @@ class Player:
             self._sleeping = self._nudged = False
 
     def _wake(self) -> None:
-        """Interrupt the wait: the next due time has changed."""
+        """Interrupt the wait for the next sample: its due time has changed."""
         self._changed.set()
         if self._sleeping and not self._nudged and self._task is not None:
             self._nudged = True
@@ -309,10 +309,10 @@ class Player:
 
     @property
     def loses(self) -> bool:
-        """Whether the recording has samples that cannot be sent: its end is torn, or bytes are none of their type."""
+        """Whether the recording has samples that cannot be sent: its end is torn, or a sample is not of its type."""
         return self._ahead.loses
 
     @property
     def unreadable(self) -> int:
-        """Samples left out because they are none of their type."""
+        """The number of samples left out since they are not of their type."""
         return self._ahead.unreadable.count

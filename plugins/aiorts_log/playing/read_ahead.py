@@ -33,7 +33,7 @@ class Reading:
         open: opens it; raises RecordingError.
         routes: the target of the samples of a port, and their expected type, by the port's name.
         start: the first log time that is wanted, in ns; None is from its beginning.
-        end: the first that is not wanted any more.
+        end: the first log time that is not wanted any more.
     """
 
     open: Callable[[], Recording]
@@ -44,7 +44,7 @@ class Reading:
 
 @dataclass(slots=True)
 class Unreadable:
-    """The number of samples that are none of their type, and the error of the first."""
+    """The number of samples that are not of their type, and the error of the first."""
 
     count: int = 0
     first: str = ""
@@ -64,7 +64,7 @@ class ReadAhead:
     """The samples of one recording, from any log time.
 
     Args:
-        reading: what is read.
+        reading: the recording and the wanted samples.
         in_place: whether the caller's thread reads.
     """
 
@@ -89,7 +89,7 @@ class ReadAhead:
 
     @property
     def loses(self) -> bool:
-        """Whether the recording has samples that cannot be sent: its end is torn, or bytes are none of their type."""
+        """Whether the recording has samples that cannot be sent: its end is torn, or a sample is not of its type."""
         return self.unreadable.count > 0 or (self._reader is not None and self._reader.torn_bytes > 0)
 
     async def open(self) -> None:
@@ -102,7 +102,7 @@ class ReadAhead:
         await self._do(partial(self._begin, start))
 
     async def block(self) -> Block:
-        """The next block; the one behind it is read while this one is played."""
+        """The next block; the block after it is read while this one is played."""
         if self._executor is None:
             return self._read()
         loop, waiting = asyncio.get_running_loop(), self._next
@@ -190,7 +190,7 @@ class ReadAhead:
 
 
 def _goes_by_number(reader: Recording) -> bool:
-    """Whether times of a port go back while its numbers go on: its clock was set back, and the file's order is right.
+    """Whether a port's times go back while its numbers go on: its clock was set back, and the file's order is right.
 
     Chunks that overlap in time are no proof of that, since some writers make them in several threads.
     """

@@ -21,7 +21,7 @@ class Pace:
 
     Attributes:
         speed: recorded seconds in a second; inf is as fast as the readers take them.
-        rate: samples a second whatever their times are; None goes by their times.
+        rate: samples a second whatever their times are; None follows their times.
         max_gap: ns of log time without a sample after which the rest of a gap is left out.
 
     Raises:
@@ -41,7 +41,7 @@ class Pace:
 
     @property
     def unhurried(self) -> bool:
-        """Whether there is anything to wait for."""
+        """Whether no sample has to wait for its time."""
         return self.rate is not None or not math.isinf(self.speed)
 
     @property
@@ -64,7 +64,7 @@ class Schedule:
         position: log time from which it plays; None is that of the first sample.
 
     Attributes:
-        shift: ns that went by on the clock without being played, less those that were jumped over. A stamp to which
+        shift: ns of the clock in which nothing was played, less the ns that were jumped over. A stamp to which
             it is added goes on evenly through pauses, jumps and gaps, and at speed 1 keeps step with the clock.
     """
 
@@ -92,11 +92,11 @@ class Schedule:
         """Log time of the last sample that was sent, or where it began."""
         self._next: int | None = None
         self._number = 0
-        """Samples since the anchor, this one among them; for a rate."""
+        """Samples since the anchor, the taken one included; for a rate."""
         self._spacing = 0
-        """The difference of the last log time from the one before, where they differ."""
+        """The last difference between two successive log times that was not 0."""
         self._stopped: int | None = None
-        """The moment since which it is paused."""
+        """The moment since which the replay is paused."""
         self._allowed = 0
         self.shift = 0
 
@@ -106,12 +106,12 @@ class Schedule:
 
     @property
     def paused(self) -> bool:
-        """Whether samples wait, except those that were allowed."""
+        """Whether the replay is paused: samples wait, except those that `allow` let go."""
         return self._stopped is not None
 
     @property
     def last(self) -> int | None:
-        """Log time of the last sample sent, or where it began; None before that is known."""
+        """Log time of the last sample sent, or of the begin; None before that is known."""
         return self._last
 
     def position(self, now: int) -> int | None:
@@ -127,10 +127,10 @@ class Schedule:
     # -- sample by sample ------------------------------------------------------------------------------------------
 
     def take(self, log_time: int) -> int:
-        """Take the next sample; returns the ns of a gap before it that are left out.
+        """Take the next sample; return the ns of a gap before it that are left out.
 
-        When log times go back, the sample is due with the last one, later ones are counted from it, and the result is
-        negative.
+        When log times go back, the sample is due at once after the last one, later samples are counted from it, and the
+        result is negative.
         """
         last, most = self._last, self._pace.max_gap
         self._next = log_time
@@ -166,7 +166,7 @@ class Schedule:
         return self._anchor + -(-(self._next - self._log) * mul // div)
 
     def step(self, now: int) -> None:
-        """Let the sample taken go while it is paused; `shift` makes its stamp one of this moment."""
+        """Release the sample taken while the replay is paused; `shift` makes its stamp one of this moment."""
         if self._stopped is not None and self._next is not None:
             self._step_to(self._next, now)
             self._number = 0
@@ -188,7 +188,7 @@ class Schedule:
         self._last, self._next = taken, None
 
     def _step_to(self, taken: int, now: int) -> None:
-        """Count from the sample `taken` on, which was sent while it is paused."""
+        """Count from the sample `taken` on, which was sent during a pause."""
         self._hold(now)
         before = self.position(now)
         self.shift -= taken - (taken if before is None else before)
@@ -205,7 +205,7 @@ class Schedule:
             self._stopped = now
 
     def _forgive(self, now: int) -> None:
-        """Make a late sample due now, so that a call causes no burst of samples that were held up."""
+        """Make a late sample due now, so that a call does not release a burst of late samples."""
         if self._stopped is None and self._next is not None:
             late = max(0, now - self._due_at())
             self._anchor += late
@@ -222,19 +222,19 @@ class Schedule:
     # -- what else happens -----------------------------------------------------------------------------------------
 
     def pause(self, now: int) -> None:
-        """Let nothing be due from now on; does nothing while it is paused."""
+        """Let nothing be due from now on; do nothing if the replay is paused already."""
         if self._stopped is not None:
             return
         self._forgive(now)
         self._stopped, self._allowed = now, 0
 
     def resume(self, now: int) -> None:
-        """Go on where it was paused."""
+        """Continue where the replay was paused."""
         self._hold(now)
         self._stopped, self._allowed = None, 0
 
     def allow(self, count: int) -> None:
-        """Let that many samples go, one after the other, while it is paused; else it does nothing."""
+        """Release that many samples, one after the other, while the replay is paused; else do nothing."""
         if self._stopped is not None:
             self._allowed += count
 
@@ -250,7 +250,7 @@ class Schedule:
         self._next = None
 
     def again(self, first: int) -> None:
-        """Begin the next pass with a sample of that log time, spaced from the last as the last two of the pass were."""
+        """Begin the next pass with a sample of that log time, at the same distance as that of the last two samples."""
         if self._last is None:
             return
         spacing = self._spacing or _LONE_NS

@@ -10,7 +10,7 @@ import aiorts
 from aiorts import Microkernel
 
 _MOST: Final = 1000
-"""Components beyond which only names are listed: the description is made in one step of the loop."""
+"""Components beyond which only their names are listed: the description is made in one step of the loop."""
 
 
 def about_system(kernel: Microkernel, recorder: str, segment: int) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """`aiorts run --record FILE`: a service that records the samples of a whole system's out-ports.
 
 It takes each sample in the write itself, or soon on the loop where a thread writes, and hands it to a background
-recording. The system does not know the service: components, connections and the end of the run are as without it.
+recording. The system does not know the service: components, connections and the end of the run stay as they are.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ _TIME: Final = "%Y%m%dT%H%M%SZ"
 _FULL: Final = 0.75
 """The load of the queue from which writers have to wait."""
 _LENGTHS: Final = 8, 100_000
-"""Samples that a port may have unread while the disk is behind, or until the loop has a turn: at least, at most."""
+"""Samples that a port may have unread while the disk is behind, or until the loop has a turn: least, most."""
 _BYTES: Final = 2**26
 """Bytes that these samples may hold."""
 _AT_ONCE: Final = 100
-"""Small samples that are recorded between two checks for room; of others one."""
+"""Small samples that are recorded between two checks for room; large samples are checked one by one."""
 _MOST: Final = 1_000
 """The most samples that are taken of a port in one step of the loop."""
 _LOOK_AGAIN: Final = 0.005
 _OPEN_WITHIN: Final = 2.0
-"""Seconds that a start waits for the file, which is normally open at once."""
+"""The most seconds that a start waits for the file, which is normally open at once."""
 _PAUSE: Final = 0.001
 _LAST: Final = 0.2
-"""Seconds for the file to be closed when the kernel's time is over."""
+"""Seconds in which the file has to be closed when the kernel's own time for closing is over."""
 _MB: Final = 1_000_000
 _OLDEST: Final = 3600.0
 """Seconds until a chunk is written in virtual time: so many that only its size, the same in each run, decides."""
@@ -106,7 +106,7 @@ class _Tapped:
     room: int = 0
     """Samples that may be recorded before the next check for room."""
     busy: bool = False
-    """Whether it is being read: a read may let a waiting writer in, whose sample is notified then and read after it."""
+    """Whether the port is being read: a read may let a waiting writer go on, whose sample is read after it."""
     connector: Connector = None  # type: ignore[assignment] # it needs this to be made
 
     @property
@@ -121,7 +121,7 @@ class _Tapped:
         return [port.read_nowait() for _ in range(self.room)]
 
     def length_for(self, sample: Any) -> int:
-        """The buffer's length for samples like this one; 0 where it has about that length."""
+        """The buffer's length for samples like this one; 0 where the buffer has about that length."""
         least, most = _LENGTHS
         length = most if self.weigh is None else min(most, max(least, _BYTES // self.weigh(sample)))
         now = self.connector.profile.length
@@ -129,7 +129,7 @@ class _Tapped:
 
 
 class Beside(KernelService):
-    """Records what out-ports send, those of components that come later too; all of them, or those that a glob names."""
+    """Records what out-ports send: all of them or those that a glob names, also of components that come later."""
 
     name = "record"
     settings = RecordSettings
@@ -143,7 +143,7 @@ class Beside(KernelService):
         self._session: BackgroundRecording | None = None
         self._monotonic_ns, self._base = kernel.clock.monotonic_ns, 0
         self._lost = 0
-        """Samples that came too late or found no room before the recorder."""
+        """Samples that came too late, or found no room before they reached the recorder."""
         self._looking = self._refused = False
         self._closed = asyncio.Event()
 
@@ -253,7 +253,7 @@ class Beside(KernelService):
                 self._end_tap(one)
 
     def _end_tap(self, one: _Tapped) -> None:
-        """Record the samples left as far as there is room, and close the tap."""
+        """Record the samples left as far as there is room, and close the port's tap."""
         one.busy = True
         samples = one.connector.in_.drain()
         session = self._session
@@ -304,7 +304,7 @@ class Beside(KernelService):
 
     def _take(self, one: _Tapped, port: InPort[Any]) -> None:
         """Record the unread samples of a port, as far as there is room: its writers wait while the disk is behind."""
-        # Short: it runs in each write of the system.
+        # Keep this short: it runs in each write of the system.
         session = self._session
         if session is None or one.busy:
             return
@@ -342,7 +342,7 @@ class Beside(KernelService):
             self.kernel.loop.call_later(_LOOK_AGAIN, self._look)
 
     def _look(self) -> None:
-        """Go on with the samples that ports still have."""
+        """Record the samples that are still in the ports."""
         self._looking = False
         for one in tuple(self._taps.values()):
             self._take(one, one.connector.in_)

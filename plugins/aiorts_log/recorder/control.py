@@ -69,7 +69,7 @@ class BackgroundRecording:
 
     Args:
         path, options, metadata, attachments: see `RecordingWriter`.
-        owner: kept for the caller.
+        owner: stored for the caller, not used here.
         notify: called in the thread with each notice; it must not wait.
         after: a recording that must be closed before this one is opened; its file, if it is the same, is continued.
         make: opens the file.
@@ -110,7 +110,7 @@ class BackgroundRecording:
         self._lock = threading.Lock()
         self._writer: RecordingWriter | None = None
         self._direct: RecordingWriter | None = None
-        """The writer, while no batch waits that it has to get first."""
+        """The writer, while no batch waits that the writer has to get first."""
         self.failure: RecordingError | None = None
         self._remarks: Mapping[str, Any] = {}
         self._wake, self._ordered = threading.Event(), False
@@ -201,7 +201,7 @@ class BackgroundRecording:
 
     @property
     def lost(self) -> int:
-        """Samples that are not in the file, those of the recordings before included; 0 after a failure."""
+        """Samples that are not in the file, including those of the recordings before; 0 after a failure."""
         found = RecordingStatistics() if self.failure is not None else self.statistics
         return self._lost_before + sum(found.dropped.values()) + sum(found.refused.values())
 
@@ -232,7 +232,7 @@ class BackgroundRecording:
             self._wake.set()
 
     def wait_closed(self, seconds: float | None = None) -> bool:
-        """Block the thread until the file was closed, for at most `seconds`; returns whether it was."""
+        """Block the thread until the file is closed, for at most `seconds`; return whether it is."""
         closed = self._closed.wait(seconds)
         if closed and threading.current_thread() is not self._thread:
             self._thread.join(seconds)  # all it still does is to notify

@@ -21,7 +21,7 @@ class RecordingOptions:
         encoding: of the samples: "msgpack", or "json", which Foxglove shows as it is.
         existing: what to do when the file exists: "refuse", "append" or "overwrite".
         chunk: bytes after which a chunk is written.
-        age: seconds after which it is written in any case.
+        age: seconds after which a chunk is written in any case.
         sync: when to wait for the disk: "never" (a crash of the process loses nothing more), after each "chunk", or
             after each "record", which is then on the disk before the next is taken.
         queue: samples that may wait for the thread; queue_bytes: bytes that they may hold.

@@ -30,9 +30,9 @@ class PortState:
     encode: Callable[[Any], bytes] = bytes
     """A function that encodes records of the class `kind`."""
     split: Callable[[Any], tuple[bytes, bytes]] | None = None
-    """A function that encodes large records in two parts; None when that is no gain."""
+    """A function that encodes large records in two parts; None where two parts are no gain."""
     seen: type | None = None
-    """The class of the sample before; channel and sequence are those of its samples."""
+    """The class of the last sample; channel and sequence belong to samples of this class."""
     channel: int = 0
     sequence: int = 0
     next: dict[int, int] = field(default_factory=dict)
@@ -53,7 +53,7 @@ class PortState:
 
 
 def refuse(reasons: dict[str, int], why: str) -> None:
-    """Count a sample that was refused. Only the first reasons are kept apart: each may name a value."""
+    """Count a refused sample. Only the first reasons have counts of their own, since each may name a value."""
     why = why[:_LONGEST] if why[:_LONGEST] in reasons or len(reasons) < _REASONS else _OTHERS
     reasons[why] = reasons.get(why, 0) + 1
 

@@ -2,7 +2,7 @@
 
 The queue between them is bounded in samples and bytes; samples without room are counted. A chunk is written when it is
 full or old, so that at most `age` seconds or `chunk` bytes are at risk when the process is killed. The first write that
-fails ends the recording; the file stays whole up to there.
+fails ends the recording; the file stays whole up to that write.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _HELD: Final = 0.001
 """Seconds of work after which the thread releases the interpreter, checked every `_LOOK` bytes: other threads would
 wait 5 ms for it. With 150,000 samples a second, the p99 lateness of a loop at 100 Hz was 8.5 ms without it."""
 _YIELD: Final = 1e-5
-"""Seconds of that release; with 0 the thread mostly has the interpreter again before another one wakes up."""
+"""Seconds for which the interpreter is released; with 0 the thread mostly gets it back before another wakes up."""
 
 
 class RecordingWriter:
@@ -62,7 +62,7 @@ class RecordingWriter:
     """
 
     out: ClassVar[type[OutFile]] = OutFile
-    """The class that writes the format of the file; `encoder` encodes records for it."""
+    """The class that writes the file's format; `encoder` encodes records for that format."""
     encoder = staticmethod(encoder)
     splitter = staticmethod(splitter)
 

@@ -100,7 +100,7 @@ def cells_of(cls: type) -> Callable[[Any], list[str]]:
 
 
 def is_numbers(columns: Sequence[Column]) -> bool:
-    """Whether there are at least two, and each is a number that is the same in a record as in plain data."""
+    """Whether there are at least two columns, and each has a number that is the same in a record as in plain data."""
     return len(columns) > 1 and all(one.content in ("float", "int") and one.spelling != "datetime" for one in columns)
 
 
@@ -134,7 +134,7 @@ _PUT: Final[dict[str, Callable[[Any], str]]] = {
 
 
 def taker_of(cls: type, fields: Mapping[str, int], empty_is_nan: bool = False) -> Callable[[Sequence[str], int], Any]:
-    """A function that makes a record of a row.
+    """A function that makes a record from the cells of a row.
 
     Args:
         fields: the number of the cell for each field path; items of a number sequence as `data[0]`, `data[1]`, ...
@@ -144,7 +144,7 @@ def taker_of(cls: type, fields: Mapping[str, int], empty_is_nan: bool = False) -
         A function of the row and of the `tm` of a type that has one, where no cell gives it. It raises RecordError.
 
     Raises:
-        ConfigurationError: a field is not there, or has no cell.
+        ConfigurationError: a named field does not exist, or a needed one has no cell.
     """
     columns = {column.path: column for column in columns_of(cls)}
     places: dict[str, int | list[int]] = {}
@@ -188,7 +188,7 @@ def taker_of(cls: type, fields: Mapping[str, int], empty_is_nan: bool = False) -
 
 
 _Leaf: TypeAlias = Callable[[Sequence[Any]], Any]
-"""A function that makes one value of the cells of a row, followed by its time."""
+"""A function that makes one value from the cells of a row, which the row's time follows."""
 _TM: Final[dict[str, _Leaf]] = {"tm": lambda cells: cells[-1]}
 _TM_NESTED: Final[dict[str, _Leaf]] = {
     "tm.sec": lambda cells: cells[-1] // 10**9,

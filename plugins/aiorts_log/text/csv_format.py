@@ -65,7 +65,7 @@ class TableOptions:
 
 
 _RUNS: Final = re.compile(r"'*[=+\-@\x00-\x1f\x7f]")
-"""The beginning of a text that spreadsheets run as a formula, or of one that was defused."""
+"""The beginning of a text that spreadsheets run as a formula, or of a text that `defused` has changed."""
 
 
 def defused(text: str) -> str:
@@ -74,7 +74,7 @@ def defused(text: str) -> str:
 
 
 def original(cell: str) -> str:
-    """The text that `defused` was given."""
+    """The text that `defused` turned into this cell."""
     return cell[1:] if cell[:1] == "'" and _RUNS.match(cell, 1) else cell
 
 
@@ -90,7 +90,7 @@ _NEEDS: Final = re.compile(r'["\r\n#]')
 
 
 def time_of(text: str, unit: TimeUnit, offset: str = "0") -> int:
-    """Nanoseconds of a decimal number; finer digits are rounded. RecordError when it is none, or no log time."""
+    """Nanoseconds of a decimal number; finer digits are rounded. RecordError: the text is no number, or no log time."""
     text = text.strip()
     if not _DECIMAL.fullmatch(text):
         raise RecordError(f"expected a time in {unit}, got {text[:40]!r}" if text else f"expected a time in {unit}")

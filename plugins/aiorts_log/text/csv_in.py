@@ -57,7 +57,7 @@ class TableReader:
         bad: the rows left out with `skip_bad`, as line number and reason.
 
     Args:
-        target: what it is converted into, for the command that an error shows.
+        target: the file to convert into, for the command that an error shows.
         ports: names that were given without a type.
 
     Raises:
@@ -146,7 +146,7 @@ class TableReader:
         return shlex.join([str(self.path), str(target or "TARGET"), *named]) + more
 
     def _named(self) -> tuple[str, ...]:
-        """The ports that a table of several ports names; none where there may be others."""
+        """The ports that a table of several ports names; empty where there may be others."""
         if self.columns[:2] == (LOG_TIME, PORT):
             found = {original(row[1]): None for _, row in islice(self._rows, _LOOKED) if len(row) > 1}
             columns = self.columns[2:]
@@ -157,7 +157,7 @@ class TableReader:
         return tuple(found) if known else ()
 
     def _is_ours(self) -> bool:
-        """Whether it is a table of several ports as aiorts writes them."""
+        """Whether the table is one of several ports as aiorts writes them."""
         return self.columns[:2] == (LOG_TIME, PORT) and PORT not in self.options.columns
 
     def _column(self, name: str, option: str) -> int:
@@ -168,7 +168,7 @@ class TableReader:
         raise ConfigurationError(f"{option}: {self.path} has no column {name[:_QUOTED]!r}; it has {there}")
 
     def _number(self, name: str) -> int:
-        """The number of the column of that name, or else of the only one that has it between blanks; -1 for none."""
+        """The number of the column of that name, or of the only column with that name between blanks; -1 for none."""
         if name in self.columns:
             return self.columns.index(name)
         found = [number for number, column in enumerate(self.columns) if column.strip() == name]
@@ -218,7 +218,7 @@ class TableReader:
         return _Port(port, numbers, texts, take, has_tm(cls))
 
     def _line(self) -> str:
-        """The next line; one that is longer than is allowed is an error."""
+        """The next line; a line longer than allowed is an error."""
         try:
             line = self._stream.readline(LONGEST)
         except OSError as error:

@@ -1,7 +1,7 @@
 """Reads a recording in lines of text, with the interface of `RecordingReader`; each format parses its own lines.
 
 The file is read once, in blocks, when it is opened: for ports, times, counts, and places to look for a time. Lines have
-no checksum: the reader finds lines that cannot be parsed, a last line that is torn, and an end with another count.
+no checksum: the reader finds lines that cannot be parsed, a torn last line, and an end report with another count.
 """
 
 from __future__ import annotations
@@ -76,12 +76,12 @@ class _Runs:
         self._open = [at, time, time]
 
     def skip(self, at: int) -> None:
-        """Pass over a line without a sample; many of them end the piece, which could have any size otherwise."""
+        """Pass over a line without a sample; many such lines end the piece, which could have any size otherwise."""
         if self._open and at - self._open[0] >= _PIECE:
             self.end(at)
 
     def end(self, at: int) -> None:
-        """End the open piece there."""
+        """End the open piece at this offset."""
         if self._open:
             begin, low, high = self._open
             self.pieces.append(Piece(low, high, begin, at - begin, chunk=False))
@@ -89,7 +89,7 @@ class _Runs:
 
 
 def note(gaps: list[Gap], gap: Gap, *, apart: bool = False) -> None:
-    """Add a line that is no sample to the gaps; after very many, it widens the last one instead, unless `apart`."""
+    """Add a line that is no sample to the gaps. After very many gaps it widens the last one, unless `apart`."""
     if apart or len(gaps) < _MOST_GAPS:
         gaps.append(gap)
     else:
@@ -136,7 +136,7 @@ class FlatReader(Recording):
         raise NotImplementedError
 
     def whole(self, data: bytes) -> None:
-        """Check the bytes of a sample, as of a last line without an end. BadBytes when they are torn."""
+        """Check that the bytes of a sample are whole, as of a last line without an end. BadBytes when they are torn."""
         try:
             json.loads(data)
         except (ValueError, RecursionError) as error:
@@ -178,7 +178,7 @@ class FlatReader(Recording):
         return self._ports[self._ids.get(key) or self._define(key)]
 
     def lines(self) -> Iterator[bytes]:
-        """Every line as it is, without its end. DamagedError for one that is longer than is allowed."""
+        """Every line as it is, without its end. DamagedError for a line that is longer than allowed."""
         parts: list[bytes] = []
         at = held = 0
         self.complete = True

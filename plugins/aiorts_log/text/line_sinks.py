@@ -88,7 +88,7 @@ class LinesSink(_TextSink):
 
 
 class _Columns(NamedTuple):
-    """The cells of a port in a row: its type, the function that makes them, the cells before them, and their number."""
+    """The cells of a port in a row: the port's type, the function that makes them, the cells before, their number."""
 
     cls: type
     cells: Callable[[Any], list[str]]

@@ -64,7 +64,7 @@ class _Port(FlatPort):
         return take
 
     def plain(self, data: bytes) -> Any:
-        """The data of a line as they are. WireError for a line without."""
+        """The data of a line as they are. WireError for a line without data."""
         try:
             return _parsed(data)["data"]
         except (BadBytes, KeyError) as error:
@@ -72,14 +72,14 @@ class _Port(FlatPort):
 
 
 class LinesReader(FlatReader):
-    """Open JSON lines. DamagedError, when samples are read, for a line that is none."""
+    """Open JSON lines. DamagedError, when samples are read, for a line that is no sample."""
 
     encoding: ClassVar[str] = "jsonl"
     port_kind = _Port
     made_by: ClassVar[str] = "JSON lines"
 
     def head(self, line: bytes) -> Head:
-        """Port, type, time, and the line itself. BadBytes for one that is no sample."""
+        """Port, type, time, and the line itself. BadBytes for a line that is no sample."""
         if (begin := _BEGIN.match(line)) and (end := _END.search(line, begin.end())) and int(end[1]) < _LATEST:
             return Head(begin[0], int(end[1]), line)
         found = _parsed(line)

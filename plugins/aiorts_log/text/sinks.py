@@ -47,7 +47,7 @@ class Sink(Protocol):
 
 
 def record_of(sample: RecordedSample) -> Any:
-    """Decode a sample. RecordingError when its type is not loaded, DamagedError when the bytes are none of it."""
+    """Decode a sample. RecordingError when its type is not loaded, DamagedError when the bytes are not of it."""
     try:
         return sample.port.decode(sample.data)
     except RecordingError as error:

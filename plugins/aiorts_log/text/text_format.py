@@ -51,7 +51,7 @@ _PRINTED: Final = "# {}\n"
 
 
 def text_encode(record: Any) -> bytes:
-    """Encode a record for a line. RecordError when it cannot be."""
+    """Encode a record for a line. RecordError when the record cannot be encoded."""
     cls = type(record)
     if cls not in _templates:
         _templates[cls] = _template_of(cls)
@@ -107,7 +107,7 @@ def looks_like_text(first: bytes) -> bool:
 
 
 class TextReader(FlatReader):
-    """An open text recording. RecordingError when it is none, or of a newer version."""
+    """An open text recording. RecordingError when the file is none, or of a newer version."""
 
     made_by: ClassVar[str] = "text recording"
 
@@ -121,7 +121,7 @@ class TextReader(FlatReader):
             self.clean = False
 
     def head(self, line: bytes) -> Head:
-        """Port, log time and record of a line. BadBytes for one that is no sample."""
+        """Port, log time and record of a line. BadBytes for a line that is no sample."""
         parts = line.split(b"\t", 3)
         if len(parts) != 4:
             raise BadBytes(f"expected PORT, TYPE, TIME and DATA with tabs between them, got {_quoted(line)}")
@@ -153,7 +153,7 @@ class TextReader(FlatReader):
         return log_time
 
     def remark(self, line: bytes, number: int) -> None:
-        """Read comments of ours, about ports, the system and the end; all other comments are passed over."""
+        """Read comments that aiorts wrote, on ports, the system and the end; all others are passed over."""
         if number == 1 and (found := _VERSION.match(line)):
             self._has_first = True
             if int(found[1]) > MAJOR:
