@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A note on content of one form that the other lacks, or has differently."""
+    """A note on content of one form that the other form lacks or expresses differently."""
 
     where: str
     """FILE:LINE, or the name of a component."""

@@ -52,7 +52,7 @@ def check_free(output: str, *, force: bool) -> None:
 
 
 def tell(text: str, notes: Iterable[Note], output: str, *, as_json: bool) -> int:
-    """Print the notes, and the text where it is in no file; returns the exit status."""
+    """Print the notes, and the text if no file has it; return the exit status."""
     if as_json:
         _say_json(text, notes)
     else:

@@ -45,7 +45,7 @@ class Conf:
 
     path: Path
     entries: tuple[Entry, ...]
-    """In the order of the file; the last one of a key counts."""
+    """The entries, in the order of the file; of several entries of a key the last counts."""
 
     @cached_property
     def last(self) -> dict[str, Entry]:
@@ -58,7 +58,7 @@ class Conf:
         return default if found is None or not found.value else found.value
 
     def below(self, prefix: str) -> Iterator[tuple[str, Entry]]:
-        """The keys that begin with the prefix, without it, each with its entry."""
+        """The keys that begin with the prefix, each without the prefix and with its entry."""
         for key, one in self.last.items():
             if key.startswith(prefix):
                 yield key[len(prefix) :], one

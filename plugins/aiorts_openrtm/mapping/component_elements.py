@@ -25,7 +25,7 @@ Entry = ComponentEntry | CompositeEntry
 
 
 def new_component(entry: Entry, data: Mapping[str, str], services: Sequence[str]) -> Element:
-    """A new component, without its contexts."""
+    """The element of a new component, without its contexts."""
     word = word_of(entry.type) if isinstance(entry, ComponentEntry) else _COMPOSITE
     parts = (
         *(made("DataPorts", name=name, ext_visible="true") for name in data),
@@ -68,7 +68,7 @@ def change_component(element: Element, old: Entry, new: Entry) -> Element:
 def _with_types(element: Element, sets: Mapping[str, Mapping[str, Any]], *, is_new: bool = False) -> Element:
     """A component with the types by which texts become values again, and an extra for values without such a type.
 
-    An old component without types is left so: its texts stand for the values that they mean.
+    An old component without types stays without: its texts stand for the values that they mean.
     """
     there = next((one for one in _sets(element) if one.get(one.space, "id") == _TYPES), None)
     old = {} if there is None else {one.get(one.space, "name"): one.get(one.space, "data") for one in there.elements()}
@@ -94,7 +94,7 @@ def _with_types(element: Element, sets: Mapping[str, Mapping[str, Any]], *, is_n
 
 
 def _with_set(element: Element, name: str, old: Mapping[str, Any], new: Mapping[str, Any] | None) -> Element:
-    """A component with the values of one set changed; None takes the set away."""
+    """A component with the values of one set changed; None removes the set."""
     there = next((one for one in _sets(element) if one.get(one.space, "id") == name), None)
     if new is None:
         return element.edited(lambda child: None if child is there else child)
@@ -162,7 +162,7 @@ def change_contexts(element: Element, contexts: Sequence[ContextEntry]) -> Eleme
 
 
 def with_property(element: Element, name: str, value: Any) -> Element:
-    """An element with another value of an extra; None takes the extra away."""
+    """An element with another value of an extra; None removes the extra."""
     there = [one for one in element.elements() if one.local == "Properties" and one.get(one.space, "name") == name]
     if value is None:
         return element.edited(lambda child: None if child in there else child) if there else element

@@ -1,6 +1,6 @@
 """`rtc.conf`, or the `.conf` of one component, as the profile of the system that a manager would make of it.
 
-Keys that act: modules, precreate, preconnect, preactivation, naming formats, execution contexts, and keys of
+Keys that have an effect: modules, precreate, preconnect, preactivation, naming formats, execution contexts, and keys of
 components. All others are noted with their line. No variable of the environment is looked up, and no module loaded.
 """
 
@@ -42,7 +42,7 @@ _ACTS: Final = frozenset(
 _TAKEN: Final = frozenset(
     {*_BASICS, "configuration.active_config", "execution_contexts", "naming.formats", "config_file"}
 )
-"""Keys of a component that act here, or that its profile states."""
+"""Keys of a component that have an effect here, or that its profile states."""
 _OF_COMPONENTS: Final = ("conf.", "configuration.", "exec_cxt.", "execution_contexts", "ec.", "port.")
 _EC: Final = re.compile(r"\s*([\w.]+)\s*(?:\(\s*([\w.-]*)\s*\))?\s*")
 _COMMA: Final = re.compile(r",(?![^()]*\))")
@@ -114,7 +114,7 @@ class _Reader:
         self._is_manager = is_of_manager(conf)
 
     def whole(self) -> ConfSystem:
-        """The system."""
+        """The whole system that the file describes."""
         components = list(self._created() if self._is_manager else self._single())
         if len(components) > MOST:
             raise OpenRTMError(f"{self._conf.path}: more than {MOST} components")
@@ -183,7 +183,7 @@ class _Reader:
                 self._notes.append(Note(entry.where, f"{key} = {entry.value!r:.60}: nothing here acts on it"))
 
     def _keys_of(self, one: _Component, who: str) -> dict[str, Entry]:
-        """The keys of a type or instance: those of its file, replaced by those here."""
+        """The keys of a type or instance: those of its own file, replaced by those of this file."""
         mark = f".{who}."
         own: dict[str, Entry] = {}
         for key, entry in self._conf.last.items():
@@ -200,7 +200,7 @@ class _Reader:
         return {**({} if file is None else self._file_of(file)), **own}
 
     def _file_of(self, entry: Entry) -> dict[str, Entry]:
-        """The keys of a component's own file, which lies below a folder that may be named."""
+        """The keys of a component's own file, if it lies below a folder that may be named."""
         if ENVIRONMENT.search(entry.value):
             self._notes.append(Note(entry.where, f"{entry.value!r:.80}: no environment is looked up; write it out"))
             return {}
@@ -289,7 +289,7 @@ class _Reader:
     # -- contexts --------------------------------------------------------------------------------------------------
 
     def _contexts(self, components: list[_Component], active: frozenset[str]) -> dict[str, list[Element]]:
-        """The execution contexts of each component; a context of one name is shared."""
+        """The execution contexts of each component; components share a context by its name."""
         found: dict[str, list[Element]] = {one.name: [] for one in components}
         shared: dict[str, list[tuple[_Component, str]]] = {}
         for one in components:
@@ -417,7 +417,7 @@ class _Reader:
     # -- what is left ----------------------------------------------------------------------------------------------
 
     def _entry(self, key: str) -> Entry:
-        """The entry of a key; one with an empty value where there is none."""
+        """The entry of a key; an entry with an empty value where the file lacks the key."""
         self._used.add(key)
         found = self._conf.last.get(key) or Entry(key, "", f"{self._conf.path}:1")
         self._note_environment(found)
@@ -439,7 +439,7 @@ class _Reader:
 
 
 def _connections_in(text: str) -> Iterator[str]:
-    """The connections of a list; a comma within parentheses is between the options of one."""
+    """The connections of a list; a comma within parentheses separates options of one connection."""
     return (part.strip() for part in _COMMA.split(text) if part.strip())
 
 

@@ -16,7 +16,7 @@ _DATAPORT: Final = "dataport."
 
 
 class _Row(NamedTuple):
-    """One option: its name here, the property that is written for it, and other properties with the same meaning."""
+    """One option: its name in aiorts, the property written for it, and other properties with the same meaning."""
 
     ours: str
     theirs: str
@@ -128,7 +128,7 @@ def options_of(one: RtsConnector, notes: list[Note]) -> dict[str, Any]:
 
 
 def _without_effect(found: dict[str, Any]) -> None:
-    """Take away options that have their default, and those without effect given the others."""
+    """Remove options that have their default, and options that have no effect given the others."""
     subscription = found.get("subscription", "flush")
     if subscription == "flush":
         for key in ("push", "push_rate", "skip", "out_length"):

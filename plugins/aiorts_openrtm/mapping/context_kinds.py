@@ -20,5 +20,5 @@ _KINDS: Final = {
 
 
 def kind_of(word: str) -> str:
-    """The kind of aiorts for one of OpenRTM's, or for the kind that a profile states; "" for an unknown one."""
+    """The kind of aiorts for a kind of OpenRTM, or for the kind that a profile states; "" for an unknown kind."""
     return _KINDS.get(word.strip().lower(), "")

@@ -53,7 +53,7 @@ def exported(
     """The profile of a wanted system.
 
     Args:
-        profile: an old profile, of which all stays that does not differ; or an empty one.
+        profile: an old profile, in which all that does not differ stays; or an empty profile.
         ports: called when ports have to be known, since something is new.
         notes: gets a note on each thing that a profile cannot state.
     """
@@ -61,7 +61,7 @@ def exported(
 
 
 class _Exporter:
-    """Changes one profile."""
+    """Makes the changes to one profile."""
 
     def __init__(
         self, profile: RtsProfile, wanted: Wanted, types: Types, ports: Callable[[], Ports], notes: list[Note]
@@ -98,7 +98,7 @@ class _Exporter:
         return made if root is self._given else self._with_order_of_contexts(made)
 
     def _with_order_of_contexts(self, made: RtsProfile) -> RtsProfile:
-        """The profile with the order in which contexts start, where that is not the order of their owners."""
+        """The profile with the order in which contexts start, if it differs from the order of their owners."""
         root = with_property(made.element, f"{MARK}contexts", None)
         made = made if root is made.element else RtsProfile.of(root)
         found = list(imported(made, self._types).wanted.contexts)

@@ -15,7 +15,7 @@ _LONGEST: Final = 100_000
 
 
 def extra(properties: Mapping[str, str], key: str, kind: type, where: str, notes: list[Note]) -> Any:
-    """The value of an extra, of type `kind`; None where there is none, or none that can be read."""
+    """The value of an extra, of type `kind`; None where there is no extra, or its value cannot be read."""
     text = properties.get(MARK + key)
     if text is None:
         return None
@@ -30,7 +30,7 @@ def extra(properties: Mapping[str, str], key: str, kind: type, where: str, notes
 
 
 def extra_text(value: Any) -> str:
-    """The text of a value."""
+    """The text of a value, in JSON."""
     return json.dumps(_plain(value), ensure_ascii=False)
 
 

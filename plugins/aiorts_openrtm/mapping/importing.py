@@ -63,7 +63,7 @@ class _Importer:
         self._notes: list[Note] = []
         self._names: dict[str, str] = {}
         self._said: set[str] = set()
-        """The notes on types that were made; each is made once, at the first component."""
+        """The notes that were given on types; each is given once, at the first component of the type."""
         taken: set[str] = set()
         for one in profile.components:
             name = self._names[one.name] = named(one.name, taken)
@@ -74,7 +74,7 @@ class _Importer:
         self._members = {member: one.name for one in self._composites.values() for member in self._members_of(one)}
 
     def whole(self) -> Imported:
-        """The system."""
+        """The whole system that the profile describes."""
         profile = self._profile
         rules = self._rules()
         single = [one for one in profile.components if one.name not in self._composites]
@@ -185,7 +185,7 @@ class _Importer:
             raise OpenRTMError(
                 f"{one.where}: compositeType = {one.composite!r:.60}: expected None, {', '.join(COMPOSITES)}"
             )
-        # Old tools write compositeType at the members, too, which have no members of their own.
+        # Old tools write compositeType at the members, too, although members have no members of their own.
         return bool(self._members_of(one))
 
     def _members_of(self, one: RtsComponent) -> tuple[str, ...]:
@@ -297,7 +297,7 @@ class _Importer:
         return tuple(found)
 
     def _end(self, component: str, port: str) -> str:
-        """The path of a port; for a port that a composite exports, the member's. "" where there is none."""
+        """The path of a port; a port that a composite exports has the member's path. "" where there is no such port."""
         owner, dot, word = port.rpartition(".")
         if component in self._composites and dot and owner in self._names:
             return f"{self._names[owner]}.{word}"

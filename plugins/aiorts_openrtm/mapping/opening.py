@@ -40,7 +40,7 @@ def opened(path: Path, types: Types) -> Opened:
     """Read a file: a profile of a system in XML or YAML, `rtc.conf`, the `.conf` of a component, or `RTC.xml`.
 
     Raises:
-        OpenRTMError: it is none of these, or something in it is wrong; the message has the line.
+        OpenRTMError: the file is none of these, or has a fault; the message has the line.
         MissingExtra: the reader of its format is not installed.
     """
     kind = _kind(path)

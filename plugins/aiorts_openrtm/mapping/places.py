@@ -12,7 +12,7 @@ from aiorts_openrtm.markup.shapes import RTS, RTS_EXT
 
 
 def located(root: Element, names: Mapping[str, str], wanted: Wanted) -> Places:
-    """The places that a profile states; tools that place nothing write 0, 0, which states none.
+    """The places that a profile states; 0, 0 states none, since tools that place nothing write it.
 
     Args:
         names: the name in the system file of each component of the profile.

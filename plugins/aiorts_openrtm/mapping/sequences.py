@@ -36,7 +36,7 @@ def rules_of(
     rules: dict[str, StartRule] = {}
     steps = sorted(sequences.get(chosen, ()), key=lambda one: one.sequence)
     before: list[str] = []
-    """Components of the step before this one."""
+    """Components of the step before the present one."""
     now: list[str] = []
     number: int | None = None
     conditions = 0
@@ -72,7 +72,7 @@ def chosen_sequence(sequences: Mapping[str, tuple[RtsTarget, ...]]) -> str:
 
 
 def _without_circles(rules: dict[str, StartRule], notes: list[Note], word: str) -> dict[str, StartRule]:
-    """The rules without conditions by which components would wait for each other."""
+    """The rules, without conditions by which components would wait for each other in a circle."""
     done: set[str] = set()
     found: dict[str, StartRule] = {}
     left = dict(rules)

@@ -26,7 +26,7 @@ class Types:
     def inside(self, text: str, folder: Path | None = None) -> Path | None:
         """The real path of a file or folder that a text names; None outside of the folders that may be named.
 
-        It is looked for in each of them, or in one `folder`.
+        The text is looked for in each of these folders, or only in `folder`.
         """
         if "\0" in text:
             return None
@@ -61,7 +61,7 @@ class Types:
         return name, f"type {name!r}: {note or f'{missing} its folder (--module-path)'}"
 
     def stated(self, text: str) -> str:
-        """A type that a profile states itself, where it may be named; else ""."""
+        """The type that a profile states itself, if it may be named; else ""."""
         home, colon, name = text.rpartition(":")
         if not colon:
             return text if text.replace("_", "").replace("-", "").isalnum() else ""

@@ -21,7 +21,7 @@ _KINDS: Final[Mapping[str, type[bool] | type[int] | type[float]]] = {
     **dict.fromkeys(("float", "double", "long double"), float),
     **dict.fromkeys(("bool", "boolean"), bool),
 }
-"""The class of values here, by OpenRTM's name of a type; values of other types are texts."""
+"""The Python class of values, by OpenRTM's name of a type; values of other types are texts."""
 _LONGEST: Final = 100
 
 
@@ -63,13 +63,13 @@ def text_of(value: Any) -> str:
 
 
 def is_said(value: Any, kind: str) -> bool:
-    """Whether the text of a value is read as the same value again, of this type."""
+    """Whether the text of a value is read as the same value again, with this type."""
     again = typed(text_of(value), kind)
     return type(again) is type(value) and bool(again == value)
 
 
 def against(value: Any, constraint: str) -> str:
-    """The reason why a constraint refuses a value, or cannot be read; "" for none."""
+    """The reason why a value breaks a constraint, or why the constraint cannot be read; "" for none."""
     found = _refused(value, constraint)
     if found and isinstance(value, str) and (number := typed(value, "double")) != value:
         return _refused(number, constraint) and _refused(typed(value, "int"), constraint)

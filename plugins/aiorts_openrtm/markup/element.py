@@ -55,7 +55,7 @@ class Element:
         return any((one.space, one.local) == (space, local) for one in self.attributes)
 
     def elements(self, space: str = "", local: str = "") -> Iterator[Element]:
-        """The elements directly in it; only those of a name space and name, if given."""
+        """The elements directly in it; only those of a name space and name, if these are given."""
         for one in self.children:
             if isinstance(one, Element) and (not local or (one.space, one.local) == (space, local)):
                 yield one
@@ -66,7 +66,7 @@ class Element:
         return "".join(one for one in self.children if isinstance(one, str))
 
     def with_attribute(self, name: str, space: str, value: str | None) -> Element:
-        """The element with another value of an attribute, at its place or the end; None takes the attribute away."""
+        """The element with another value of an attribute, at its place or at the end; None removes the attribute."""
         local = name.rpartition(":")[2]
         new = Attribute(name, space, local, value or "")
         kept = []
@@ -89,7 +89,7 @@ class Element:
         """The element with other elements in it; texts, comments and the order of all others stay.
 
         Args:
-            change: gives the replacement of each element directly in it; None takes the element away, with the
+            change: gives the replacement of each element directly in it; None removes the element, with the
                 white space before it.
             added: new elements, each after the last element whose local name is in its list, else first.
         """

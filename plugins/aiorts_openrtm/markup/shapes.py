@@ -14,7 +14,7 @@ RTS_EXT: Final = "http://www.openrtp.org/namespaces/rts_ext"
 XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 ROOT: Final = "RtsProfile"
 EXT_MARK: Final = "rtsExt::"
-"""The beginning of a key of YAML that is not of the basic profile."""
+"""The beginning of YAML keys that are not of the basic profile."""
 
 LISTS: Final = frozenset(
     {
@@ -23,7 +23,7 @@ LISTS: Final = frozenset(
         *("PrecedingComponents", "Properties", "VersionUpLog", "VersionUpLogs", "Systems"),
     }
 )
-"""Elements that are a list in YAML, also where there is one."""
+"""Elements that are written as a list in YAML, even where there is only one."""
 LOWER: Final = frozenset(
     {"targets", "sourceDataPort", "targetDataPort", "sourceServicePort", "targetServicePort"},
 )
@@ -66,7 +66,7 @@ _SPACES: Final = (("rts", RTS), ("rtsExt", RTS_EXT), ("xsi", XSI))
 
 
 def before(local: str) -> tuple[str, ...]:
-    """The elements behind which an element stands among its siblings, itself included."""
+    """The elements after which an element stands among its siblings, itself included."""
     return _ORDER[: _ORDER.index(local) + 1] if local in _ORDER else _ORDER
 
 
@@ -137,7 +137,7 @@ def made_component(
 
 
 def made_set(name: str, data: Mapping[str, tuple[str, str]], where: str) -> Element:
-    """A new configuration set of values, each with its place."""
+    """A new configuration set with these values, and the place of each."""
     values = (made("ConfigurationData", name=key, data=value, where=place) for key, (value, place) in data.items())
     return made("ConfigurationSets", *values, id=name, where=where)
 

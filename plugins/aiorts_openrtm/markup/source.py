@@ -14,7 +14,7 @@ from aiorts_openrtm.errors import OpenRTMError
 LARGEST: Final = 10_000_000
 """The most bytes of a file."""
 DEEPEST: Final = 64
-"""The most elements, or tables and lists, inside each other."""
+"""The most levels of elements, or of tables and lists, inside each other."""
 _ENCODING: Final = re.compile(rb"""^<\?xml[^>]{0,200}?\bencoding\s*=\s*["']([A-Za-z0-9._-]{1,40})["']""")
 _KNOWN: Final = frozenset(
     codecs.lookup(name).name
@@ -52,7 +52,7 @@ def decoded(data: bytes, path: Path | str) -> str:
     """The text of the bytes, by their byte-order mark, else by an XML declaration, else as UTF-8.
 
     Raises:
-        OpenRTMError: the encoding is not known, or does not have the bytes; the message has the line.
+        OpenRTMError: the encoding is not known, or does not allow the bytes; the message has the line.
     """
     name = next((name for mark, name in _MARKS if data.startswith(mark)), "")
     if not name:

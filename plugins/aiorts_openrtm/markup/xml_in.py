@@ -57,7 +57,7 @@ def element_of_xml(text: str, path: Path | str) -> Element:
 
 
 class _Builder(handler.ContentHandler, handler.LexicalHandler):
-    """Makes the tree while the parser reads. It is the handler of comments, too."""
+    """Makes the tree while the parser reads; also handles comments."""
 
     def __init__(self, path: Path | str) -> None:
         super().__init__()
@@ -140,7 +140,7 @@ class _Builder(handler.ContentHandler, handler.LexicalHandler):
 
 
 class _Open:
-    """An element whose end has not come."""
+    """An element whose end was not read yet."""
 
     __slots__ = ("children", "element", "spaces")
 

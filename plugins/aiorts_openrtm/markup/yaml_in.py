@@ -27,7 +27,7 @@ from aiorts_openrtm.markup.source import DEEPEST
 
 MOST_ALIASES: Final = 100
 _MOST_AGAIN: Final = 100_000
-"""The most values that aliases repeat in all."""
+"""The most values that all aliases together repeat."""
 _PLAIN_TAGS: Final = ("!", *(f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "map", "seq")))
 _WORD: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]{0,99}")
 _DIGITS: Final = re.compile(r"\d{1,4}")
@@ -43,7 +43,7 @@ class _Node:
     where: str
     text: str | None = None
     plain: bool = False
-    """Whether the text stands there without quotes."""
+    """Whether the text stands in the file without quotes."""
     pairs: tuple[tuple[str, _Node], ...] | None = None
     items: tuple[_Node, ...] | None = None
     size: int = 1
@@ -102,7 +102,7 @@ def _element(local: str, node: _Node, *, ext: bool) -> Element:
 
 
 def _scalar(word: str, node: _Node) -> str:
-    """A value as XML has it."""
+    """The text of a value as XML has it."""
     text = node.text or ""
     if word in BOOLEANS and text.lower() in _TRUE | _FALSE:
         return "true" if text.lower() in _TRUE else "false"

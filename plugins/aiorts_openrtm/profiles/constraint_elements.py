@@ -58,7 +58,7 @@ _LIMITS: Final = ("LowerBoundary", "UpperBoundary")
 
 
 def _equals(element: Element) -> Iterator[str]:
-    """The values that a constraint allows, which names one value or several."""
+    """The values that a constraint of one value, or of several, allows."""
     kind = _only(element)
     condition = None if kind is None else _only(kind)
     if condition is None or condition.local not in ("propertyIsEqualTo", "Or"):

@@ -103,7 +103,7 @@ class RtcProfile:
     data_ports: tuple[RtcDataPort, ...]
     service_ports: tuple[RtcServicePort, ...]
     element: Element
-    """All that stood in the file."""
+    """The whole content of the file."""
 
     @property
     def id(self) -> str:
@@ -121,7 +121,7 @@ class RtcProfile:
 
     @classmethod
     def of(cls, root: Element) -> RtcProfile:
-        """The profile that a tree is; raises as `read` does."""
+        """The profile that a tree holds; raises as `read` does."""
         if (root.space, root.local) != (RTC, "RtcProfile"):
             raise OpenRTMError(f"{root.where}: expected an RtcProfile of {RTC}, got {root.name!r:.80}")
         basic = next(_below(root, "BasicInfo"), None)
@@ -222,5 +222,5 @@ def _number(element: Element, local: str) -> float:
 
 
 def _hook(action: str) -> str:
-    """ "OnStateUpdate" as "on_state_update"."""
+    """Turn "OnStateUpdate" into "on_state_update"."""
     return "".join(f"_{one.lower()}" if one.isupper() else one for one in action).lstrip("_")

@@ -68,7 +68,7 @@ class RtsComponent:
 
     @property
     def id_parts(self) -> tuple[str, str, str, str]:
-        """Vendor, category, type and version; "" for one that is not stated."""
+        """Vendor, category, type and version; "" for a part that is not stated."""
         parts = self.id.removeprefix("RTC:").split(":")
         if len(parts) in (1, 2):  # as old tools write it: "RTC:vendor.category.type:version"
             dotted = parts[0].rsplit(".", 2)
@@ -87,7 +87,7 @@ class RtsConnector:
     id: str
     name: str
     source: tuple[str, str]
-    """Component and port."""
+    """The component and the port of the first end."""
     target: tuple[str, str]
     is_data: bool
     values: Mapping[str, str]
@@ -123,20 +123,20 @@ class RtsProfile:
     version: str
     components: tuple[RtsComponent, ...]
     connectors: tuple[RtsConnector, ...]
-    """In the order of the file."""
+    """The connectors, in the order of the file."""
     sequences: Mapping[str, tuple[RtsTarget, ...]]
     """The sequences of the profile, by their names: "StartUp", "Activation", ..."""
     groups: tuple[str, ...]
     properties: Mapping[str, str]
     element: Element
-    """All that stood in the file."""
+    """The whole content of the file."""
 
     @classmethod
     def of(cls, root: Element) -> RtsProfile:
-        """The profile that a tree is.
+        """The profile that a tree holds.
 
         Raises:
-            OpenRTMError: it is no profile, or a value is impossible; the message has the line.
+            OpenRTMError: the tree is no profile, or a value is impossible; the message has the line.
         """
         if (root.space, root.local) not in ((RTS, ROOT), ("", ROOT)):
             raise OpenRTMError(f"{root.where}: expected an RtsProfile of {RTS}, got {root.name!r:.80}")
