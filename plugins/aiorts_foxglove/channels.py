@@ -45,7 +45,7 @@ class Kind:
         """The JSON of a sample that a tap gave, in the form of recordings in JSON.
 
         Raises:
-            WireError, RecordError: the item is no sample, or has no form in JSON.
+            WireError, RecordError: the item is no sample, or JSON cannot express it.
         """
         if "error" in item:
             raise RecordError(str(item["error"]))

@@ -14,7 +14,7 @@ from aiorts_foxglove.admission import ORIGINS
 from aiorts_foxglove.serving import Serving, goodbye
 
 _POLL: Final = 0.25
-"""Seconds between looks for a kernel that is waited for."""
+"""Seconds between looks for a kernel while the command waits for one."""
 
 
 def _kernels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
@@ -67,7 +67,7 @@ async def _serve(kernel: str, port: int, origins: frozenset[str], *, wait: bool)
 
 
 async def _found(word: str, *, wait: bool) -> AsyncClient:
-    """A session with the kernel that a word means; AiortsError where there is none, unless it is waited for."""
+    """A session with the kernel that a word names; AiortsError where there is none, unless it is waited for."""
     said = False
     while True:
         try:

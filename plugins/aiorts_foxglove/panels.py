@@ -1,7 +1,7 @@
 """The records that Foxglove's 3D and Image panels draw, with the schema of each and the values of its fields.
 
-A panel goes by the name of a schema and by its fields. A message of one of these types has the fields of its record,
-so that plots and tables have them, and in addition those of the schema.
+A panel recognises a schema's name and fields. A message of one of these types has the fields of its record, for plots
+and tables, and in addition those of the schema.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class Panel:
     name: str
     """The schema's name."""
     fields: Mapping[str, Any]
-    """JSON schemas of the fields that are added, or that take the place of one of the record."""
+    """JSON schemas of the fields that are added to the record's fields, or replace them."""
     values: Callable[[Any], Mapping[str, Any]]
     """The values of these fields."""
     left_out: str = ""
-    """A field of the record that is one of these under another name."""
+    """A field of the record that is left out, since one of `fields` has its value under another name."""
 
     def schema_with(self, schema: str) -> str:
         """The schema of the messages, from that of the records."""
@@ -53,12 +53,12 @@ class Panel:
 
 
 def panel_of(cls: type) -> Panel | None:
-    """The panel that draws the records of a type, or of one that it derives from; None where none does."""
+    """The panel that draws the records of a type, or of a type that it derives from; None where no panel does."""
     return next((PANELS[name] for name in map(full_name, cls.__mro__[:-1]) if name in PANELS), None)
 
 
 def _text(value: Any) -> str:
-    """The value as JSON. NaN and infinities, which JSON lacks, become 1e999 or -1e999: nothing is drawn there."""
+    """The value as JSON text. NaN and infinities, which JSON lacks, become 1e999 or -1e999: nothing is drawn there."""
     if isinstance(value, dict):
         return "{" + ",".join(f"{json.dumps(key)}:{_text(one)}" for key, one in value.items()) + "}"
     if isinstance(value, list):
@@ -190,7 +190,7 @@ def _transform(record: Any) -> dict[str, Any]:
 
 
 def _camera_image(record: Any) -> dict[str, Any]:
-    """The fields of a camera image; without data where it is compressed, which a raw image is not."""
+    """The fields of a camera image; a compressed image has no data here, since a raw image is never compressed."""
     raw = record.format.lower() not in _COMPRESSED
     return {
         **_stamped(record),

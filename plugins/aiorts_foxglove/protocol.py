@@ -1,4 +1,4 @@
-"""The messages of Foxglove's WebSocket protocol, version 1, as far as a server that is only read has them."""
+"""The messages of Foxglove's WebSocket protocol, version 1, as far as a read-only server needs them."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def status(key: str, level: int, message: str) -> str:
 
 
 def remove_status(keys: Iterable[str]) -> str:
-    """The message that takes back the lines with these keys."""
+    """The message that removes the lines with these keys."""
     return _text("removeStatus", statusIds=list(keys))
 
 

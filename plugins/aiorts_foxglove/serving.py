@@ -51,7 +51,7 @@ class Serving:
     # -- the kernel ------------------------------------------------------------------------------------------------
 
     async def show(self, client: AsyncClient) -> str:
-        """Show a kernel until it ends, and close the session; returns why the kernel ended."""
+        """Show a kernel until it ends, and close the session; return why the kernel ended."""
         async with aclosing(client):
             self._session = client.entry.name, client.entry.epoch
             self._trouble("kernel", "")
@@ -210,7 +210,7 @@ async def _send(connection: ServerConnection, viewer: Viewer) -> None:
 
 
 async def goodbye(listening: Listening) -> None:
-    """Give viewers time for the last line, and close; one that does not read is cut off."""
+    """Give viewers time for the last line, and close; a viewer that does not read is cut off."""
     if viewers := tuple(listening.connections):
         await asyncio.sleep(_GOODBYE)
     listening.close()

@@ -56,10 +56,10 @@ class Source:
         self._refused: set[str] = set()
         """Watched ports that cannot be tapped; tried again after the next look at what runs."""
         self._outdated = asyncio.Event()
-        """Whether the ports that run have to be asked for again."""
+        """Set when the ports that run have to be asked for again."""
 
     async def run(self) -> str:
-        """Look until the kernel has ended; returns why it has."""
+        """Follow the kernel until it ends; return the reason for its end."""
         why: list[str] = []
         try:
             async with self._tasks:

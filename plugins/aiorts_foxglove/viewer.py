@@ -72,7 +72,7 @@ class Viewer:
         self._bytes = sum(len(message) for _, message in self._samples)
 
     def say(self, key: str, level: int, text: str) -> None:
-        """Show a line in the place of the line with the same key; "" takes it back."""
+        """Show a line in the place of the line with the same key; "" removes it."""
         if text:
             self._statuses[key] = level, text[:500]
         elif key in self._shown or key in self._statuses:
