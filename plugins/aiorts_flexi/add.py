@@ -4,7 +4,7 @@
     type = "FlexiAdd"
     params.port = "TimedVelocity2D:2"     # input0 + input1 -> output
 
-With `wait = "last"` each sample that arrives makes a sum with the last known ones of the other inputs; an input without
+With `wait = "last"` each sample that arrives makes a sum with the last samples of the other inputs; an input without
 a sample since the activation counts as zero. With `wait = "all"` a sum takes one new sample of each input; samples
 without a partner wait in their connectors, within each connector's length and full policy.
 """
@@ -58,7 +58,7 @@ class FlexiAdd(FlexiComponent):
         return self.taking(self._use, cls, count, Summation(cls, values["overflow"]))
 
     def _use(self, cls: type, count: int, summation: Summation) -> None:
-        # An input that stays counts with its last sample, one that went counts no more.
+        # An input that stays counts with its last sample; a removed input counts no more.
         self._last = {number: sample for number, sample in self._last.items() if number < count and cls is self._type}
         self._type, self._sum = cls, summation
         self._inputs = [self.in_port(f"input{number}") for number in range(count)]

@@ -32,7 +32,7 @@ _LONGEST_SLEEP_NS: Final = 1_000_000_000
 _AT_ONCE: Final = 8
 """Continuous samples between two turns of the loop: the default length of a connector's buffer."""
 _UNHINDERED: Final = 1024
-"""Continuous samples without waiting after which a pause lets time and other components go on."""
+"""Continuous samples without waiting after which a pause lets simulated time and other components go on."""
 _PAUSE: Final = 0.001
 
 
@@ -44,10 +44,10 @@ class Orders:
     def __init__(self, parcels: list[Parcel], period: Fraction | None) -> None:
         self.parcels = parcels
         self.period = period
-        """Nanoseconds from one sample to the next; None is as soon as there is room."""
+        """Nanoseconds from one sample to the next; None: each is sent as soon as there is room."""
 
     def equal(self, parcels: list[Parcel], period: Fraction | None) -> bool:
-        """Whether these are the same orders; samples are compared by `repr`, since arrays have no truth value."""
+        """Whether these are the same samples and period; `repr` compares samples, as arrays have no truth value."""
         return self.period == period and repr(self.parcels) == repr(parcels)
 
 
@@ -225,7 +225,7 @@ class FlexiConst(FlexiComponent):
 
 
 def _type(text: str, name: str) -> tuple[type, int]:
-    """The type of a port, and the length that its sequence must have; 0 is any."""
+    """The type of a port, and the length that its sequence must have; 0 is any length."""
     if ":" not in text:
         return parse_type(text, name), 0
     spec = parse_port(text, name)

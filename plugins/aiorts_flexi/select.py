@@ -67,7 +67,7 @@ class FlexiSelect(FlexiComponent):
         super().__init__(name)
         self._chosen = self.initial
         self._initial = True
-        """Whether no selection has arrived since it was made."""
+        """Whether no selection has arrived since the component was made."""
 
     def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[Any] | OutPort[Any]]:
         cls, count, spec = self._specs(values)
@@ -131,7 +131,7 @@ class FlexiSelect(FlexiComponent):
             raise refused
 
     def _arrivals(self) -> Iterator[tuple[int, Any]]:
-        """The samples of this cycle in the order of `order`, selections as number -1."""
+        """The samples of this cycle, ordered by the parameter `order`; a selection has the number -1."""
         found = [(_NONE, sample) for sample in self._selecting.drain()]
         for number, port in enumerate(self._inputs):
             found += [(number, sample) for sample in port.drain()]
@@ -140,7 +140,7 @@ class FlexiSelect(FlexiComponent):
         return iter(found)
 
     def _select(self, value: int) -> bool:
-        """Apply a selection, or refuse it and keep the old one; returns whether anything changed."""
+        """Apply a selection, or refuse it and keep the old one; return whether anything changed."""
         number, before = int(value), self._chosen
         if 0 <= number < len(self._inputs):
             self._chosen, self._initial = number, False

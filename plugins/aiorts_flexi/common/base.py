@@ -1,7 +1,7 @@
 """The base class of the Flexi components: ports follow the parameters; tables describe the command line and the README.
 
-`ports_for` of a component gives the ports for any values of its parameters, and `check_configuration` the results that
-it derives from them. Both are computed before anything is changed, at its creation and while it runs.
+`ports_for` of a component gives the ports for any values of its parameters, and `check_configuration` the results
+derived from them. Both are computed before anything is changed, at its creation and while it runs.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class FlexiComponent(Component):
     options: ClassVar[tuple[Option, ...]] = (VERBOSITY,)
     """The options of its command line."""
     alone: ClassVar[Mapping[str, object]] = {"kind": "event"}
-    """The context of a component that runs alone; one without in-ports sends from its own task, at its own pace."""
+    """The context of a component that runs alone; without in-ports it sends from its own task, at its own pace."""
     interface: ClassVar[str] = ""
     """The names of the ports, for the documentation."""
 
@@ -50,7 +50,7 @@ class FlexiComponent(Component):
                 self.add_port(name, port)
 
     def taking(self, use: Callable[..., None], *worked_out: Any) -> Callable[[], None]:
-        """A result for `check_configuration`: it calls `use` with the values derived, and then logs the ports."""
+        """A result for `check_configuration`: a function that calls `use` with derived values, then logs the ports."""
         return partial(self._take, use, worked_out)
 
     def _take(self, use: Callable[..., None], worked_out: tuple[Any, ...]) -> None:
@@ -67,7 +67,7 @@ class FlexiComponent(Component):
         return cast("OutPort[Any]", self.ports[name])
 
     def log_ports(self) -> None:
-        """Log the ports if `verbosity` asks for it; called after they are made."""
+        """Log the ports if `verbosity` asks for that; called after the ports are made."""
         self._logged = tuple(self.ports)
         if self.verbosity >= 1:
             # One line: the log folds further lines of the same template.

@@ -1,6 +1,6 @@
 """Makes a sample of a type from a literal: its data alone, or fields by name, checked by the type itself.
 
-A field without a value has its default (zero or empty, where there is none). A value that does not fit is refused with
+A field without a value has its default, else it is zero or empty. A value that does not fit is refused with
 the path of its field: "TimedPose2D.data.position.x".
 """
 
@@ -59,7 +59,7 @@ def _has_data(cls: type[Any] | None) -> bool:
 
 
 def _merged(cls: type[Any], value: Any) -> Any:
-    """The plain form of a record of `cls` with these fields; the type itself refuses a value that is no mapping."""
+    """The plain form of a record of `cls` with these fields; `cls` itself refuses a value that is no mapping."""
     if not isinstance(value, dict):
         return value
     plain = to_plain(_default(cls))

@@ -53,7 +53,7 @@ def parse_literal(text: str, what: str = "constant") -> Any:
     """The value of a literal: None, bool, int, float, str, bytes, list (of a tuple too) or dict with text as keys.
 
     Raises:
-        TypedTextError: the text is no literal; it names the character of `what` that does not fit.
+        TypedTextError: the text is no literal; the error names the character of `what` that does not fit.
     """
     if len(text) > LONGEST:
         raise TypedTextError(
@@ -68,7 +68,7 @@ def parse_literal(text: str, what: str = "constant") -> Any:
 
 
 class _Reader(Scanner):
-    """Reads values at the present place in the text."""
+    """Reads values of a literal, from the present place in the text."""
 
     @property
     def next(self) -> str:
@@ -200,7 +200,7 @@ class _Reader(Scanner):
         return self.next == closing
 
     def comma(self, closing: str, start: int) -> int:
-        """Step over a comma; 0 where the end comes first."""
+        """Step over a comma and return 1; return 0 where `closing` comes first."""
         self.blanks()
         if self.next == ",":
             self.place += 1

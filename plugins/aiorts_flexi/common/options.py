@@ -20,7 +20,7 @@ class Option:
 
     Attributes:
         flags: the flags as they are typed, "-i", "--inputport".
-        param: the parameter it sets; "" when the command line itself handles it, as `help` describes.
+        param: the parameter that it sets; "" when the command line itself handles the option, as `help` describes.
         kind: "text" and "number" take one value, "repeat" collects the values of all its uses into a tuple, a "flag"
             takes
             none and sets `value`.
@@ -29,9 +29,9 @@ class Option:
         action: for a flag without parameter: a class method of the component that takes the parameters by name and
             gives
             the text to print, instead of a run.
-        bare: the value of an option that is given without one; "" when it needs one.
-        unless: the flag of another option with which it is not required; "" for none.
-        words: words that stand for a value of a parameter that has no text for it.
+        bare: the value when the option is given without a value; "" when it needs one.
+        unless: the flag of another option that makes this one not required; "" for none.
+        words: words for values that the parameter's own text cannot express.
     """
 
     flags: tuple[str, ...]

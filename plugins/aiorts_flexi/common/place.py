@@ -17,8 +17,8 @@ class TypedTextError(ConfigurationError):
 
     Args:
         what: the kind of text ("map", "input0").
-        expected: the content of a correct text there, or the reason of the refusal.
-        found: whether to show the text that stands there instead.
+        expected: the content of a correct text at the place, or the reason of the refusal.
+        found: whether to show the wrong text at the place, too.
     """
 
     def __init__(self, what: str, text: str, place: int, expected: str, *, found: bool = True) -> None:
@@ -47,11 +47,11 @@ class Scanner:
         return TypedTextError(self.what, self.text, self.place if place is None else place, expected)
 
     def blanks(self) -> None:
-        """Go behind blanks and ends of lines."""
+        """Skip blanks and ends of lines."""
         self.take(_BLANKS)
 
     def take(self, pattern: re.Pattern[str]) -> str | None:
-        """Take the match of a pattern at the place, and go behind it; None where there is no match."""
+        """Return the match of a pattern at the place, and move behind it; None where the pattern does not match."""
         match = pattern.match(self.text, self.place)
         if match is None:
             return None

@@ -57,13 +57,13 @@ class PortSpec:
         return f"data.{pin}"
 
     def special(self, pin: int | str) -> Any:
-        """The kind at a pin whose values may be absent, members of an enumeration, or moments; None for all others."""
+        """The kind at a pin whose values may be absent, or are enumeration members or moments; None for others."""
         path = self.pin_path(pin)
         found: Any = path_type(self.type, path) if path else None
         return found if getattr(found, "base", "") != getattr(found, "spelling", "") else None
 
     def _check(self, path: str) -> None:
-        """Raise RecordError for no such path, ConfigurationError if it leads through a record that may be absent."""
+        """Raise RecordError for a path that does not exist, ConfigurationError if a record on it may be absent."""
         path_type(self.type, path)
         for place in (match.start() for match in _STEPS.finditer(path)):
             found: Any = path_type(self.type, path[:place])
@@ -72,7 +72,7 @@ class PortSpec:
                 raise ConfigurationError(f"{where} is {found.spelling} and may be absent; no pin leads through it")
 
     def kind(self, pin: int | str) -> str:
-        """The kind of value at a pin ("f64", "str"). ConfigurationError when it is no single value."""
+        """The kind of value at a pin ("f64", "str"). ConfigurationError when the pin is no single value."""
         path = self.pin_path(pin)
         if isinstance(pin, int):
             return self.element
@@ -114,7 +114,7 @@ def parse_port(text: str, name: str) -> PortSpec:
 
 
 def port_of(cls: type, name: str, length: int) -> PortSpec:
-    """A port of this type; `length` is that of a sequence.
+    """A port of this type; `length` is the length of a sequence.
 
     Raises:
         ConfigurationError: the type has no pins, or not so many.

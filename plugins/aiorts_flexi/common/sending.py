@@ -19,7 +19,7 @@ _UNSUSPENDED: Final = 256
 
 
 class Sender:
-    """Sends samples together, for one component."""
+    """Sends the samples of one component's out-ports together."""
 
     __slots__ = ("_left",)
 
@@ -30,7 +30,7 @@ class Sender:
         """Write each sample to its port; False when a reader had to be waited for.
 
         Raises:
-            WriteTimeout: some connectors had no room in time, all are named; the other readers have their sample.
+            WriteTimeout: some connectors had no room in time; all are named. The other readers have their sample.
         """
         full = []
         for port, sample in parcels:

@@ -72,7 +72,7 @@ def _chosen(sample: Any, fields: Sequence[str]) -> Any:
 
 
 def full_path(cls: type, path: str) -> str:
-    """A field path of `cls`, looked for below its field `data` when the record itself has no such field."""
+    """A field path of `cls`; a path that the record does not have is looked for below its field `data`."""
     first = re.split(r"[.\[]", path, maxsplit=1)[0]
     names = {field.name for field in fields_of(cls)} if hasattr(cls, "__dataclass_fields__") else set()
     return f"data.{path}" if first not in names and "data" in names and first not in ("sec", "nsec") else path

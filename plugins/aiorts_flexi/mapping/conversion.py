@@ -1,6 +1,6 @@
 """Offers FlexiFilter's map as a converter of connections: `convert = "map 0>1000>0"`.
 
-The text is a map between one in-port and one out-port, both of number 0, and rules behind it, each after a blank:
+The text is a map between one in-port and one out-port, both of number 0, and then rules, each after a blank:
 `map 0:x>1000>0 overflow=saturate rounding=floor`. A sequence is as long as its last pin that the map names.
 """
 
@@ -25,7 +25,7 @@ _RULES: Final = ("rounding", "overflow", "combine", "clamp", "nan")
 
 
 def conversion(text: str, source: type[Any], target: type[Any]) -> Callable[[Any], Any]:
-    """A function that makes a sample of `target` of one of `source` by this map.
+    """A function that makes a sample of `target` from a sample of `source` by this map.
 
     A source without a time makes samples of time 0.
 

@@ -106,7 +106,7 @@ class FlexiFilter(FlexiComponent):
         self._taken: Counter[int] = Counter()
 
     def skip_bad(self, notify: Callable[[str, int, str], None]) -> None:
-        """Leave out samples that cannot be converted from now on; `notify` gets in-port, number from 1, and reason.
+        """From now on leave out samples that cannot be converted; `notify` gets in-port, number from 1, and reason.
 
         For a source that feeds the in-ports one after the other, such as a filter of lines.
         """
@@ -140,7 +140,7 @@ class FlexiFilter(FlexiComponent):
         self._mapping, self._made_of = mapping, made_of
         self._in_ports = [self.in_port(spec.name) for spec in ins]
         self._out_ports = {spec.name: self.out_port(spec.name) for spec in outs}
-        # Samples that were taken from a port that stays, and not sent yet, are sent by the new map.
+        # Samples that were taken from a port that stays, but not sent yet, are sent by the new map.
         self._waiting = [before.get(port, deque()) for port in self._in_ports]
 
     def on_initialize(self) -> None:

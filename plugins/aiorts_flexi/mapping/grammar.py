@@ -128,7 +128,7 @@ def _pin(scanner: _Scanner) -> Pin:
 
 
 def _factor(scanner: _Scanner) -> tuple[Number | None, Number | None]:
-    """Multiplier and offset; None for both when the number was the out-port."""
+    """Multiplier and offset; None for both when the number that was read is the out-port."""
     place = scanner.place
     found = scanner.take(_MULT)
     if found is None:

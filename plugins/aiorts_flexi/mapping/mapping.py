@@ -35,10 +35,10 @@ class Rules:
         rounding: from a fraction to an integer: "nearest" (halves to the even neighbour: 0.5 is 0, 1.5 and 2.5 are 2),
             "truncate" (toward zero) or "floor".
         overflow: "error", "saturate" or "wrap".
-        reset: the value of pins without new data; "" keeps their last one.
+        reset: the value of pins without new data; "" keeps their last value.
         zero_old: set pins without new data to 0, False or the empty text; `reset` may give another value.
         clamp: (low, high) for numbers; () is none.
-        nan: "pass", "error", or a number to replace it by.
+        nan: "pass", "error", or a number that replaces NaN.
         combine: the rule by which several entries to one pin make one value; "" allows one entry. "newest" is the
             value with the latest time, which is then the time of the pin.
         time: "oldest" or "newest" of the sources of a sample.
@@ -64,11 +64,11 @@ class Rules:
 
 @dataclass(slots=True)
 class _Route:
-    """One entry with its pins looked up."""
+    """One entry of the map, with its pins looked up."""
 
     entry: Entry
     read: Callable[[Any], Any]
-    """Reads the value at the entry's pin of a sample. RecordError when it is missing."""
+    """Reads the value at the entry's pin from a sample. RecordError when the value is missing."""
     kind: str
     timed: bool
     """Whether samples of the in-port have a time."""
@@ -100,7 +100,7 @@ class _Output:
     base: Any = None
     """A record with the values of the fields that no entry sets."""
     headed: bool = False
-    """Whether its header holds the time."""
+    """Whether the record's header holds the time."""
 
 
 class Mapping:
@@ -133,7 +133,7 @@ class Mapping:
         `now`, in ns, stamps samples whose sources have no time.
 
         Raises:
-            ConversionError: an entry's value cannot be converted, the entry is named; no sample of the round is sent.
+            ConversionError: the value of an entry, which is named, cannot be converted; no sample of the round is sent.
         """
         if len(self.inputs) == 1:  # values that a bad sample leaves, the next sample replaces
             return self._apply(samples, now)
@@ -239,7 +239,7 @@ class Mapping:
         if len(values) == 1:
             return values[0]
         if rule != "sum":
-            # NaN is neither less nor more than any number: it is the result, whichever entry gave it.
+            # NaN is neither less nor more than any number: the result is NaN, whichever entry gave it.
             unordered = [value for value in values if value != value]
             return unordered[0] if unordered else min(values) if rule == "min" else max(values)
         try:
@@ -375,7 +375,7 @@ def _exactly(number: float, mult: Number, off: Number) -> float:
 
 
 def _newest(found: Sequence[tuple[Any, int | None]]) -> tuple[Any, int | None]:
-    """Value and time of the latest entry; of equal times, or without time, those of the last that arrived."""
+    """Value and time of the latest entry; where times are equal or absent, of the entry that arrived last."""
     value, latest = found[0]
     for other, tm in found[1:]:
         if latest is None or tm is None or tm >= latest:

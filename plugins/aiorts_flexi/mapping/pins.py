@@ -15,7 +15,7 @@ _INTEGER: Final = re.compile("[iu](?:8|16|32|64)")
 
 
 def reader(spec: PortSpec, pin: int | str) -> Callable[[Any], Any]:
-    """A function that reads this pin of a sample; only the items of a sequence may be missing."""
+    """A function that reads this pin from a sample; only the items of a sequence may be missing."""
     path, special = spec.pin_path(pin), spec.special(pin)
     if not path:
         return lambda sample: sample

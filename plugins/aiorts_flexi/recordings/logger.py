@@ -34,11 +34,11 @@ _OF_THE_OTHER: Final = {
     "record": ("speed", "rate", "absolute", "begin", "end", "loop", "max_gap", "only", "skip", "remap", "strict"),
     "replay": ("encoding", "existing", "sync", "flush_age", "chunk", "queue", "rotate_size", "rotate_time", "min_free"),
 }
-"""Parameters without a meaning in a mode. Types and names are ignored in a replay, as by the original."""
+"""Parameters without a meaning in a mode. A replay ignores types and names, as the original does."""
 
 
 def _is_given(option: Option, value: object) -> bool:
-    """Whether an option of a parameter can have given it this value."""
+    """Whether a parameter's option can have set this value."""
     return option.kind != "flag" or option.value == value
 
 
@@ -46,11 +46,11 @@ class BasicOperations(Protocol):
     """Starts and stops a logger while it is active."""
 
     async def start(self) -> bool:
-        """Go on from now; returns whether it was stopped."""
+        """Continue from now on; return whether it was stopped."""
         ...
 
     async def stop(self) -> bool:
-        """Stop from now on; returns whether it was running."""
+        """Stop from now on; return whether it was running."""
         ...
 
 
@@ -61,11 +61,11 @@ class Role(Protocol):
     """
 
     def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[Any] | OutPort[Any]]:
-        """The ports for these values, which are of this mode; it changes nothing."""
+        """The ports for these values, which are of this mode; nothing is changed."""
         ...
 
     def check_configuration(self, values: Mapping[str, Any]) -> Callable[[], None]:
-        """Refuse values that contradict each other; returns a function to call once they and the ports are in force."""
+        """Refuse values that contradict each other; return a function to call once values and ports are in force."""
         ...
 
     def initialized(self) -> None:
@@ -85,11 +85,11 @@ class Role(Protocol):
         ...
 
     def start(self) -> bool:
-        """Start, as `BasicOperations.start`, between two cycles."""
+        """Start between two cycles, as `BasicOperations.start` does."""
         ...
 
     def stop(self) -> bool:
-        """Stop, as `BasicOperations.stop`, between two cycles."""
+        """Stop between two cycles, as `BasicOperations.stop` does."""
         ...
 
     async def wait_closed(self) -> None:

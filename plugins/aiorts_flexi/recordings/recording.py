@@ -35,16 +35,16 @@ if TYPE_CHECKING:
     from aiorts_flexi.recordings.logger import FlexiLogger
 
 _AT_ONCE: Final = 1000
-"""The most samples read of a port in one cycle when their writer can wait."""
+"""The most samples read from a port in one cycle when its writer can wait."""
 _PERIOD: Final = 1000
 """Default length of a connector: the samples of a 1 kHz source in one cycle of a 1 Hz context."""
 _FULL: Final = 0.75
-"""The load of the queue from which writers that can wait have to."""
+"""The load of the queue from which on writers that can wait have to wait."""
 _LOOK_AGAIN: Final = 0.005
 _SOON: Final = 0.005
 """Seconds that an activation waits on the loop for the file, which is normally open at once."""
 _LATE: Final = 0.5
-"""Seconds after which a failure to close is logged, unless the component's end requested the closing."""
+"""Seconds after which a failure to close is logged, unless the file is closed because the component ends."""
 _MB: Final = 1_000_000
 
 
@@ -109,7 +109,7 @@ class Recording:
         self._switch(self._enabled, paused)
 
     def _switch(self, enabled: bool, paused: bool) -> bool:
-        """Start or stop recording; earlier samples are treated as before. Returns whether that is a change."""
+        """Start or stop recording; earlier samples are treated as before. Return whether anything has changed."""
         before, now = self._enabled and not self._paused, enabled and not paused
         if before is not now and self._session is not None:
             self._take(record=before)
@@ -127,7 +127,7 @@ class Recording:
     # -- hooks -----------------------------------------------------------------------------------------------------
 
     def initialized(self) -> None:
-        """Refuse a file that cannot be written before anything runs; it is made when the component is activated."""
+        """Refuse a file that cannot be written, before anything runs; the file is made at the activation."""
         if self._logger.kernel.components.get(self._logger.name, self._logger) is not self._logger:
             return  # it replaces another instance, whose file it takes over (`take_over`)
         try:
@@ -230,7 +230,7 @@ class Recording:
             raise session.failure
 
     def take_over(self, old: Recording) -> None:
-        """Continue the recording of an instance whose code was replaced; its ports belong to this one by now."""
+        """Continue the recording of an instance whose code was replaced; its ports belong to the new one by now."""
         options = self._options
         vars(self).update({name: value for name, value in vars(old).items() if name != "_logger"})
         self._options, self._looking = options, False
@@ -272,14 +272,14 @@ class Recording:
             self._look_again()
 
     def _record_all(self, session: BackgroundRecording, number: int, samples: Sequence[Any], now: int) -> None:
-        """Record everything, in virtual time: it waits for the disk, ahead of which time would run."""
+        """Record all samples, in virtual time: it waits for the disk, else simulated time would run ahead of it."""
         for sample in samples:
             if session.load >= _FULL:
                 session.flush()
             session.write(number, (sample,), now)
 
     def _record_some(self, session: BackgroundRecording, number: int, port: InPort[Any], now: int) -> bool:
-        """Record as much as there is room for; returns whether samples were left in a port."""
+        """Record as many samples as there is room for; return whether samples were left in a port."""
         taken = 0
         while taken < _AT_ONCE and session.load < _FULL and port.is_new:
             session.write(number, (port.read_nowait(),), now)

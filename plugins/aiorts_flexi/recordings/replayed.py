@@ -27,16 +27,16 @@ class RecordedAs(NamedTuple):
 
     name: str
     keys: tuple[str, ...]
-    """Its channels: a port with records of a subclass has several."""
+    """The port's channels: a port with records of a subclass has several."""
     types: tuple[Any, ...]
     """The type of each channel; None where it is not loaded."""
     unknown: str
-    """The reason why one of the types is not loaded; "" when all are."""
+    """The reason why one of the types is not loaded; "" when all types are."""
     unit: str
 
 
 class Contents(NamedTuple):
-    """The content of a file that has to be known before it is replayed."""
+    """The facts on a file that have to be known before it is replayed."""
 
     path: Path
     stamp: tuple[int, ...]
@@ -55,7 +55,7 @@ class Replayed(NamedTuple):
 
 
 def look_into(path: Path, known: Contents | None = None) -> Contents:
-    """Read the content of a file; returns `known` if the file is unchanged.
+    """Read the content of a file; return `known` if the file is unchanged.
 
     Raises:
         ConfigurationError: the file cannot be read, or is no recording.
@@ -99,7 +99,7 @@ def _grouped(ports: Mapping[str, Any]) -> tuple[RecordedAs, ...]:
 def replayed_ports(
     contents: Contents, only: Sequence[str], skip: Sequence[str], remap: Sequence[str]
 ) -> dict[str, Replayed]:
-    """The out-ports by their names.
+    """The replayed out-ports by their names.
 
     Args:
         only: the wanted names in the recording; none is all.

@@ -1,6 +1,6 @@
 """The replaying role of FlexiLogger: a recording becomes out-ports, and its samples are sent when they are due.
 
-It keeps the time of the kernel's clock in a task of its own, in any context. At the end of the recording the component
+A task of its own, in any context, keeps the time of the kernel's clock. At the end of the recording the component
 finishes, which is no error.
 """
 
@@ -53,11 +53,11 @@ class Playback(Protocol):
         ...
 
     async def step(self, count: int) -> bool:
-        """Send the next `count` samples while it is paused; returns whether it is."""
+        """Send the next `count` samples while the replay is paused; return whether it is paused."""
         ...
 
     async def seek(self, seconds: float) -> float:
-        """Play from that many seconds after the first sample of the recording; returns the position."""
+        """Play from that many seconds after the first sample of the recording; return the position."""
         ...
 
     async def position(self) -> float:
@@ -90,7 +90,7 @@ class Plan:
 
     @property
     def first(self) -> int | None:
-        """The log time at which it begins; None is the first sample that is wanted."""
+        """The log time at which the replay begins; None is the first wanted sample's."""
         given = [time for time in (self.begin, self.position) if time is not None]
         return max(*given, self.contents.start) if given else None
 
@@ -265,15 +265,15 @@ class Replaying:
         return self._switch(False)
 
     def pause(self) -> bool:
-        """Pause, as `stop`."""
+        """Pause the replay, as `stop` does."""
         return self._switch(False)
 
     def resume(self) -> bool:
-        """Go on, as `start`."""
+        """Go on with the replay, as `start` does."""
         return self._switch(True)
 
     def step(self, count: int) -> bool:
-        """Send the next samples while it is paused; returns whether it is. ValueError for less than one."""
+        """Send the next samples while the replay is paused; return whether it is. ValueError for less than one."""
         if count < 1:
             raise ValueError(f"step: expected 1 or more samples, got {count}")
         player = self._playing("step")
@@ -281,7 +281,7 @@ class Replaying:
         return player.paused
 
     def seek(self, seconds: float) -> float:
-        """Play from that time on; ValueError for a position that is no time."""
+        """Play from that time on; ValueError for a number that is no time."""
         if not 0.0 <= seconds < 1e10:
             raise ValueError(f"seek: expected seconds after the first sample, got {seconds}")
         self._playing("seek").seek(self._start + round(seconds * _NS))
@@ -309,7 +309,7 @@ class Replaying:
         return self._put(player, enabled and not plan.paused)
 
     def _put(self, player: Player, running: bool) -> bool:
-        """Play or pause; returns whether that is a change."""
+        """Play or pause; return whether anything has changed."""
         if player.paused is not running:
             return False
         if running:
