@@ -143,7 +143,7 @@ def _command(found: Bench, values: dict[str, Any], own: dict[str, Any]) -> str:
 
 
 class _Benches(click.Group):
-    """The benches by name. One that cannot be imported fails only when it is called."""
+    """The benches by name. A bench that cannot be imported fails only when it is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(registry.names())

@@ -32,11 +32,11 @@ OWN: Final = {
     "scale": ("aiorts_bench.cases.scale", "One to ten thousand components and connectors."),
     "startup": ("aiorts_bench.cases.startup", "Importing aiorts, starting its command, a first system."),
 }
-"""The module, which has a `BENCH`, and one line of help, by name."""
+"""The module with the `BENCH`, and one line of help, by name of the bench."""
 
 
 def names() -> dict[str, str]:
-    """One line of help for each bench, by name, without importing any."""
+    """One line of help for each bench, by name; imports no bench."""
     found = {name: line for name, (_, line) in OWN.items()}
     for name, offers in Catalogue.default().extensions("benches").items():
         found.setdefault(name, f"Of {' and '.join(offer.source for offer in offers)}.")

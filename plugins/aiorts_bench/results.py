@@ -26,7 +26,7 @@ from aiorts_bench.harness.runner import Progress
 
 _FILE: Final = Path(__file__).resolve().parent / "RESULTS.md"
 SLACK: Final = 0.1
-"""Share by which an automated check lets an aim be missed."""
+"""The share by which an aim may be missed in an automated check."""
 _MARK: Final = re.compile(r"^<!-- part: (.+) -->\n", re.MULTILINE)
 _BESIDE: Final = "beside "
 
@@ -47,7 +47,7 @@ class Part:
 
     @property
     def name(self) -> str:
-        """Its name for `--only` and in the file's marks."""
+        """The name of the part for `--only` and in the file's marks."""
         return " ".join((self.bench, *(f"--{name}" for name in self.extra or ())))
 
 
@@ -120,7 +120,7 @@ def compose(parts: Mapping[str, str]) -> str:
     )
     sections = [head, marked(names)]
     if beside:
-        # A part of its own: else `parts_of` would read this head as the end of the bench above it. Not read back.
+        # This head is a part of its own: else `parts_of` would read it as the end of the bench above. Not read back.
         sections.append(f"<!-- part: {_BESIDE}head -->\n## Beside OpenRTM-aist-Python\n\n{openrtm.HEAD}\n\n{beside}")
     return "\n\n".join(sections) + "\n"
 

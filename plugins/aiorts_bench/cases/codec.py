@@ -41,7 +41,7 @@ class Payload:
     """A record to encode, and the same values in the form that other codecs take.
 
     Attributes:
-        bare: a tuple for codecs that carry bytes; arrays are bytes. text: for JSON; arrays are lists.
+        bare: a tuple for codecs that carry bytes, with arrays as bytes. text: the form for JSON, with arrays as lists.
     """
 
     name: str

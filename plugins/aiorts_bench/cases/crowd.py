@@ -46,7 +46,7 @@ _FEW = 97
 
 
 async def measure(count: int, messages: int, *, trace: bool = False) -> dict[str, float | list[str]]:
-    """Create, connect, start, write through, and stop `count` components; returns seconds, bytes and ns."""
+    """Create, connect, start, write through, and stop `count` components; return seconds, bytes and ns."""
     await _first_ones()
     gc.collect()
     gc.freeze()

@@ -1,4 +1,4 @@
-"""`aiorts bench log`: samples into a file, which is then read and checked, next to bare writers of the same.
+"""`aiorts bench log`: samples into a file, which is then read and checked, next to bare writers of the same samples.
 
 All writers of MCAP have chunks of 64 KiB with checksums and without compression; records become bytes by the same
 codec. The recorder hands its samples to a thread: `loop` is the caller's time for the hand-over, the cost is the time
@@ -61,7 +61,7 @@ def _aiorts(path: Path, record: Any, count: int) -> int:
 
 
 def _bare(path: Path, record: Any, count: int) -> int:
-    """Write as the recorder's thread does, without its thread, queue, ages and counts."""
+    """Write as the recorder's thread does, but without a thread, queue, ages and counts."""
     outfile: Any = importlib.import_module("aiorts_log.mcap.outfile")
     encodings: Any = importlib.import_module("aiorts_log.mcap.encodings")
     encode = MsgpackCodec().encode
@@ -136,7 +136,7 @@ def _faults(path: Path, record: Any, count: int) -> tuple[str, ...]:
 
 
 def cases(folder: Path) -> tuple[Case, ...]:
-    """A case for each payload and each writer that is installed."""
+    """A case for each payload and each installed writer."""
     writers: list[tuple[str, str, Write, str, bool]] = [
         ("bare writer", "the same format from the same thread, without queue and counts", _bare, "", True),
         ("mcap", "the library of the format, in Python", _mcap, "mcap", False),

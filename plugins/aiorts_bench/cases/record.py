@@ -87,7 +87,7 @@ def _case(name: str, what: str, make: Callable[[], Any], bases: tuple[str, ...])
 
 
 CASES: Final = tuple(_case(*maker) for maker in _MAKERS)
-"""Baselines first; each cost includes one call of a lambda."""
+"""The cases, baselines first; each cost includes one call of a lambda."""
 
 
 def report(options: Options) -> Report:

@@ -23,9 +23,9 @@ TRACED: Final = Measure("traced each", "B")
 RESIDENT: Final = Measure("resident each", "B")
 """Memory of one component beyond the user's object, as growth of the resident set."""
 MESSAGE: Final = Measure("message", "ns")
-"""A message to one of a hundred components, while all the others are idle."""
+"""Cost of a message to one of a hundred components, while all the others are idle."""
 EVERY: Final = Measure("message, all", "ns")
-"""A message to each component in turn: its data has left the processor's cache when its turn comes again."""
+"""Cost of a message to each component in turn: its data has left the processor's cache before its turn."""
 _STEPS: Final = tuple(Measure(step, "ms", digits=1) for step in ("create", "connect", "start", "stop"))
 _AIMS: Final = {10_000: (Aim("", factor=5000.0), Aim("", factor=6144.0, measure=TRACED))}
 

@@ -22,13 +22,13 @@ class Adder(Protocol):
 
 
 class Both(Protocol):
-    """An interface as `Adder`, with a plain method."""
+    """An interface like `Adder`, but with a plain method."""
 
     def add(self, left: float, right: float) -> float: ...
 
 
 class Plain(Component):
-    """Answers in a plain method, one call at a time."""
+    """A provider that answers in a plain method, one call at a time."""
 
     service = Provided[Adder]()
     at_once = Provided[Both]()
@@ -38,7 +38,7 @@ class Plain(Component):
 
 
 class PlainConcurrent(Component):
-    """Answers in a plain method, without the entry lock."""
+    """A provider that answers in a plain method, without the entry lock."""
 
     service = Provided[Adder](concurrent=True)
 
@@ -47,7 +47,7 @@ class PlainConcurrent(Component):
 
 
 class Waiting(Component):
-    """Answers in a coroutine, which runs in a task of its own."""
+    """A provider that answers in a coroutine, which runs in a task of its own."""
 
     service = Provided[Adder]()
 
@@ -56,7 +56,7 @@ class Waiting(Component):
 
 
 class WaitingConcurrent(Waiting):
-    """Answers in a coroutine, without the entry lock."""
+    """A provider that answers in a coroutine, without the entry lock."""
 
     service = Provided[Adder](concurrent=True)
 
@@ -138,7 +138,7 @@ def called(
 
 
 async def one_after_another(caller: Caller, count: int) -> int:
-    """Make each call when the call before was answered."""
+    """Make each call after the call before was answered."""
     add = caller.adder.proxy.add
     began = perf_counter_ns()
     for _ in repeat(None, count):
@@ -201,7 +201,7 @@ CASES: Final = (
         )
     ),
 )
-"""Baselines first."""
+"""The cases, baselines first."""
 
 
 def report(options: Options) -> Report:

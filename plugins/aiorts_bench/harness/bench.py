@@ -29,8 +29,8 @@ class Options:
         notify: shows the user one line, such as how long the run will take.
         command: the command line that repeats the run.
         given: names of the options that were given, not taken from the defaults.
-        aimed: measure only cases that have an aim, and the baselines of those.
-        machine: the machine, described before the run, while the bench is no load yet.
+        aimed: measure only the cases that have an aim, and their baselines.
+        machine: a description of the machine, made before the bench puts a load on it.
     """
 
     quick: bool = False
@@ -74,7 +74,7 @@ class Options:
 
 
 def with_aims(cases: tuple[Case, ...]) -> tuple[Case, ...]:
-    """The cases that have an aim, and the baselines of those."""
+    """The cases that have an aim, and their baselines."""
     needed = {case.name for case in cases if any(aim.factor is not None for aim in case.aims)}
     while more := {aim.baseline for case in cases if case.name in needed for aim in case.aims} - needed - {""}:
         needed |= more  # baselines of baselines: ratios without an aim are taken, too

@@ -35,7 +35,7 @@ class Measure:
     percent: float = 50.0
 
     def of(self, readings: Sequence[Reading]) -> float | None:
-        """The figure of one round, or of a pool over several; None when the readings do not have it."""
+        """The figure of one round, or of a pool over several rounds; None when the readings lack it."""
         if self.pool is None:
             values = [reading.values[self.name] for reading in readings if self.name in reading.values]
             return sum(values) / len(values) if values else None
@@ -69,7 +69,7 @@ def tails(
 
 
 def percentile(values: Sequence[float], percent: float) -> float:
-    """The nearest-rank percentile of at least one value; for 50 the mean of the two in the middle."""
+    """The nearest-rank percentile of at least one value; for 50 the mean of the two middle values."""
     ordered = sorted(values)
     if percent == 50:
         half = len(ordered) // 2
@@ -79,7 +79,7 @@ def percentile(values: Sequence[float], percent: float) -> float:
 
 
 class Sense(StrEnum):
-    """On which side of the aim a ratio should lie."""
+    """The side of the aim on which a ratio should lie."""
 
     AT_MOST = "at most"
     """The ratio says how many times as bad the case is: it takes at most `factor` times what the baseline takes."""
@@ -183,7 +183,7 @@ class Reading:
 
     Attributes:
         values: figures by the name of their measure, in its unit.
-        messages: how many went through, or how often the case did what it counts.
+        messages: how many went through, or how many units of what the case counts.
         pools: single observations in nanoseconds by name ("latency", "age"); percentiles are taken of them.
         ledger: the connectors' ledger at the end; None where there is none, as for bare baselines.
         faults: what went wrong in words; each makes the bench end with status 1.
@@ -203,7 +203,7 @@ class Reading:
 
 
 Workload: TypeAlias = Callable[[int], "Awaitable[Reading] | Reading"]
-"""Does the work of a case a number of times and gives the reading; builds and tears down everything it needs. A plain
+"""Does the work of a case a number of times and returns the reading; sets up and ends all that it needs. A plain
 function may block and may start processes; a coroutine runs on the loop that is measured."""
 
 

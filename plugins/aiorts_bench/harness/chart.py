@@ -90,7 +90,7 @@ def drawable(figure: Figure) -> list[tuple[str, list[tuple[float, float, float, 
 
 
 def lines(figure: Figure) -> str:
-    """The chart of a figure; "" when it has no point."""
+    """The chart of a figure as SVG; "" when the figure has no point."""
     series = drawable(figure)
     points = [point for _, own in series for point in own]
     if not points:

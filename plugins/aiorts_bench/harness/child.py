@@ -12,15 +12,15 @@ from typing import Final
 
 PARENT: Final = Path(__file__).resolve().parents[3]
 """The folder on the child's path from which it imports this aiorts."""
-# Without bytecode each start would compile all modules; the others print, or wait for a terminal.
+# Bytecode is kept: else each start would compile all modules. The other variables print, or wait for a terminal.
 _DROPPED: Final = ("PYTHONDONTWRITEBYTECODE", "PYTHONPROFILEIMPORTTIME", "PYTHONINSPECT", "PYTHONSTARTUP")
 
 
 def run(words: Sequence[str], *, timeout: float, cwd: str | Path | None = None) -> str:
-    """Standard output of `python WORDS`.
+    """Run `python WORDS` and return its standard output.
 
     Raises:
-        OSError: it failed or took longer than `timeout` seconds; it has ended in any case.
+        OSError: the process failed or took longer than `timeout` seconds; it has ended in any case.
     """
     try:
         done = subprocess.run(  # noqa: S603 - our own interpreter, fixed words, no shell

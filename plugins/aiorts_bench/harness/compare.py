@@ -31,16 +31,16 @@ Document: TypeAlias = Mapping[str, Any]
 
 ALPHA: Final = 0.01
 LEAST: Final = 1.2
-"""A smaller factor is no change."""
+"""The least factor that counts as a change."""
 SECOND: Final = 1.1
-"""The least factor by which the second best round, and all rounds together, move."""
+"""The least factor by which the second best round, and all rounds together, have to move."""
 CALM: Final = 1.3
 """The factor by which the best three rounds may differ; beyond it the computer was too busy to judge a row."""
 FEWEST: Final = 4
 """Rounds of each run below which no row is judged."""
 _MACHINE: Final = ("commit", "aiorts", "python", "cpu", "cores", "system", "packages")
 _EXACT: Final = 20
-"""Rounds up to which the rank test counts all orders."""
+"""The most rounds for which the rank test counts all orders."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +195,7 @@ def _compared(row: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _samples(old: Mapping[str, Any], new: Mapping[str, Any], drift: float) -> _Pair:
-    """The two samples to compare of a row: its first ratio that both runs have, else the figure without the drift."""
+    """The two samples of a row to compare: its first ratio that both runs have, else the figure without the drift."""
     wanted = ("baseline", "measure", "sense", "times", "extra", "floor")
     before = {tuple(ratio[key] for key in wanted): ratio for ratio in old["ratios"] if ratio["baseline"]}
     for ratio in new["ratios"]:

@@ -1,4 +1,4 @@
-"""Describes the machine of a table of figures: commit, Python, processor, load. None stands for unknown."""
+"""Describes the machine of a table of figures: commit, Python, processor, load. None means unknown."""
 
 from __future__ import annotations
 

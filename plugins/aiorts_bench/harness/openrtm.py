@@ -1,8 +1,8 @@
 """Holds figures of OpenRTM-aist-Python 2.1.0 and writes a sentence that compares each with a figure of aiorts.
 
-They were measured once, in another run than any of aiorts: on 2026-11-21, Debian 12, Python 3.11.7, omniORBpy 4.2.5, a
+The figures were measured once, in a run of their own: on 2026-11-21, Debian 12, Python 3.11.7, omniORBpy 4.2.5, a
 guest with 2 virtual processors that was shared with other work; two rounds or three, all given. No ratio has them as
-its baseline: they give the order of magnitude.
+its baseline: they only give the order of magnitude.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Peer:
 
     @property
     def best(self) -> float:
-        """The best of their rounds."""
+        """The best of their figures."""
         return min(self.figures) if self.measure.better == "less" else max(self.figures)
 
 
@@ -155,7 +155,7 @@ def _short(ratio: float) -> str:
 
 
 def sentences(part: str, report: Report, peers: Iterable[Peer] = PEERS) -> list[str]:
-    """One sentence for each figure of theirs that has a row in `report`."""
+    """One sentence for each figure of OpenRTM-aist-Python that has a row in `report`."""
     found = []
     for peer in peers:
         if peer.part != part:

@@ -41,7 +41,7 @@ def check(file: Path) -> None:
     """Refuse a file that cannot be drawn, before anything is measured.
 
     Raises:
-        click.BadParameter: its name ends neither in .html nor in .png, its folder is missing, or matplotlib is.
+        click.BadParameter: its name ends in neither .html nor .png, or its folder or matplotlib is missing.
     """
     if file.suffix.lower() not in (".html", ".png"):
         raise click.BadParameter(f"{file}: expected FILE.html or FILE.png", param_hint="--plot")

@@ -74,7 +74,7 @@ class Ratio:
 
     @property
     def on_course(self) -> bool | None:
-        """Whether the median meets the aim; None when there is none."""
+        """Whether the median meets the aim; None when there is no aim."""
         return self.aim.met(self.measured.median)
 
     def plain(self) -> dict[str, Any]:
@@ -91,7 +91,7 @@ class Row:
 
     Attributes:
         messages: their number in all rounds together.
-        figures: by name, of the measure that is compared and of all columns; without those that no round gave.
+        figures: by name, for the measure that is compared and all columns; without figures that no round gave.
         ledger: the sum over all rounds; None where there is none.
         reported: faults in the readings of the rounds, each once.
     """
@@ -111,7 +111,7 @@ class Row:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Broken promises, such as a ledger that does not balance. A missed aim is none."""
+        """Broken promises, such as a ledger that does not balance. A missed aim is no fault."""
         where = self.case.name if self.loop == "none" else f"{self.case.name} on {self.loop}"
         faults = [f"{where}: {fault}" for fault in self.reported]
         if self.ledger is not None and not self.ledger.balanced:

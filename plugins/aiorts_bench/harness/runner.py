@@ -1,4 +1,4 @@
-"""Takes the rounds: each runs every case once and begins with another one; the garbage collector is off."""
+"""Takes the rounds: each runs every case once, each begins with another case; the garbage collector is off."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def measure(
     progress: Progress | None = None,
     beside: Beside | None = None,
 ) -> tuple[Row, ...]:
-    """Run every case `rounds` times and give one row for each.
+    """Run every case `rounds` times and return one row for each.
 
     Args:
         cases: in the order of the rows, the baselines of each among them.

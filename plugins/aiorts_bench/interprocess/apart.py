@@ -1,6 +1,6 @@
 """Components that `aiorts bench isolation` runs in processes of their own, and the bare process of the same work.
 
-`python -m aiorts_bench.interprocess.apart` reads lines with numbers: it does so much work, then prints the line.
+`python -m aiorts_bench.interprocess.apart` reads lines with numbers: it does so many pieces of work, then prints it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def work(pieces: int) -> int:
 
 
 class Through(Component):
-    """Writes what it reads; answers an empty array with the number of arrays before it and its processor time."""
+    """Sends back what it reads; answers an empty array with the number of arrays before it and its processor time."""
 
     inp = InPort(TimedDouble)
     out = OutPort(TimedDouble)

@@ -14,7 +14,7 @@ from aiorts_bench.interprocess.zenoh import Peer
 from aiorts_zenoh.engine import Inbox
 
 BATCHED: Final = "batched"
-"""The key of a stream as `MANY`, whose puts the engine may send together."""
+"""The key of a stream like `MANY`, whose puts the engine may send together."""
 FLOOD: Final = "flood"
 """The key that asks for a number of messages; they are counted in the engine's callback."""
 HANDED: Final = "handed"
@@ -46,7 +46,7 @@ class Express(Peer):
         self._subscribers.append(self._session.declare_subscriber(f"aiorts/bench/{key}", handler))
 
     def flood(self, key: str, sample: TimedDouble) -> None:
-        """Put as many messages as the sample says, from a thread of its own."""
+        """Put as many messages as the sample says, from a new thread."""
 
         def put() -> None:
             publisher = self.publisher(key)

@@ -40,7 +40,7 @@ def work() -> None:
 
 
 class Echo(Component):
-    """Writes what it reads."""
+    """Sends back what it reads."""
 
     inp = InPort(TimedDouble)
     out = OutPort(TimedDouble)
@@ -127,7 +127,7 @@ async def socket_pair(descriptor: str) -> AsyncIterator[None]:
 
 @asynccontextmanager
 async def zenoh(endpoint: str) -> AsyncIterator[None]:
-    """A session that sends records back, decoded and encoded on the loop as by the ends of a link."""
+    """A session that sends records back, decoded and encoded on the loop as the ends of a link do."""
     from aiorts_bench.interprocess.zenoh import ARRAYS, LARGE, MANY, SMALL, Peer, opened
 
     peer = Peer(opened("listen", endpoint), asyncio.get_running_loop().call_soon_threadsafe)
@@ -152,7 +152,7 @@ async def zenoh(endpoint: str) -> AsyncIterator[None]:
 
 @asynccontextmanager
 async def express(settings: str) -> AsyncIterator[None]:
-    """A session as of `zenoh`, but as a link over Zenoh has it: each put is sent at once, with the same hand-over."""
+    """A session like `zenoh`, but with a link's settings: each put is sent at once, with the same hand-over."""
     from aiorts_bench.interprocess.express import BATCHED, FLOOD, HANDED, Express
     from aiorts_bench.interprocess.zenoh import LARGE, MANY, SMALL
 
@@ -184,7 +184,7 @@ class _Count:
 
 @asynccontextmanager
 async def zmq(endpoint: str) -> AsyncIterator[None]:
-    """A socket of ZeroMQ that sends each message back, but only the last of a stream."""
+    """A socket of ZeroMQ that sends each message back, but of a stream only the last."""
     from aiorts_bench.interprocess.zeromq import LAST, STREAM, opened
 
     with opened("listen", endpoint) as sock:

@@ -41,7 +41,7 @@ class Asking(Component):
 
 
 class IsolatedEnds(Ends):
-    """The measurements on one loop: as `Ends`, with isolated components in the place of another kernel."""
+    """The measurements on one loop: like `Ends`, with isolated components in the place of another kernel."""
 
     def __init__(self, loop: str, *, peers: bool) -> None:
         super().__init__(loop, peers=peers)
@@ -77,7 +77,7 @@ class IsolatedEnds(Ends):
             await self.work(1)
 
     async def hop(self, count: int) -> Reading:
-        """Write a small sample, which the component writes back."""
+        """Write small samples, which the component writes back."""
         return await self.link(count)
 
     async def hop_large(self, count: int) -> Reading:
@@ -87,7 +87,7 @@ class IsolatedEnds(Ends):
     # -- work ------------------------------------------------------------------------------------------------------
 
     async def work(self, count: int) -> Reading:
-        """Give each component so much work at the same time."""
+        """Give each component `count` pieces of work at the same time."""
 
         async def one(asking: Asking) -> None:
             asking.out.write_nowait(TimedLong(0, count))
@@ -96,7 +96,7 @@ class IsolatedEnds(Ends):
         return await _together([one(asking) for asking in self._asking], count)
 
     async def bare_work(self, count: int) -> Reading:
-        """Give each bare process so much work at the same time."""
+        """Give each bare process `count` pieces of work at the same time."""
 
         async def one(process: Process) -> None:
             assert process.stdin is not None  # noqa: S101 - pipes
@@ -156,7 +156,7 @@ async def _together(works: Sequence[Awaitable[None]], count: int) -> Reading:
 async def _arrays(
     count: int, used: Callable[[], Awaitable[tuple[int, float]]], send: Callable[[], Awaitable[None]]
 ) -> tuple[int, Reading]:
-    """Send `count` arrays; returns how many the other end took, and both processes' processor time for each."""
+    """Send `count` arrays; return how many the other end took, and the processor time of both processes for each."""
     async with asyncio.timeout(PATIENCE + count / 10):
         _, there = await used()
         here, began = time.process_time(), time.monotonic()

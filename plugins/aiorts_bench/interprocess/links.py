@@ -58,7 +58,7 @@ def cases(ends: Ends) -> tuple[Case, ...]:
 def report_of(
     options: Options, bench: str, kind: type[AnyEnds], cases: Callable[[AnyEnds], tuple[Case, ...]], how: str
 ) -> Report:
-    """Measure the cases of ends of this kind on each loop, together with Zenoh where it is installed."""
+    """Measure the cases of ends of this kind on each loop, with Zenoh where it is installed."""
     zenoh = options.peers and find_spec("zenoh") is not None
     rows: tuple[Row, ...] = ()
     for loop in options.loops:

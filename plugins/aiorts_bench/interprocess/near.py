@@ -30,7 +30,7 @@ _POOL: Final = "latency"
 
 
 class Near(Component):
-    """The ports that are measured."""
+    """The ports at the measuring end of the links."""
 
     inp = InPort(TimedDouble)
     out = OutPort(TimedDouble)
@@ -58,7 +58,7 @@ class Far:
         """Wait until the process is ready.
 
         Raises:
-            OSError: it ended, or takes too long.
+            OSError: the process ended, or takes too long.
         """
         if await self._line() != "ready":
             raise OSError("aiorts bench links: its other process ended before it was ready")
@@ -233,7 +233,7 @@ class Ends:
             self._answer.set_result(record)
 
     async def zenoh(self, count: int) -> Reading:
-        """Put a small sample, which is put back."""
+        """Put small samples, which the other process puts back."""
         return await self._there_and_back(count, lambda: self._peer.put(SMALL, TimedDouble(0, 1.0)))
 
     async def zenoh_large(self, count: int) -> Reading:
@@ -280,7 +280,7 @@ class Ends:
             await near.large_in.read()
 
     async def link(self, count: int) -> Reading:
-        """Write a small sample, which is written back."""
+        """Write small samples, which the other kernel writes back."""
         return await self._echoed(self._near.out, self._near.inp, count, lambda: TimedDouble(0, 1.0))
 
     async def link_large(self, count: int) -> Reading:
@@ -324,7 +324,7 @@ class Ends:
         return Reading.timed(count, elapsed, ledger)
 
     async def idle(self, count: int) -> Reading:
-        """Measure the other process for `count` tenths of a second, with seven links over which nothing is written."""
+        """Measure the other process for `count` tenths of a second, while seven links carry nothing."""
         await asyncio.sleep(0.1)  # samples that were sent before are acknowledged
         before, began = await self._far.cpu_seconds(), perf_counter_ns()
         await asyncio.sleep(count / 10)
@@ -333,7 +333,7 @@ class Ends:
 
 
 def patience(count: int) -> asyncio.Timeout:
-    """A time-out that so many messages exceed only where one is lost."""
+    """A time-out that so many messages exceed only if one is lost."""
     return asyncio.timeout(PATIENCE + count / 10)
 
 

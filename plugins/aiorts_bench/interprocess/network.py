@@ -16,7 +16,7 @@ from aiorts_bench.harness.report import Report, Row
 from aiorts_bench.interprocess.networked import PLAIN, ROUTED, SECURED, BesideEnds, NetworkEnds
 
 WAYS: Final = (PLAIN, SECURED, ROUTED)
-"""The ways that are measured, each together with bare Zenoh over the same way; with --quick only the first."""
+"""The measured ways, each together with bare Zenoh over the same way; --quick measures only the first."""
 _TAIL: Final = tails("latency", 99.0)
 _P99: Final = _TAIL[0]
 _FASTER: Final = Sense.AT_LEAST

@@ -56,7 +56,7 @@ ROUTED: Final = Way("router: ", routed=True)
 
 
 class NetworkEnds(Ends):
-    """The measurements on one loop over one way: as `Ends`, each over the network."""
+    """The measurements on one loop over one way: like `Ends`, but over the network."""
 
     def __init__(self, loop: str, way: Way = PLAIN) -> None:
         super().__init__(loop, peers=True)
@@ -143,7 +143,7 @@ def _certificates() -> Iterator[str]:
 
 @contextmanager
 def _router() -> Iterator[str]:
-    """Run a router; yields the endpoint where it listens.
+    """Run a router; yield the endpoint where it listens.
 
     Raises:
         OSError: the router ended before it listened.

@@ -22,7 +22,7 @@ class Peer:
 
     Args:
         session: a session of Zenoh; see `opened`.
-        post: hands a call over to the loop: is given a function and its argument, in a thread of Zenoh.
+        post: hands a call over to the loop: called in a thread of Zenoh with a function and its argument.
     """
 
     def __init__(self, session: Any, post: Callable[..., object]) -> None:
@@ -38,7 +38,7 @@ class Peer:
         self._subscribers: list[Any] = []
 
     def put(self, key: str, record: Any) -> None:
-        """Publish a record; blocks while Zenoh takes nothing."""
+        """Publish a record; blocks while Zenoh accepts nothing."""
         head, parts = self._encode[type(record)](record)
         publisher = self._publishers.get(key)
         if publisher is None:

@@ -85,10 +85,10 @@ class CLoop:
     program: Path
 
     async def run(self, period_ns: int, count: int, *, priority: int | None = None) -> Ticks:
-        """Run the loop; with `priority` under SCHED_FIFO where it is granted.
+        """Run the loop and return its ticks; with `priority` under SCHED_FIFO where that is granted.
 
         Raises:
-            OSError: it could not be run, or gave no ticks.
+            OSError: the loop could not be run, or gave no ticks.
         """
         arguments = (str(period_ns), str(count), str(priority or 0))
         process = await asyncio.create_subprocess_exec(
@@ -110,7 +110,7 @@ class CLoop:
 
 
 def build(folder: str | Path) -> CLoop | str:
-    """Compile the loop into `folder`; returns a sentence with the reason where that fails."""
+    """Compile the loop into `folder`; return a sentence with the reason where that fails."""
     if sys.platform != "linux":
         return f"the C loop is written for Linux, not for {sys.platform}"
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)

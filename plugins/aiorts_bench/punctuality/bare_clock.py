@@ -112,7 +112,7 @@ def has_clock_nanosleep() -> bool:
 
 
 def take_priority(priority: int) -> bool:
-    """Put the calling thread under SCHED_FIFO, with 1 ns of timer slack; False when that is not granted."""
+    """Put the calling thread under SCHED_FIFO, with 1 ns of timer slack; False where the system refuses."""
     if sys.platform != "linux":
         return False
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)

@@ -31,7 +31,7 @@ from aiorts_bench.punctuality.ticking import (
 PRIORITY: Final = 50
 """SCHED_FIFO priority of the bare loops and of the real-time context, where it is granted."""
 TICKS: Final = 60
-"""Ticks of one round at scale 1."""
+"""The ticks of one round at scale 1."""
 _CROWDED_NS: Final = 20_000_000
 """Period of a context with 1,000 components: they would need most of 2 ms."""
 
@@ -117,7 +117,7 @@ def thread_cases(c_loop: CLoop | None, *, long: bool = True) -> tuple[Case, ...]
     nanosleep = partial(bare, partial(bare_clock.clock_nanosleep, priority=PRIORITY))
     cases = [_case("time.sleep", "bare: time.sleep in a thread", partial(bare, bare_clock.time_sleep))]
     if bare_clock.has_clock_nanosleep():
-        # Not with a busy loop, too: the interpreter's switch interval of 5 ms makes a few ticks take seconds.
+        # Not measured with a busy loop, too: the interpreter's switch interval of 5 ms makes a few ticks take seconds.
         what = "bare: the system call by ctypes in a thread, SCHED_FIFO if granted"
         cases.append(_case("clock_nanosleep", what, nanosleep))
     if c_loop is not None:

@@ -54,7 +54,7 @@ class LowPass:
         self._second: Any = 0.0
 
     def __call__(self, value: Any) -> Any:
-        """Filter the next value; a result that is an array is new each time, so that a record may take it over."""
+        """Filter the next value; an array as result is new each time, so that a record may own it."""
         self._first = self._first + self._share * (value - self._first)
         self._second = self._second + self._share * (self._first - self._second)
         return self._second
@@ -83,7 +83,7 @@ class ForceSensor(Component):
         self.force.write_nowait(TimedDoubleSeq(self.clock.time_ns(), wrench))
 
     def _converted(self, force_x: float) -> Any:
-        """The counts the converter reads: all six gauges with 50 Hz hum, in steps of the resolution."""
+        """The counts that the converter reads: all six gauges with 50 Hz hum, in steps of the resolution."""
         wrench = np.array((force_x, 0.0, 0.0, 0.0, 0.0, 0.0))
         hum = 0.001 * math.sin(2.0 * math.pi * 50.0 * self._cycle * PERIOD)
         self._cycle += 1

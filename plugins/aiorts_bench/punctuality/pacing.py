@@ -30,7 +30,7 @@ class Ticks:
         period_ns: the nominal period.
         due_ns, ran_ns: when each tick that ran was due, and when its code ran, by one clock.
         skipped: ticks left out, as the loop or the context counted them.
-        overruns: cycles that were not done when the next was due.
+        overruns: cycles that were not done when the next cycle was due.
         cpu_ns: processor time of the process meanwhile; 0 when unknown.
         counted: ticks that ran, as the context counted them; None for a bare loop.
     """
@@ -45,12 +45,12 @@ class Ticks:
 
     @property
     def lateness_ns(self) -> list[int]:
-        """How late each tick ran."""
+        """The lateness of each tick that ran."""
         return [ran - due for ran, due in zip(self.ran_ns, self.due_ns, strict=True)]
 
     @property
     def periods_ns(self) -> list[int]:
-        """The times from each tick to the next, where none was left out between them."""
+        """The times from each tick to the next, where no tick was left out between them."""
         return [
             later - earlier
             for (first, second, earlier, later) in zip(
@@ -66,7 +66,7 @@ class Ticks:
 
     @property
     def numbers(self) -> list[int]:
-        """The number of each tick that ran; those left out have numbers as well."""
+        """The number of each tick that ran; ticks left out have numbers as well."""
         start = self.due_ns[0]
         return [round((due - start) / self.period_ns) for due in self.due_ns]
 
@@ -112,8 +112,8 @@ class Timing:
     def of(cls, ticks: Ticks) -> Timing:
         """The figures of one series.
 
-        A loop that skips all the time has no two whole periods: then all intervals count, and deviate from the nominal
-        period.
+        A loop that skips all the time has no two whole periods: then the deviations of all intervals from the nominal
+        period count.
 
         Raises:
             ValueError: fewer than three ticks.
@@ -139,7 +139,7 @@ def best_deviation(
 ) -> float:
     """Standard deviation of the `share` of the periods that is nearest to the nominal one, at least two of them.
 
-    It is taken from their mean, or from `around`.
+    The deviation is counted from their mean, or from `around`.
     """
     nearest = sorted(periods_ns, key=lambda period: abs(period - nominal_ns))
     return statistics.pstdev(nearest[: max(2, math.floor(len(nearest) * share))], around)

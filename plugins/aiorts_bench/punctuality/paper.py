@@ -21,7 +21,7 @@ from aiorts_bench.punctuality.ticking import DEVIATION_BEST, EXECUTED, INTERVAL,
 TICKS: Final = 300
 """Ticks of one round at scale 1: enough for the arm to meet the wall and to rest there."""
 TABLE_1: Final = {"mean": 2.00, "min": 1.99, "max": 2.01, "deviation": 4.41}
-"""As printed in the paper: milliseconds, and microseconds for the standard deviation."""
+"""The figures printed in the paper: milliseconds, and microseconds for the standard deviation."""
 
 _MEAN: Final = Measure("period mean", "ms", digits=3)
 _MIN: Final = Measure("period min", "ms", "more", 3, "period", 0)

@@ -55,7 +55,7 @@ class Stamper:
         self._loop = asyncio.get_running_loop()
 
     def stamp(self, component: Component, due_ns: int | None = None) -> None:
-        """Record that the hook of `component` runs now, for the tick due at `due_ns`; None: as its context says."""
+        """Record that the hook of `component` runs now, for the tick due at `due_ns`; None: due as its context says."""
         now = component.clock.monotonic_ns()
         number = self.number
         self.number = number + 1
@@ -75,7 +75,7 @@ class Stamper:
             self.done.set_result(None)
 
     async def ticks(self, period_ns: int) -> Ticks:
-        """Wait until all ticks are recorded; TimeoutError when they do not come."""
+        """Wait until all ticks are recorded, and return them; TimeoutError when some do not come."""
         async with asyncio.timeout(30.0 + 10 * self.count * period_ns / 1e9):
             await self.done
         (before, began), (after, ended) = self.before, self.after
@@ -124,7 +124,7 @@ class StampedSensor(Stamped, ForceSensor):
 
 
 class Pacer(Component):
-    """Writes in each tick the moment at which it was due."""
+    """Writes, in each tick, the time at which the tick was due."""
 
     out = OutPort(TimedLongLong)
 
@@ -134,7 +134,7 @@ class Pacer(Component):
 
 
 class Paced(Stamped):
-    """Runs after each write of a `Pacer`."""
+    """A reader that runs after each write of a `Pacer`."""
 
     inp = InPort(TimedLongLong)
     received = 0
@@ -203,7 +203,7 @@ async def in_context(
 
 
 async def manipulator(make: MakeContext, count: int) -> Reading:
-    """Run the paper's four components in one context; faults where a ledger does not balance or the arm moves on."""
+    """Run the paper's four components in one context; faults: a ledger out of balance, an arm that still moves."""
     count = max(FEWEST, count)
     stamper = Stamper(count)
     async with Kernel() as kernel:
@@ -317,7 +317,7 @@ async def cycles(count: int) -> Reading:
 
 
 def _untimed(context: ExternalContext, cycles: int) -> tuple[str, ...]:
-    """The fault when not every hook ran once in each cycle and was timed."""
+    """The fault where hooks did not run once in each cycle, or were not timed."""
     hooks = context.statistics.hooks
     timed = [times.count for hook, times in hooks.items() if hook.endswith(".on_execute")]
     if timed == [cycles] * COMPONENTS:

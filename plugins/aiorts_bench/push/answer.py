@@ -15,7 +15,7 @@ POINTER: Final = (
 )
 _SIMPLEST: Final = ("flush", "new", "periodic")
 _LIKE: Final = 1.25
-"""Ages that differ by less are alike."""
+"""Ages that differ by less than this factor are alike."""
 _ALIKE_MS: Final = 0.2
 """Ages that differ by less than a wake-up on a busy machine are alike, too."""
 _EXPLAINED: Final = 0.35
@@ -39,7 +39,7 @@ class _Found:
 
     @property
     def judged(self) -> float:
-        """The age to compare: computed from buffer or phases where they are known, for a median has its luck."""
+        """The age to compare: computed from buffer or phases where these are known, since a median depends on luck."""
         if self.explained is not None:
             return 1000 * self.explained[0] / self.explained[1]
         return max(self.age, self.bound) if self.load.subscription == "periodic" else self.age
@@ -55,7 +55,7 @@ class _Found:
 
 
 def lines(measured: Iterable[tuple[Load, Row]]) -> tuple[str, ...]:
-    """For each pair of rates a line that explains the ages, where they have a rule; then a sentence for each pair."""
+    """For each pair of rates a line that explains the ages, where a rule does so; then a sentence for each pair."""
     groups: dict[tuple[object, ...], list[tuple[Load, Row]]] = {}
     for load, row in measured:
         if "age p50" in row.figures:  # else nothing was read
@@ -83,7 +83,7 @@ def _found(load: Load, row: Row, beside: list[Load]) -> _Found:
 
 
 def _buffered(load: Load, offered: float) -> tuple[int, float, str] | None:
-    """Length, rate and word of the buffer whose oldest value the reader takes; None when it does not fill."""
+    """Length, rate and word of the buffer whose oldest value the reader takes; None when the buffer does not fill."""
     taken = load.consumer_rate
     if taken is None:
         return None
@@ -132,7 +132,7 @@ def _explanation(found: list[_Found]) -> list[str]:
 def _answer(found: list[_Found]) -> str:
     every, taken = _every(found), found[0].load.consumer_rate
     behind = taken is not None and every > taken * 1.02
-    # A writer that was held up loses nothing, but offers less: its reader does not get all samples.
+    # A writer that waited loses nothing, but offers less: its reader does not get all samples.
     whole = [one for one in found if one.lost < 0.02 and one.offered > 0.95 * every]
     # When the reader waits for its next cycle, up to one period of an age is luck.
     luck = _ALIKE_MS if behind or taken is None else 1000 / taken
@@ -196,7 +196,7 @@ def _rates(one: _Found) -> str:
 
 
 def _options(load: Load) -> str:
-    """The options as they are written at `connect`."""
+    """The options of a load as they are written at `connect`."""
     options = load.options
     shown = ["subscription", *(["push"] if load.subscription != "flush" else [])]
     shown += [key for key, usual in (("full", "overwrite"), ("length", 8)) if options.get(key, usual) != usual]

@@ -20,7 +20,7 @@ PACE: Final = 0.005
 
 
 async def calls(count: int) -> Reading:
-    """Put into and take from a deque, by one Python call each."""
+    """Put messages into a deque and take them out, by one Python call each."""
     queue: deque[float] = deque()
 
     def put(item: float) -> None:
@@ -37,7 +37,7 @@ async def calls(count: int) -> Reading:
 
 
 async def queue_pair(count: int) -> Reading:
-    """Put into and get from an `asyncio.Queue` in one task, without waiting."""
+    """Put messages into an `asyncio.Queue` and get them in one task, without waiting."""
     queue: asyncio.Queue[float] = asyncio.Queue()
     put, get = queue.put_nowait, queue.get_nowait
     began = perf_counter_ns()

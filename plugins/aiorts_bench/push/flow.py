@@ -38,7 +38,7 @@ class Pose:
 
 
 Payload: TypeAlias = float | int
-"""A float is written as it is; a whole number stands for an array of that many bytes."""
+"""The payload of a message: a float as it is; a whole number stands for an array of that many bytes."""
 
 
 class Source(Component):
@@ -168,7 +168,7 @@ async def fan_out(count: int) -> Reading:
 
 
 async def pairs(count: int) -> Reading:
-    """Write from `FAN_OUT` writers in turn to one reader each: as many connectors, and as cold caches, as `fan_out`."""
+    """Write from `FAN_OUT` writers in turn, each to its reader: as many connectors and cold caches as `fan_out`."""
     turns = max(1, count // FAN_OUT)
     async with Kernel() as kernel:
         ends, connectors = [], []
@@ -195,7 +195,7 @@ async def _produce(source: Source, count: int, payload: Payload = 1.0) -> None:
 
 
 def tasks(payload: Payload = 1.0) -> Callable[[int], Any]:
-    """A workload: new/all without loss between two tasks that await."""
+    """A workload: `new` and `all`, without loss, between two tasks that await."""
 
     async def run(count: int) -> Reading:
         type_ = type(record(payload))

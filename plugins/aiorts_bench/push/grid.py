@@ -106,7 +106,7 @@ OPTIONS: Final = tuple(
 
 
 def chosen(options: Options) -> dict[str, str]:
-    """The lists that were given, by the name of their axis; empty when none was."""
+    """The lists that were given, by the name of their axis; empty when none were."""
     return {axis.name: text for axis in AXES if (text := options.extra.get(axis.name.replace("-", "_"))) is not None}
 
 
@@ -173,7 +173,7 @@ def plan(given: Mapping[str, str]) -> Plan:
 
 
 def _sensible(requested: Load) -> tuple[Load | None, dict[str, str], dict[str, str]]:
-    """The load without options that have no effect, the words shown for these, and the reasons by axis."""
+    """The load without options that have no effect, the words shown instead of these, and the reasons by axis."""
     kept, words, why = requested, {}, {}
     if requested.subscription == "periodic" and requested.push_rate is None:
         return None, {}, {"push-rate": "periodic without a push-rate is no connector"}

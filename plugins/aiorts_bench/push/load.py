@@ -113,7 +113,7 @@ async def _produce(source: Source, load: Load, ends: int) -> None:
 
 
 def workload(load: Load) -> Callable[[int], Any]:
-    """A workload: carry the load for that many milliseconds."""
+    """A workload: run the load for that many milliseconds."""
 
     async def run(milliseconds: int) -> Reading:
         type_ = type(record(load.payload))
@@ -199,7 +199,7 @@ _CURVES: Final = (
 def curves(rows: Iterable[Row], note: str = "", mark: float | None = None) -> tuple[Figure, ...]:
     """Figures over the producer's rate, with a line for each combination of the other axes.
 
-    There are none when no combination was measured at two rates.
+    There are no figures when no combination was measured at two rates.
     """
     lines: dict[str, list[tuple[float, Row]]] = {}
     for row in rows:

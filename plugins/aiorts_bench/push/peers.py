@@ -1,4 +1,4 @@
-"""Measures other libraries where installed: imported late, on the loopback alone, and left out when they fail."""
+"""Measures other installed libraries: imported late, on the loopback only, and left out when they fail."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from aiorts.errors import MissingExtra
 from aiorts_bench.harness.case import COST, RATE, Aim, Case, Reading
 
 PACKAGES: Final = {"reactivex": "reactivex", "zmq": "pyzmq", "zenoh": "eclipse-zenoh", "dora": "dora-rs"}
-"""The name of the distribution, by that of its module."""
+"""The name of each distribution, by the name of its module."""
 DORA: Final = "needs a coordinator, a daemon and a process for each node; it has no way of sending within one process"
 _FRAME: Final = struct.pack("<qd", 0, 1.0)
 """A time and a float: the message where objects cannot be passed."""
@@ -50,7 +50,7 @@ def _zmq_pair(endpoint: str, count: int, window: int) -> Reading:
     reader, writer = context.socket(zmq.PAIR), context.socket(zmq.PAIR)
     try:
         for end in (reader, writer):
-            # Else term() waits for messages that are never read.
+            # Without this, term() waits for messages that are never read.
             end.setsockopt(zmq.LINGER, 0)
             end.setsockopt(zmq.RCVTIMEO, int(_PATIENCE * 1000))
             end.setsockopt(zmq.SNDTIMEO, int(_PATIENCE * 1000))
