@@ -55,7 +55,7 @@ _HOOKS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class ReplaySettings:
-    """The recording that is replayed in the place of the components that sent its samples."""
+    """A recording that is replayed in the place of the components that sent it."""
 
     file: Path | None = setting(  # noqa: RUF009 - it makes a field
         None, "Send what this recording has in the place of the components that sent it.", option=""
