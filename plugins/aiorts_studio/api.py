@@ -173,7 +173,7 @@ class Api:
 
     @contextmanager
     def _admit(self, scope: Scope) -> Iterator[Admission]:
-        """Admit a request, with its client in `scope`; HttpError: it lacks the token that it needs, or is too much."""
+        """Admit a request, with its client in `scope`; HttpError: a needed token is missing, or it asks too much."""
         from starlette.datastructures import Headers
 
         path: str = scope["path"]

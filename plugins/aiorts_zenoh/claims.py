@@ -176,7 +176,7 @@ class Told:
             self._forget(next(iter(self._of)))
 
     def ended(self, of: Claim) -> list[tuple[Claim, str]]:
-        """The kernels that were told of a claim that is gone now, each with the token that it was told of."""
+        """The kernels that were told of this claim, now gone, each with the token that it was told of."""
         return [(who, self._forget(who)) for who in tuple(self._by.get(of, ()))]
 
     def _forget(self, who: Claim) -> str:

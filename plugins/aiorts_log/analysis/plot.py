@@ -166,7 +166,7 @@ def _paired(x: Series, y: Series) -> tuple[Sequence[float], Sequence[float]]:
 
 
 class _matplotlib:  # noqa: N801
-    """Imports matplotlib's Figure, and sets options that no file of the user changes while the block runs."""
+    """Gives matplotlib's Figure to a block, under settings that no file of the user can change."""
 
     def __enter__(self) -> Any:
         matplotlib: Any = import_module("matplotlib")

@@ -37,7 +37,7 @@ METADATA_NAME: Final = "metadata.json"
 END_NAME: Final = "end.json"
 """The attachment with the writer's counts, and the reason for its end."""
 _STEP: Final = 2048
-"""Samples between two calls that advance a progress bar."""
+"""Items between two calls that advance a progress bar."""
 T = TypeVar("T")
 
 

@@ -41,7 +41,7 @@ class Pace:
 
     @property
     def unhurried(self) -> bool:
-        """Whether no sample has to wait for its time."""
+        """Whether samples wait for their time: not at infinite speed without a rate."""
         return self.rate is not None or not math.isinf(self.speed)
 
     @property
@@ -129,8 +129,8 @@ class Schedule:
     def take(self, log_time: int) -> int:
         """Take the next sample; return the ns of a gap before it that are left out.
 
-        When log times go back, the sample is due at once after the last one, later samples are counted from it, and the
-        result is negative.
+        When log times go back, the sample is due at the same moment as the last one, later samples are counted from it,
+        and the result is negative.
         """
         last, most = self._last, self._pace.max_gap
         self._next = log_time

@@ -168,7 +168,7 @@ class TableReader:
         raise ConfigurationError(f"{option}: {self.path} has no column {name[:_QUOTED]!r}; it has {there}")
 
     def _number(self, name: str) -> int:
-        """The number of the column of that name, or of the only column with that name between blanks; -1 for none."""
+        """The number of the column of that name, else of the only column with that name between blanks; -1 for none."""
         if name in self.columns:
             return self.columns.index(name)
         found = [number for number, column in enumerate(self.columns) if column.strip() == name]
