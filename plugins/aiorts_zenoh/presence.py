@@ -244,7 +244,7 @@ class Presence:
     # -- telling rivals of each other ------------------------------------------------------------------------------
 
     def _tell_rivals(self, claim: Claim) -> None:
-        """Tell a kernel whose claim gives way, this one's or a rival's, of the claim that goes first; of one at a time."""
+        """Tell a kernel whose claim gives way, this one's or a rival's, of the claim that goes first; one at a time."""
         is_shared = self._claims.is_shared(self._claims.scope_of(claim))
         for other in self._claims.rivals(claim):
             if other == self._name.own:  # all that connect here see its tokens themselves
