@@ -1,6 +1,6 @@
-"""Assembles `Kernel`: the microkernel and the services of aiorts round it, each made when it is first used.
+"""Makes `Kernel`: the microkernel with the services of aiorts, each of which is made at its first use.
 
-Every method here documents what it does and calls the room that does it.
+Each method here documents an action, and calls the package that carries the action out.
 """
 
 from __future__ import annotations
@@ -42,14 +42,16 @@ class Kernel(Microkernel):
 
     Args:
         name: for logs and paths.
-        clock: SystemClock by default; on a loop that keeps its own time, a simulated one or another's, that loop's.
-        debug: check the thread of every port call, copy every sample: slow; finds writers that change what they wrote.
+        clock: a SystemClock by default; on a loop that keeps time itself, such as a simulated one, the loop's clock.
+        debug: check the thread of every port call and copy every sample: slow, but finds writers that change a written
+            one.
         contain_interrupts: a KeyboardInterrupt raised in a hook is that component's error and goes no further (`aiorts
             run` takes SIGINT itself). By default it is passed on after the component went to error.
         initialize_timeout: seconds of the kernel's clock that an `on_initialize` may take; None waits forever (`aiorts
-            run`: 30). One over it is cancelled, or refused when it returns if it blocks, and its component not added.
+            run`: 30). A longer one is cancelled (one that blocks is refused when it returns), and its component is not
+            added.
         plugins: the source of types that are requested by name; installed packages by default.
-        services: the services to attach when it opens, by the name that a plugin offers each by, with its settings.
+        services: the services to attach when the kernel opens: by the name that a plugin offers, the settings.
 
     Raises:
         PluginError: no plugin offers a service of that name.
@@ -93,8 +95,8 @@ class Kernel(Microkernel):
         """Make a component that runs in a process of its own, and add its stand-in here.
 
         The stand-in has the component's ports, parameters and lifecycle, and is started in a context of its own kind as
-        any other; its connectors are links. When its process ends, it goes to error; a reset starts another. On a
-        simulated clock the component runs in this process, which is logged once.
+        any other component; its connectors are links. When the process ends, the stand-in goes to error; a reset starts
+        another process. On a simulated clock the component runs in this process, which is logged once.
 
         Args:
             kind, name, params: as `create`; the process has to be able to import the class.
@@ -113,19 +115,19 @@ class Kernel(Microkernel):
         """Add a stand-in for a component of another kernel, under the component's name.
 
         The stand-in has the component's data ports and parameters, and is started in a context here, such as with a
-        composite. Changes of lifecycle and configuration are requested there, and show here. When that kernel is lost,
-        the stand-in is in error, until a reset that finds the kernel again. When it leaves its context the component is
-        active there again if it was before, and else is not; it is never removed there.
+        composite. Changes of lifecycle and configuration are requested of that kernel, and show here. When that kernel
+        is lost, the stand-in is in error, until a reset that finds the kernel again. When the stand-in leaves its
+        context, the component is active in its own kernel only if it was before; it is never removed there.
 
         Args:
             path: "kernel/component", or "host/kernel/component".
-            holder: the composite that it is to be a member of.
+            holder: the composite that the stand-in becomes a member of.
 
         Raises:
             LinkError: there is no such kernel within 3 s.
             StateError: that kernel has no such component, or it is a member of a composite already, or there is a
                 component of that name here.
-            DeniedError: that kernel lets this one look only.
+            DeniedError: that kernel allows this one to look, and no more.
         """
         self.check_open("stand_in")
         from aiorts.remote import stand_in  # late: few kernels have members elsewhere
@@ -137,27 +139,28 @@ class Kernel(Microkernel):
     ) -> Component:
         """Move a component to another context, or into a process of its own and back, while the system runs.
 
-        It is deactivated where it was and activated where it goes: `on_deactivated` and `on_shutdown` run there,
-        `on_startup` and `on_activated` here. Its in-ports take samples all the time. Between contexts of this kernel
-        it stays the same instance.
+        The component is deactivated in the old place and activated in the new one: `on_deactivated` and `on_shutdown`
+        run in the old, `on_startup` and `on_activated` in the new. Its in-ports take samples all the time. Between
+        contexts of this kernel it stays the same instance.
 
-        To and from a process another instance is made: its `on_initialize` runs before, while the old one still runs;
-        the old one's `on_finalize` runs at the end. Parameters and sets go with it, and its attributes, which have to
-        be plain data, arrays and records, or what its `on_reload` takes over of them. Its connectors are made again
-        under their names, with their unread samples, in order. Calls in progress end with ServiceUnavailable.
+        A move to or from a process makes a new instance: its `on_initialize` runs first, while the old instance still
+        runs; the old one's `on_finalize` runs at the end. Parameters, sets and attributes go to the new instance;
+        attributes have to be plain data, arrays and records, unless `on_reload` takes over what it needs of them. Its
+        connectors are made again under their names, with their unread samples, in order. Calls in progress end with
+        ServiceUnavailable.
 
         Args:
             to: a context of this kernel, which is started where it does not run yet; or "process".
-            limits: what its process may use, as `create_isolated`.
+            limits: what its process may use, as in `create_isolated`.
 
         Returns:
             The handle from now on. If it is a new one, the old one raises StateError at each use.
 
         Raises:
-            StateError: it cannot be moved: names what keeps it; nothing was changed.
-            WiringError: a connector of it cannot reach into another process; nothing was changed.
-            TransitionTimeout: what it had written was not taken in time; it goes on where it was.
-                Errors of making or starting it: it goes on where it was.
+            StateError: the component cannot be moved; the text says why, and nothing was changed.
+            WiringError: one of its connectors cannot reach into another process; nothing was changed.
+            TransitionTimeout: its written samples were not taken over in time; it goes on in the old place. Also errors
+                of making or starting the new instance: the component goes on in the old place.
         """
         self.check_open("move")
         from aiorts.isolation import move  # late: few systems do
@@ -212,7 +215,7 @@ class Kernel(Microkernel):
     async def profile_in_turns(self, hold: float = 0.001) -> SystemProfile:
         """The profile, without holding the loop for longer than `hold` seconds (and one component) at a time.
 
-        Everything that events report is as it is when this returns; counters are of moments since the call.
+        Values that events report are those at the return; counters are read between the call and the return.
         """
         from aiorts.observe import system_profile_in_turns
 
@@ -226,7 +229,7 @@ class Kernel(Microkernel):
         give the profile of each moment, except for values that change without an event (`SystemProfile.structure`).
 
         Args:
-            length: changes that wait for a slow reader; beyond that they are dropped for a new snapshot.
+            length: the most changes that wait for a slow reader; when there are more, a new snapshot replaces them.
 
         Raises:
             ClosedError: the kernel is not open.
@@ -260,13 +263,14 @@ class Kernel(Microkernel):
     def samples(self, port: OutPort[Any] | str, *, keep_last: bool = False, length: int = 64) -> Samples[Any]:
         """The samples that an out-port writes from now on: `async for sample in kernel.samples("tank.level")`.
 
-        The system is the same with it and without: no connector is made, no writer waits. Ports of stand-ins and of
-        components in other processes work, too. It ends with the kernel, with the port, and when the loop is left.
+        Nothing in the system changes: no connector is made, no writer waits. Ports of stand-ins and of components in
+        other processes work, too. The iterator ends with the kernel, with the port, and when the `async for` is left.
 
         Args:
             port: an out-port, or its path.
-            keep_last: begin with the sample that the port wrote last before.
-            length: samples that wait for a slow reader; beyond that the oldest go, and are counted in `dropped`.
+            keep_last: begin with the last sample that the port wrote before the call.
+            length: the most samples that wait for a slow reader; beyond that the oldest are dropped and counted in
+                `dropped`.
 
         Raises:
             WiringError: `port` is no out-port of this kernel.
@@ -318,20 +322,20 @@ class Kernel(Microkernel):
         """Set what is done when this component fails, and how long its hooks may take; replaces an earlier policy.
 
         Args:
-            policy: see `Supervision`. A hook that runs already is held to a new deadline from now on.
+            policy: see `Supervision`. A new deadline counts from now on for a hook that runs already, too.
             factory: makes a new instance of the given name, for "restart"; the component's class by default.
 
         Raises:
             StateError: it is not of this kernel.
-            DeclarationError: `policy` is no Supervision, `factory` is no function, or a composite is to be restarted or
-                to have deadlines: its members can, it can be reset.
+            DeclarationError: `policy` is no Supervision, `factory` is no function, or `policy` restarts a composite or
+                gives it deadlines: that is for its members; a composite can be reset.
         """
         self.check_mine(component, "supervise")
         return self._supervising.supervise(component, policy, factory)
 
     @property
     def supervised(self) -> Mapping[str, Supervised]:
-        """The supervised components, by name; one that could not be restarted stays, exhausted."""
+        """The supervised components, by name; a component that could not be restarted stays here, exhausted."""
         return MappingProxyType({}) if self._supervision is None else self._supervision.supervised
 
     async def reload(
@@ -346,40 +350,39 @@ class Kernel(Microkernel):
     ) -> Reloaded:
         """Replace a component type's code while the system runs: its file is read again, its instances go on with it.
 
-        Each instance gets a new one in its place, between two cycles, all of a context at once: same name, place in the
-        order and lifecycle state, parameters in force and sets, and the connectors and unread samples of the ports
-        that its code still has. `on_initialize` of the new one runs before, while the old one still runs; then its
-        `on_reload`, which gets the old one; no other transition hook runs. Tasks of the old one are cancelled (with
-        those of the new one they would take each other's samples), and its `on_finalize` runs at the end: what
-        `on_reload` takes over for good it takes away from the old one. The call returns when the new code has done its
-        first cycles without a failure. A failure before that takes everything back, attributes of the old instance
-        included; where a hook of the new code runs on, 10 s are waited, and then the old code comes back when that hook
-        returns. If tasks of the old one had been cancelled, its `on_deactivated` and `on_activated` are run, to start
-        them again, while it stays active. A caller that is cancelled ends nothing.
+        A new instance replaces each old one between two cycles, all of a context at once. It has the same name, place
+        in the order, lifecycle state, parameters in force and sets, and the connectors and unread samples of the ports
+        that the new code still has. Its `on_initialize` runs first, while the old instance still runs; then its
+        `on_reload`, which gets the old instance; no other transition hook runs. Tasks of the old instance are cancelled
+        (they would compete with the new one's for samples), and its `on_finalize` runs at the end: `on_reload` removes
+        from the old instance what the new one keeps for good. The call returns when the new code has done its first
+        cycles without a failure. A failure before that takes everything back, attributes of the old instance included;
+        if a hook of the new code still runs after 10 s, the old code comes back when that hook returns. If tasks of the
+        old instance were cancelled, its `on_deactivated` and `on_activated` run to start them again, while it stays
+        active. Cancelling the caller does not end the reload.
 
         Only the file itself is read again, not what it imports. Other types in it keep their code; instances created
         afterwards have the new code, by a supervised restart, too, if its factory is the class or a `partial` of it.
 
         Args:
-            kind: a class, its name, "pid.py:Pid", "package.module:Pid", or a name that a plugin offers; there are
-                instances of it.
+            kind: a type that has instances: a class, its name, "pid.py:Pid", "package.module:Pid", or a name that a
+                plugin offers.
             cycles: the new code has proved itself after so many cycles of each context, 0 at once,
             seconds: or after so many seconds of the kernel's clock.
             timeout: seconds of the kernel's clock in which `on_initialize` of each new instance has to return, every
                 context to come to the end of a cycle, and `on_reload` to return; None is forever.
             import_timeout: seconds of real time that running the file may take.
-            window: seconds of the kernel's clock; above 0 the system is measured for so long with the old code and for
-                so long with the new, and must not do worse: no component in error that was not; of the ticks of each
-                context (of the samples of each connector) no more overrun (are dropped) than twice as many as before
-                plus 1 %; no connector has less than 0.8 of its rate. Fewer than 50 decide nothing, nor does what the
-                machine is to blame for.
+            window: seconds of the kernel's clock; above 0 the system is measured for that time with the old code and
+                again with the new, which must not do worse: no further component is in error; the share of each
+                context's ticks that overrun, and of each connector's samples that are dropped, is at most twice the old
+                share plus 1 %; each connector keeps 0.8 of its rate. Fewer than 50 ticks or samples decide nothing, nor
+                do faults of the machine.
 
         Raises:
             PluginError: no such type, or its file cannot be loaded, or an instance not be made; names file and line.
-            ComponentError: `on_reload`, or a hook in the first cycles, failed; or the system does worse, with the
-                figure and what it is of.
-            StateError: one of them cannot be
-                replaced: it is in a real-time context, say.
+            ComponentError: `on_reload`, or a hook in the first cycles, failed; or the system does worse: the text has
+                the figure and its subject.
+            StateError: an instance cannot be replaced, such as one in a real-time context.
             TransitionTimeout: a context did not come to the end of a cycle in time.
             ClosedError: the kernel closes.
         """
@@ -395,13 +398,13 @@ class Kernel(Microkernel):
     async def wait_ready(self, *components: Component | str, timeout: float | None = 10.0) -> None:
         """Wait until these components are active in every context they are in; by default all that are in a context.
 
-        A source that has finished counts as ready. A name may be given before there is a component of it.
+        A source that has finished counts as ready. A name may be given before its component exists.
 
         Args:
             timeout: seconds of the kernel's clock; None waits forever.
 
         Raises:
-            TransitionTimeout: names the components that are not active, and why as far as that is known.
+            TransitionTimeout: names the components that are not active, with the reason where it is known.
             ClosedError: the kernel closes.
         """
         self.check_open("wait_ready")
@@ -412,8 +415,8 @@ class Kernel(Microkernel):
     async def start_in_order(self, rules: Sequence[StartRule]) -> None:
         """Activate components one after the other, each once its conditions hold and its `wait` is over.
 
-        They are deactivated in the reverse order by `stop_in_order`, or else when the kernel closes. One that fails
-        leaves those before it active.
+        `stop_in_order`, or else the closing kernel, deactivates them in the reverse order. When a component fails,
+        those before it stay active.
 
         Raises:
             ConfigurationError: the rules wait for each other (names them); nothing was started.
@@ -434,17 +437,17 @@ class Kernel(Microkernel):
         await self._supervising.stop_in_order(timeout)
 
     def notify_systemd(self, *components: Component | str, environ: Mapping[str, str] | None = None) -> bool:
-        """Tell systemd of this kernel, if the environment asks for it; False when it does not.
+        """Notify systemd of this kernel's state, if the environment asks for that; returns whether it does.
 
         READY=1 once these components (by default all that are in a context) are active; STOPPING=1 when the kernel
-        closes; STATUS= whenever it changes; WATCHDOG=1 four times in WATCHDOG_USEC, while all contexts get on: no more
-        once a hook has run for half of that time.
+        closes; STATUS= at each change; WATCHDOG=1 four times in WATCHDOG_USEC, while all contexts make progress: it
+        stops once a hook has run for half of that time.
 
         Args:
-            environ: NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID are taken from it; those of the process by default.
+            environ: the variables NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID; by default those of the process.
 
         Raises:
-            ConfigurationError: systemd is told of this kernel already.
+            ConfigurationError: systemd is notified of this kernel already.
         """
         self.check_open("notify systemd")
         return self._supervising.notify_systemd(components, os.environ if environ is None else environ)
@@ -454,14 +457,14 @@ class Kernel(Microkernel):
     def watch_loop(self, limit: float = 5.0, policy: Literal["warn", "exit"] = "warn") -> bool:
         """Watch the loop: code that holds it for 0.2 s is logged in one line, with its stack, while it does so.
 
-        Nothing is logged while a debugger holds the process. Called again it changes limit and policy.
+        Nothing is logged while a debugger holds the process. A further call changes limit and policy.
 
         Args:
             limit: seconds after which `policy` comes into force.
             policy: "warn" logs it again; "exit" ends the process at once with status 70, to be restarted.
 
         Returns:
-            Whether it is monitored: not in simulated time, and not where the system has no timerfd.
+            Whether the loop is watched: not in simulated time, and not on a system without timerfd.
 
         Raises:
             ConfigurationError: limit or policy out of range.
@@ -481,7 +484,7 @@ class Kernel(Microkernel):
 
     @property
     def gc_pauses(self) -> Mapping[int, GcPauses]:
-        """Garbage collections by generation, while a context with a rate ran: nothing else runs meanwhile."""
+        """Garbage collections by generation, while a context with a rate ran; a collection stops all other code."""
         return MappingProxyType({}) if self._deadlines is None else self._deadlines.gc_pauses
 
     # -- the system as a file ----------------------------------------------------------------------------------------
@@ -500,8 +503,8 @@ class Kernel(Microkernel):
             The parts of the system that no system file can state, and that are left out.
 
         Raises:
-            SystemFileError: names each component, converter and context of which no system file can be made: a class or
-                function that is in no file, or in one that does not lie below the folder of `path`.
+            SystemFileError: names each component, converter and context that no system file can state: its class or
+                function is in no file, or in a file outside the folder of `path`.
             ConfigurationError: the file is there already, or cannot be written.
         """
         self.check_open("save")
@@ -512,25 +515,25 @@ class Kernel(Microkernel):
     async def apply(self, wanted: Wanted, *, dry_run: bool = False, window: float = 0.0) -> Applied:
         """Change the running system into the wanted one: all of it, or nothing.
 
-        New parts are made and connected first, then all that changes is switched over between two cycles, then parts
-        not wanted any more go. Equal parts are not touched. Options of a connector are changed in place, samples that
-        wait in it stay, in order. A step that fails is taken back with all before it. A caller that is cancelled while
-        the system before is measured gives the plan up; later it ends nothing: it is done, or taken back.
+        New parts are made and connected first, then all changes are made between two cycles, then unwanted parts are
+        removed. Equal parts are not touched. Options of a connector change in place; its waiting samples stay, in
+        order. When a step fails, it is undone with all steps before it. Cancelling the caller while the old system is
+        measured gives the plan up; later the plan is still carried out, or undone.
 
         Args:
             wanted: as `aiorts.system.wanted` reads it from a system file.
             dry_run: return the plan, and change nothing.
-            window: seconds of the kernel's clock for which the system after it is compared with the one before; 0 does
-                not compare. When it does worse, all is taken back.
+            window: seconds of the kernel's clock for which the system is measured before the change and after it; 0
+                compares nothing. If the new system does worse, all is undone.
 
         Returns:
-            The steps, whether they are in force, and the figure that all was taken back for.
+            The steps, whether they are in force, and the figure for which all was undone.
 
         Raises:
             BusyError: another plan is being applied, or its window has not ended.
-            StateError: something differs that no running system can change, or a component's hook calls this.
+            StateError: a difference cannot be changed while the system runs, or a component's hook calls this.
             PluginError, ConfigurationError: a component or context that is wanted cannot be made; nothing was changed.
-            ApplyError: a step failed; `not_undone` names what could not be taken back.
+            ApplyError: a step failed; `not_undone` names the steps that could not be undone.
         """
         self.check_open("apply")
         from aiorts.planning import Planning
@@ -542,24 +545,23 @@ class Kernel(Microkernel):
     async def save_configuration(self, path: str | os.PathLike[str], *components: Component) -> None:
         """Save the configuration sets of these components, or of all that have parameters.
 
-        It is the configuration of one moment; the file is the old one or the new one, whatever happens meanwhile.
+        The configuration is that of one moment. A failure leaves the old file or the new one whole.
 
         Raises:
-            ConfigurationError: a value cannot be written, or the file cannot; nothing was changed.
+            ConfigurationError: a value or the file cannot be written; nothing was changed.
         """
         self.check_open("save_configuration")
         await self._configuration.save(path, components)
 
     async def load_configuration(self, path: str | os.PathLike[str]) -> None:
-        """Put a file's values in force, for every component in it, or for none when anything is wrong.
+        """Put the values of a file in force: of every component in it, or of none when anything is wrong.
 
-        A component's sets are those of the file then, and no others. The components change one after the other, each
-        between its own cycles. Awaited in a hook for which it would wait, the request is queued and returns at once.
+        Each component then has the sets of the file, and no others. The components change one after the other, each
+        between its own cycles. In a hook that the change would wait for, the call is queued and returns at once.
 
         Raises:
             ConfigurationError: names all that is wrong, with lines.
-            TransitionTimeout: a component's moment did not
-                come in time. What was changed already is taken back.
+            TransitionTimeout: a component had no moment between cycles in time. All changes are undone.
         """
         self.check_open("load_configuration")
         await self._configuration.load(path)
@@ -585,7 +587,7 @@ class Kernel(Microkernel):
 
 
 def _plain(limits: object) -> dict[str, Any]:
-    """Limits of a process as plain values. DeclarationError: they are none."""
+    """The limits of a process as plain values. DeclarationError: `limits` is no `Limits`."""
     from aiorts.isolation import Limits  # late: few kernels have processes
 
     if limits is not None and not isinstance(limits, Limits):
