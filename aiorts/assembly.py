@@ -159,8 +159,8 @@ class Kernel(Microkernel):
         Raises:
             StateError: the component cannot be moved; the text says why, and nothing was changed.
             WiringError: one of its connectors cannot reach into another process; nothing was changed.
-            TransitionTimeout: its written samples were not taken over in time; it goes on in the old place. Also errors
-                of making or starting the new instance: the component goes on in the old place.
+            TransitionTimeout: its written samples did not arrive in time; it goes on in the old place. Also errors of
+                making or starting the new instance: the component goes on in the old place.
         """
         self.check_open("move")
         from aiorts.isolation import move  # late: few systems do

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
 
 SPANS: Final = 1000
-"""Sends and reads over which latency and age are taken, unless a client gives another number."""
+"""The number of sends and reads from which latency and age are computed, unless a client gives another."""
 _MEASURED: Final = 16
-"""Connectors that may be measured for all streams of one client."""
+"""The most connectors that all streams of one client together may measure."""
 _MEASURED_IN_ALL: Final = 64
-"""Connectors that may be measured for all streams of a kernel."""
+"""The most connectors that all streams of a kernel together may measure."""
 
 
 class Measuring(KernelService):
@@ -69,15 +69,15 @@ def _wire(session: Session, name: str) -> Connector:
 
 
 _STREAMED: Final[WeakKeyDictionary[Session | Microkernel, int]] = WeakKeyDictionary()
-"""The number of connectors that streams measure, by client and by kernel; one counts once for each stream."""
+"""The number of connectors that streams measure, by client and by kernel; a connector counts once for each stream."""
 
 
 def measure_for(session: Session, connectors: tuple[str, ...], stream: Stream) -> tuple[str, ...]:
     """Measure connectors as long as a stream lasts; returns those that are measured for sessions and streams only.
 
     Raises:
-        ConfigurationError: there are more than one client may measure. BusyError: there are too many together with
-            those of other streams, of this client or of all. WiringError: there is no such connector.
+        ConfigurationError: these are more connectors than one client may measure. BusyError: they are too many together
+            with those of other streams, of this client or of all clients. WiringError: there is no such connector.
     """
     count = len(connectors)
     if count > _MEASURED:

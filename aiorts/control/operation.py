@@ -38,10 +38,11 @@ class Operation:
     default."""
     right: Right
     run: Callable[..., Any]
-    """The function that carries it out on the kernel's loop: `run(session, arguments)`, with the stream as third
-    argument where it streams. It returns the result, or an awaitable of it; where it only looks, it does not wait."""
+    """The function that carries the operation out on the kernel's loop: `run(session, arguments)`, with the stream as
+    third argument where it streams. It returns the result or an awaitable of it; an operation that only looks does not
+    wait."""
     idempotent: bool = False
-    """Whether calling it twice is as good as once."""
+    """Whether two calls have the same effect as one."""
     item: Any = None
     """The type of the items of a stream; None of an operation that does not stream."""
     end: Any = None
@@ -49,8 +50,8 @@ class Operation:
     demands: Callable[[Any], Right] | None = None
     """The function that gives the right for the arguments of a call; None: it is always `right`."""
     changes: Callable[[Any, Any], Iterable[str]] | None = None
-    """The function that gives the components of which the client is then the operator, by the arguments and the result;
-    the result is None while the call runs."""
+    """The function that returns the components that a call changes, from its arguments and result: the client becomes
+    their operator. The result is None while the call runs."""
 
     @property
     def streams(self) -> bool:
@@ -63,7 +64,7 @@ class Operation:
 
 
 def is_code(type_name: str) -> bool:
-    """Whether a type is read from a path, and not a name by which a plugin offers it."""
+    """Whether the text for a type is the path of its code, not a name that a plugin offers."""
     return ":" in type_name or type_name.endswith(".py")
 
 

@@ -1,7 +1,7 @@
 """The operators of the components of a kernel, and the reaction of components to the loss of their operator.
 
-The operator of a component is the session that has changed it last, as long as that is open. A session that its client
-ended in order leaves all as it is. When a session is lost (a client was killed, a network was cut), each of its
+The operator of a component is the session that has changed it last, as long as the session is open. When a client ends
+its session in order, nothing changes. When a session is lost (a client was killed, a network was cut), each of its
 components reacts by `on_link_lost` of the system file, or else of its class.
 """
 
@@ -42,10 +42,10 @@ class Operators:
             self._sessions[name] = session
 
     def ended(self, session: object, who: str, changing: Iterable[str] = (), *, lost: bool) -> None:
-        """Note that a session has ended: its components have no operator any more; where it is lost, they react.
+        """Note that a session has ended: its components have no operator any more; if the session is lost, they react.
 
         Args:
-            changing: the components that calls under way change; a change that has begun goes on.
+            changing: the components that running calls of the session change; a change that has begun goes on.
         """
         asked = self._with_leaves(changing) if lost else ()
         self._sessions.update(dict.fromkeys(asked, session))

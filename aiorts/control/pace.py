@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
 
 _LOOKS: Final = (0.2, 0.1)
-"""The share of the loop for streams that look again and again, and the seconds of it that are saved up."""
+"""The share of the loop for streams that look at an interval, and the most seconds of it that are saved up."""
 
 
 class Pace:
@@ -18,8 +18,8 @@ class Pace:
 
     Args:
         share: the part of each second that may be used.
-        most: seconds that can be saved up, and that can be owed. The bound of the debt keeps clients from waiting long
-            after the process was stopped for a time: it has used nothing of that time.
+        most: the most seconds that can be saved up, and that can be owed. Time in which the process was stopped counts
+            as used although it was not; the limit of the debt keeps clients from waiting long for it.
     """
 
     def __init__(self, share: float, most: float) -> None:
@@ -48,5 +48,5 @@ _PACES: Final[WeakKeyDictionary[Microkernel, Pace]] = WeakKeyDictionary()
 
 
 def looks_of(kernel: Microkernel) -> Pace:
-    """The share of a kernel's loop for all of its streams that look again and again, together."""
+    """The share of a kernel's loop for all streams together that look at an interval."""
     return _PACES.setdefault(kernel, Pace(*_LOOKS))

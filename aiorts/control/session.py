@@ -65,7 +65,7 @@ class Session:
         self._keys = 0
 
     def keep(self, end: Callable[[], object]) -> Callable[[], None]:
-        """Call `end` when the session ends, or at once if it has; the returned function revokes that."""
+        """Call `end` when the session ends, or at once if it has ended; the returned function revokes the request."""
         if self.ended:
             end()
             return nothing
@@ -85,7 +85,7 @@ class Session:
         self.end()
 
     def end(self, *, lost: bool = False) -> None:
-        """End the session and undo what lasts as long as it: the client has gone, or the kernel closes. Idempotent.
+        """End the session and undo all that lasts only as long: the client has gone, or the kernel closes. Idempotent.
 
         Args:
             lost: whether the client has gone without a "bye".
@@ -105,7 +105,7 @@ class Session:
         self._kept.clear()
 
     def operates(self, components: Iterable[str]) -> None:
-        """Note that the session has changed components and operates them; of a lost session, they react to the loss."""
+        """Note that the session has changed components and operates them; if it is lost by now, they react."""
         if self._operators is None:
             return
         if not self.ended:
@@ -228,7 +228,7 @@ class Stream:
         self.session = session
         self.ended = False
         self._credit = credit
-        """Items that the client takes in all, counted by the thread of the socket; None: no limit."""
+        """The total number of items that the client takes, counted by the thread of the socket; None: no limit."""
         self._number = number
         self._made = 0
         self._gone = 0

@@ -1,4 +1,4 @@
-"""Long answers, made at once where that takes less than `hold` seconds, else in several turns of the loop."""
+"""Make an answer at once if that takes less than `hold` seconds, else in several turns of the loop."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def answer_in_turns(
 ) -> T | Awaitable[T]:
     """Take all steps; returns the result of the work, or an awaitable of it where the work takes longer than a turn.
 
-    In simulated time the steps are taken at once: a task would be one more that is ready at this instant.
+    In simulated time the steps are taken at once: a task for them would be a further one that is ready at this instant.
 
     Args:
         hold: seconds that a turn may take.
@@ -39,7 +39,7 @@ def answer_in_turns(
 
 
 class _Rest(Awaitable[T]):
-    """The steps that are left. It is no coroutine: one that is cancelled before it begins would warn of that."""
+    """An awaitable of the steps that are left. A coroutine would warn when it is cancelled before it begins."""
 
     __slots__ = ("_hold", "_steps")
 

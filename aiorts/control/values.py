@@ -36,7 +36,7 @@ class Names:
     lasting: str = ""
     """The name by which the kernel is known again after a restart, as in the profile."""
     assembled: bool | None = None
-    """As in the profile."""
+    """As `SystemProfile.assembled`."""
     pid: int = 0
     """The number of the kernel's process; 0 where it is not known."""
     overdue: Mapping[str, Mapping[str, OverdueHook]] = field(default_factory=empty)

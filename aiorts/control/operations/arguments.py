@@ -28,7 +28,7 @@ def read_arguments(
     """Read the arguments of a call, each as the type of its parameter; an argument without a parameter stays as it is.
 
     Raises:
-        InterfaceMismatch: the text names the parameter, its type and the value.
+        InterfaceMismatch: a value does not fit; the text names the parameter, its type and the value.
         DeniedError: a path names a file that the client may not name.
     """
     parameters = signature.parameters
@@ -65,7 +65,7 @@ def _paths(value: Any) -> Iterator[PurePath]:
 
 
 def _read(value: Any, hint: Any) -> Any:
-    """Read a value by its type; for an unknown type it is read as JSON, or else stays a text."""
+    """Read a value by its type; where the type is unknown, a text is read as JSON, or stays if it is none."""
     return _READERS.of(hint)(value)
 
 
@@ -121,7 +121,7 @@ _READERS: Final = _Readers(
 
 
 def _of_text(read: Read, kind: type, split: Read) -> Read:
-    """A reader of plain values of a kind; a text that is not such a value in JSON is split."""
+    """Make a reader of values of a kind; a text that is not a value of this kind in JSON is first split."""
 
     def of_text(value: Any) -> Any:
         plain = _plain(value)

@@ -41,11 +41,11 @@ class ComponentType:
     """A type of component that `create` takes by its name."""
 
     source: str
-    """The place that offers it: "package NAME VERSION", "folder PATH" or "file PATH"."""
+    """The source that offers the type: "package NAME VERSION", "folder PATH" or "file PATH"."""
     target: str
     """"module:Class"; of a single file "FILE.py:Class"."""
     unknown: str = ""
-    """Why the fields below are not known: the class is not imported yet, or cannot be; "" where they are."""
+    """The reason why the fields below are unknown, such as a class not imported yet; "" where they are known."""
     doc: str = ""
     """The docstring of the class, at most 2,000 characters of it."""
     ports: tuple[PortProfile, ...] = ()

@@ -56,7 +56,7 @@ class Loading:
     """A configuration file to put in force."""
 
     parts: tuple[str, ...]
-    """The text of the file; in parts, since no text of a request is longer than 65,536 bytes."""
+    """The text of the file, in parts of at most 65,536 bytes: no text of a request is longer."""
     name: str = "configuration"
     """The name of the file in messages."""
 

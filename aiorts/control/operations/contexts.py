@@ -18,7 +18,7 @@ from aiorts.model.values import convert_value
 from aiorts.observe import ContextReport
 
 _ORDER: Final = (bool, int, float, str)
-"""The order in which the types of a value are tried."""
+"""The order in which the possible types of an option are tried for a text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Start:
     """A context to start."""
 
     name: str
-    """The name of the context; "" for one that the kernel gives."""
+    """The name of the context; with "" the kernel chooses a name."""
     kind: str = "periodic"
     members: tuple[str, ...] = ()
     """Components, in order of execution."""

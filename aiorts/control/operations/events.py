@@ -98,7 +98,7 @@ class _Changing:
     """A sender of changes to a client that may be too slow: a new profile then replaces the changes it missed.
 
     A profile takes several turns of the loop; a change that comes meanwhile is in the profile, and is not sent. In
-    simulated time it takes one turn: a task would be one more that is ready at this instant.
+    simulated time a profile takes one turn: a task for it would be a further one that is ready at this instant.
     """
 
     def __init__(self, kernel: Microkernel, stream: Stream) -> None:

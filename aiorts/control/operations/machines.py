@@ -1,6 +1,6 @@
 """Operations on state machines and modes.
 
-For a component in a process of its own, or in another kernel, the operation is passed on to that place.
+For a component in a process of its own, or in another kernel, the operation is passed on to that process or kernel.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Mode:
     component: str
     mode: str
     timeout: float | None = 5.0
-    """Seconds of the kernel's clock; None waits without limit, in another process or kernel 4 s."""
+    """Seconds of the kernel's clock; None: no limit, or 4 s for a component in another process or kernel."""
 
 
 async def _machine(session: Session, given: Whose) -> Shown:

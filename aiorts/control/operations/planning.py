@@ -1,4 +1,4 @@
-"""Operations that write a kernel's system as a file, compare it with a wanted one, and change it into that."""
+"""Operations that write a kernel's system as a file, compare it with a wanted system, and change it into the latter."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _Entry: TypeAlias = (
 )
 """The value that a step changes, before or after the step."""
 _DECIDED: Final = 120.0
-"""Seconds that a change waits for the decision, while other kernels change theirs; then it is taken back."""
+"""Seconds that a change waits for the decision, while other kernels make their changes; then it is undone."""
 _open: Final[WeakKeyDictionary[Session, tuple[asyncio.Future[str], asyncio.Task[Applied]]]] = WeakKeyDictionary()
 """The undecided change of each session: the future of the decision, and the task."""
 
@@ -52,7 +52,7 @@ class Application:
     wanted: tuple[str, ...]
     """As in `Target`."""
     window: float = 0.0
-    """Seconds of the kernel's clock for which the system is measured before and after; a worse one is taken back."""
+    """Seconds of the kernel's clock for which the old and new systems are measured; a worse one is taken back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ class Place:
 
 
 class _Answer(Made):
-    """A plan or its outcome, made plain in the thread that sends it: a long one would hold the loop."""
+    """A plan or its outcome, made plain in the thread that sends it: a long plan would hold up the loop."""
 
     __slots__ = ("_value",)
 
@@ -243,7 +243,7 @@ def _observed(task: asyncio.Task[Applied]) -> None:
 async def _allowed(session: Session, parts: tuple[str, ...]) -> Wanted:
     """Read the wanted system.
 
-    DeniedError: it needs code that the kernel neither runs nor offers, and the session lacks the right "code".
+    DeniedError: the system needs code that the kernel neither runs nor offers, and the session lacks the right "code".
     """
     kernel = session.kernel
     wanted = _read(parts) if isinstance(kernel.clock, SimulatedClock) else await _read_aside(parts)

@@ -18,9 +18,9 @@ class Reload:
     type: str
     """The name of a component, or a type as `Kernel.reload` takes it as text."""
     cycles: int = 10
-    """Cycles of each context after which the new code has proved itself,"""
+    """Cycles of each context after which the new code counts as proved; `seconds` may be over before."""
     seconds: float = 1.0
-    """or seconds of the kernel's clock after which it has."""
+    """Seconds of the kernel's clock after which the new code counts as proved; `cycles` may be over before."""
     timeout: float | None = 5.0
     """Seconds of the kernel's clock in which each new instance has to be in place; None: no limit."""
     window: float = 0.0

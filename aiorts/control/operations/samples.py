@@ -1,7 +1,7 @@
 """Operations that move samples: out of a running system, and into it.
 
-A tool reads or writes samples over a connector of its own, outside the system: it takes no place at a port, and no end
-of a run waits for it. The losses of this connector are counted apart.
+A tool reads or writes samples over a connector of its own, outside the system: the connector takes no place at a port,
+and a run that ends does not wait for it. Its losses are not counted among those of the system.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _LINES: Final = 1_000
 """Lines that one call may inject."""
 _LOOK: Final = 0.005
 _ARRIVE: Final = 1.0
-"""Seconds that injected samples have to reach another process."""
+"""Seconds within which injected samples should reach another process."""
 _REFUSED: Final = ("rejected", "timeout")
-"""Reasons of drops that the writer already knows from its write."""
+"""Reasons of drops that the write itself already reports to the writer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +59,10 @@ class Tap:
 
 @dataclass(frozen=True, slots=True)
 class Tapping:
-    """A sample of a tap: `data` or `frame`, as was asked for, or the error for which it cannot be sent."""
+    """A sample of a tap: `data` or `frame`, as requested, or the error that keeps it from being sent."""
 
     time_ns: int
-    """The time at which it was taken: the kernel's clock, in nanoseconds since the epoch."""
+    """The time at which the tap took the sample: the kernel's clock, in nanoseconds since the epoch."""
     tm: int | None = None
     """The sample's time stamp in nanoseconds; None where its type has none."""
     data: Any = None
@@ -103,7 +103,7 @@ class Injected:
     first: int = 1
     """The number of the first line, for errors."""
     check: bool = False
-    """Whether to check the lines only, and write nothing."""
+    """Whether the lines are only checked, and nothing is written."""
     wait: float = 0.0
     """Seconds to wait until all samples of this session to the port are delivered or dropped."""
 
@@ -116,7 +116,7 @@ class Written:
     refused: int
     """Samples that were refused: the reader's buffer was full, also after `timeout`."""
     dropped: Mapping[str, int]
-    """Samples that were dropped after the write, by reason, of all samples of this session to the port."""
+    """Samples dropped after the write, by reason; all samples of this session to the port are counted."""
     unread: int
     """Samples of this session that the reader has not read yet; they are lost when the session ends."""
 
@@ -234,7 +234,7 @@ async def _inject(session: Session, given: Injected) -> Written:
 
 
 def _unread(connector: Connector) -> int:
-    """The number of samples that are written, and neither delivered nor dropped."""
+    """The number of written samples that are neither delivered nor dropped yet."""
     found = connector.statistics
     return 0 if connector.closed else found.buffered + found.in_flight
 

@@ -27,7 +27,7 @@ class Calling:
     """A call of a method of a service."""
 
     path: str
-    """ "component.port.method", with the interface before the method where several interfaces of the port have it."""
+    """ "component.port.method", with the interface before a method that several interfaces of the port have."""
     args: tuple[Any, ...] = ()
     """The arguments by position; a text is read by the type that the interface declares."""
     kwargs: Mapping[str, Any] = field(default_factory=empty)

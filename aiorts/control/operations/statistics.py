@@ -1,7 +1,7 @@
 """Operations that measure: counters, once or at a rate, sizes of samples, and the latency of samples.
 
 Clients read counters again and again while a system works. So counters are lists and dicts that go into a frame as they
-are, and a long look takes several turns of the loop. These operations take no sample.
+are, and reading many of them takes several turns of the loop. These operations take no sample from a buffer.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Chosen:
     contexts: tuple[str, ...] | None = None
     components: tuple[str, ...] | None = None
     timed: tuple[str, ...] = ()
-    """Connectors with `measure` whose latency and age are wanted: putting the spans in order takes time."""
+    """Connectors with `measure` whose latency and age are wanted; few, since sorting their spans takes time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ class CounterChanges(Counters):
     """The counters that have changed since the earlier items; in the first item, and after a loss, all."""
 
     whole: bool = False
-    """Whether the item has all counters, in place of those of the earlier items."""
+    """Whether the item has all counters and replaces the earlier items."""
     gone: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
     """The names that have gone, by kind: "connectors", "contexts", ..."""
 
@@ -144,7 +144,7 @@ def _statistics(session: Session, given: Chosen) -> _Made | Awaitable[_Made]:
 
 
 def _moment(kernel: Microkernel) -> _Made:
-    """The times of a look at counters, and an empty dict for each kind."""
+    """The times at which counters are read, and an empty dict for each kind of counters."""
     clock = kernel.clock
     head = {"time_ns": clock.time_ns(), "at_ns": clock.monotonic_ns(), "simulated": isinstance(clock, SimulatedClock)}
     return {**head, **{kind: {} for kind in _KINDS}}
@@ -158,7 +158,7 @@ def _put(made: _Made, counted: Iterable[_One]) -> Generator[None, None, _Made]:
 
 
 def _rest(kernel: Microkernel, given: Chosen) -> Iterator[_One]:
-    """All counters except those of connectors; they need not be of one moment."""
+    """All counters except those of connectors; they may be of different moments."""
     for name, wire in tuple(_chosen(kernel.connectors, given.timed)):
         if found := _timed(wire):
             yield "timed", name, found
@@ -180,7 +180,7 @@ def _chosen(known: Mapping[str, T], names: tuple[str, ...] | None) -> Iterable[t
 def _counted(connector: Connector) -> ConnectorCounters:
     transport = transport_of(connector)
     dropped: Mapping[str, int]
-    # For a real-time thread and a link only the statistics give counts that fit together.
+    # At a real-time thread or a link, only the statistics have counts of one moment.
     if not transport.listenable or connector.profile.on_link_lost is not None:
         found = connector.statistics
         written, delivered, buffered, dropped = found.written, found.arrived, found.buffered, dict(found.dropped)
@@ -268,12 +268,13 @@ def _follow(session: Session, given: Following, stream: Stream) -> tuple[str, ..
 
 
 _HOLD: Final = 0.000_1
-"""Seconds of a turn of a look at counters. In a single turn, a look at ten contexts takes 1.1 ms, five times a second;
-this was the p99 of lateness of contexts at 100 Hz. With turns of this length the p99 is 0.3 ms."""
+"""Seconds for which counters are read in one turn of the loop. When a single turn read those of ten contexts, five
+times a second, it took 1.1 ms, and so was the p99 of lateness at 100 Hz; with turns of this length the p99 is 0.3
+ms."""
 
 
 class _Following:
-    """A stream of counters: it looks at them in turns of the loop and sends those that have changed."""
+    """A stream that reads counters in turns of the loop and sends the changed ones."""
 
     def __init__(self, kernel: Microkernel, given: Following, stream: Stream) -> None:
         self._kernel, self._given, self._stream = kernel, given, stream
@@ -346,7 +347,7 @@ class _Following:
 
 @dataclass(frozen=True, slots=True)
 class Wires:
-    """Connectors by name; one that has gone is left out."""
+    """Connectors by name; a connector that has gone is left out."""
 
     connectors: tuple[str, ...]
 

@@ -1,6 +1,7 @@
 """The table of all operations of a kernel, by name, for every carrier.
 
-Each file of this folder has the rows of one subject. A new row goes into its file alone; carriers go by the table.
+Each file of this folder has the rows of one subject. A new row is added to its file only, since carriers read the
+table.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The service with the connectors of tools: clients that read samples of a system, or write to it.
 
 These connectors are no part of the system: they take no place at a port, and they are not among its connectors. The
-profile has them apart, under `services`.
+profile reports them under `services`.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class Wiring:
     """Ports to connect."""
 
     ports: tuple[str, ...]
-    """Paths; one that begins with the name by which links reach another kernel is of a port there."""
+    """Paths of ports; for a port of another kernel, the path begins with the name by which links reach that kernel."""
     options: Mapping[str, Any] = field(default_factory=empty)
     """The options of `Kernel.connect`."""
 
@@ -54,14 +54,14 @@ class Wire:
     """The options in force."""
     ledger: ConnectorStatistics | None = None
     both_ends: str = ""
-    """The ledger of a link from the writer to the reader, where asked for, or why there is none now."""
+    """The ledger of a link from the writer to the reader, if requested, or the reason why it is not known now."""
     waiting: int | None = None
     """The samples of the ledger in `both_ends` that wait at either end: to be sent, or to be read."""
     read: Mapping[str, tuple[int, ...]] | None = None
-    """The figures of the reader's end of a link, where they were asked for and are measured: "age", the age of samples
-    at the read, by their stamps, "within", the possible error of the age, and "waited", the time in the reader's
-    buffer. Each is the number of samples, p50, p99 and maximum in nanoseconds. None: the reader's end has not
-    answered, or is of a release without these figures."""
+    """The figures of the reader's end of a link, if requested and measured: "age", the age of samples at the read, by
+    their stamps, "within", the possible error of the age, and "waited", the time in the reader's buffer. Each is the
+    number of samples, p50, p99 and maximum in nanoseconds. None: the reader's end has not answered, or is of a release
+    without these figures."""
     service: ServiceConnectorProfile | None = None
     """The profile of a connector of service ports: which port answers which."""
     calls: ServiceStatistics | None = None

@@ -14,15 +14,15 @@ from aiorts.control.operation import Right
 from aiorts.errors import BusyError
 
 CONNECTIONS: Final = 256
-"""Connections of all clients."""
+"""The most connections of all clients together."""
 LOOKING: Final = 192
-"""Connections of all clients that may only look."""
+"""The most connections of all clients together that may only look."""
 OF_ONE: Final = {Right.VIEW: 16, Right.OPERATE: 128, Right.CODE: 128}
-"""Connections of one client, by its right."""
+"""The most connections of one client, by its right."""
 CALLS: Final = {Right.VIEW: 256, Right.OPERATE: 1_024, Right.CODE: 1_024}
-"""Calls of one client without their last answer, by the right that the kernel allows the client."""
+"""The most calls of one client that lack their last answer, by the right that the kernel allows the client."""
 _KNOWN: Final = 1_024
-"""Clients that are known, connected or not."""
+"""The most clients that are remembered, connected or not."""
 
 
 class FullError(BusyError):
@@ -52,7 +52,7 @@ class Client:
 
     def check_calls(self, what: str, allowed: Right) -> None:
         """Raise BusyError unless the client may have another call; `allowed` is the right that the kernel allows it."""
-        # By the allowed right, not the wanted one: a recording wants only "view", and taps 450 ports.
+        # The allowed right counts, not the wanted one: a recording wants only "view", but taps 450 ports.
         most = CALLS[allowed]
         if self.calls >= most:
             raise BusyError(f"{what}: {most} calls of {self.name} wait already; wait for their answers")
@@ -76,7 +76,7 @@ class Clients:
             return self._connect(name, right)
 
     def lower(self, client: Client, right: Right) -> Client:
-        """Move a connection to the client of the lower right that its hello wants; errors as `connect`."""
+        """Count a connection for the client's name with the lower right that hello wants; errors as `connect`."""
         with self._lock:
             self._count(client, -1)
             try:

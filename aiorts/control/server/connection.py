@@ -31,7 +31,7 @@ CALLS_PER_SECOND: Final = 2_000
 """Calls of one client in a second; a client with more is read more slowly."""
 _BURST: Final = 500
 _PER_TURN: Final = 8
-"""Calls of one client that are taken before the turn of the others."""
+"""Calls of one client that are taken before it is the turn of other clients."""
 _PAUSE: Final = 0.01
 """Seconds until a client that has used up its calls may make some again."""
 _CHUNK: Final = 1 << 16
@@ -87,7 +87,7 @@ class Connection:
         self._in = bytearray()
         self._out: deque[tuple[memoryview, Callable[[], None]]] = deque()
         self._over_at = {"hello": self.since + HELLO_SECONDS}
-        """The times at which the client is cut off, by the step that it has to do before."""
+        """The times at which the client is cut off, by the step that it then has not done."""
         self._open: dict[int, bool] = {}
         """Calls without their last answer: by number, whether the call streams."""
         self._tokens = float(_BURST)
@@ -118,7 +118,7 @@ class Connection:
         return self._filled_at if self._tokens >= 1 else self._filled_at + _PAUSE
 
     def overdue(self, now: float) -> bool:
-        """Whether to cut the client off; not for a hello that has come and was not taken yet."""
+        """Whether to cut the client off; a hello that has come counts, also while it waits to be taken."""
         return any(now >= at for what, at in self._over_at.items() if what != "hello" or not self.asks)
 
     def read(self) -> None:
@@ -136,7 +136,7 @@ class Connection:
         self._look()
 
     def _look(self) -> None:
-        """Check for a whole frame; a part of one has `STALL_SECONDS` to be completed."""
+        """Check for a whole frame; a frame that has begun has `STALL_SECONDS` to be completed."""
         try:
             whole = self.asks
         except WireError as error:
@@ -273,7 +273,7 @@ class Connection:
         self._listener.put(self, message, sent)
 
     def has_room(self) -> bool:
-        """Whether the unsent bytes are within the room that is left for a client. From any thread."""
+        """Whether the unsent bytes are within the present limit for one client. From any thread."""
         return self.unsent <= max(self._listener.room, _CHUNK)
 
     def say_busy(self, seconds: float) -> None:

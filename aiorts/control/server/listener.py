@@ -1,7 +1,7 @@
 """The thread that serves a kernel's socket: it decodes, checks and sends, and hands calls over to the loop.
 
 The loop gets only whole, checked calls, at most `CALLS_PER_SECOND` of each client. In simulated time calls are carried
-out between two instants: neither the socket nor a waiting client holds time.
+out between two instants: neither the socket nor a waiting client stops time.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ _SLICE: Final = 0.005
 _VIEW_SECONDS: Final = 0.5
 """Seconds after which the next call that looks is carried out although the last one has no answer."""
 _HELD_SECONDS: Final = 0.1
-"""Seconds after which clients are notified that the loop is held up; also the interval of repetition."""
+"""Seconds after which clients are notified that the loop is held up, first and again."""
 _REST_SECONDS: Final = 0.75
-"""Seconds at the end in which clients can read what waits for them."""
+"""Seconds at the kernel's end in which clients can still read waiting messages."""
 
 
 class Listener:
@@ -83,7 +83,7 @@ class Listener:
         self._clients = Clients()
         self._connections: set[Connection] = set()
         self._handed: deque[Call] = deque()
-        """Calls that were handed to the loop; it may not have begun them."""
+        """Calls that were handed to the loop, begun or not."""
         self._view: Call | None = None
         """The last call that looks, while it has no answer."""
         self._told_at = 0.0
@@ -414,7 +414,7 @@ class Listener:
         self._connections.add(Connection(self, connected, client))
 
     def _forget_stranger(self, name: str | None) -> None:
-        """End the connection that has waited longest without a hello, of the client `name` where it is given."""
+        """End the connection that has waited longest without a hello: of the client `name`, if a name is given."""
         strangers = [one for one in self._connections if one.session is None and name in (None, one.client.name)]
         if strangers:
             min(strangers, key=lambda one: one.since).closed = True
@@ -443,11 +443,11 @@ if hasattr(os, "register_at_fork"):
 
 
 def _nothing() -> None:
-    """Do nothing: the end of `give_way` for loops without it."""
+    """Do nothing: ends the giving way of loops that have no `give_way`."""
 
 
 def _watch(selector: selectors.BaseSelector, connection: Connection) -> None:
-    """Register the events with the selector that a connection can handle now."""
+    """Register with the selector the events that a connection can handle now."""
     wanted = 0
     if not connection.closed:
         wanted = selectors.EVENT_READ * connection.takes | selectors.EVENT_WRITE * connection.has_more

@@ -146,7 +146,7 @@ def _claim(address: str, epoch: str, *, named: bool) -> Claim:
 
 
 def _program(kernel: str) -> str:
-    """The name of the program, for the kernel's name."""
+    """The name of the program, from which the kernel's name is made."""
     return kernel if kernel != "kernel" else Path(sys.argv[0] if sys.argv else "").stem or "python"
 
 
