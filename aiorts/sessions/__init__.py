@@ -1,7 +1,7 @@
 """Sessions with running kernels: the protocol, the folder of their sockets, and the client's end.
 
-This room stands below links. Short-lived commands import it, so it does not import the kernel, and only `AsyncClient`,
-which is imported late, uses asyncio. The kernel's end is `aiorts.control`.
+Links are built on this package. Short-lived commands import it, so it does not import the kernel, and only
+`AsyncClient`, which is imported late, uses asyncio. The kernel's end is `aiorts.control`.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from aiorts.sessions.session import ITEMS, WINDOW, Answer, Call
 from aiorts.sessions.target import entry_named
 
 _LAST: Final = 1.0
-"""Seconds that a kernel has to take the last bytes of a session."""
+"""Seconds within which a kernel should take the last bytes of a session."""
 _RETRY: Final = 0.005
 
 
@@ -37,8 +37,8 @@ class AsyncClient(BaseClient):
     `AsyncStream`.
 
     Any number of calls and streams run at once. A call that is cancelled, and a stream that is left, end in the
-    kernel, too. A stream that is not read holds up itself alone. When the kernel ends, all calls and streams raise
-    ClosedError, once the earlier answers are taken; `CutOff` where the kernel runs on.
+    kernel, too. A stream that is not read holds up nothing else. When the kernel ends, all calls and streams raise
+    ClosedError after the earlier answers are taken; where the kernel ended only this session, they raise `CutOff`.
 
     Attributes:
         entry: the kernel's entry; its epoch is that of the session.
@@ -80,8 +80,8 @@ class AsyncClient(BaseClient):
                 that runs.
             timeout: seconds within which the kernel answers.
             who: this end, for the kernel's log; the command by default.
-            right: the highest right wanted: "view", "operate" or "code"; by default all that the kernel allows. `right`
-                of the session is the one that the kernel gave.
+            right: the highest right wanted: "view", "operate" or "code"; by default all that the kernel allows. The
+                attribute `right` is the right that the kernel gave.
 
         Raises:
             NoAnswerError: the kernel does not answer within `timeout` seconds.
@@ -127,7 +127,7 @@ class AsyncClient(BaseClient):
             arguments: the arguments of the operation.
 
         Raises:
-            NoAnswerError: no answer came in time; the kernel carries the call out all the same.
+            NoAnswerError: no answer came in time; the kernel still carries the call out.
             ClosedError: the session has ended.
             AiortsError: the error that the operation raised, as the class of its code.
         """
@@ -184,7 +184,7 @@ class AsyncClient(BaseClient):
         return call
 
     async def _next(self, call: Call, wait: float | None) -> Answer:
-        """Wait for the next answer of a call; answers from before the session's end come before its error.
+        """Wait for the next answer of a call. When the session has ended, earlier answers come before its error.
 
         Raises:
             ClosedError: the call was given up meanwhile, or the session has ended.
@@ -264,7 +264,7 @@ class AsyncClient(BaseClient):
     def _hung_up(self, error: Exception | None) -> None:
         """End the session of a socket that the other end has closed.
 
-        A kernel that still listens is checked again: a process that is killed closes its sockets one after the other.
+        A kernel that still listens is checked a second time: a killed process closes its sockets one after the other.
         """
         if self.is_open and error is None and self.hello and is_listed(self.entry):
             asyncio.get_running_loop().call_later(CLOSING_SECONDS, self._look_again)
@@ -275,7 +275,7 @@ class AsyncClient(BaseClient):
         self._end(self._ended(served=is_listed(self.entry)))
 
     def _end(self, error: AiortsError | None = None) -> None:
-        """Wake all waiting calls, which raise; the first error of the session stays."""
+        """End the session with an error, unless it has one: all waiting calls wake and raise it."""
         if error is not None:
             self._session.end(error)
         self._wire.close()
@@ -289,13 +289,13 @@ class AsyncClient(BaseClient):
 class AsyncStream:
     """The items of an operation that streams, in order; `async for` waits for the next.
 
-    The operation ends in the kernel by `close()`, at the end of `async with`, and when the stream is no longer
-    referenced: as after `break`, or an exception, in `async for item in client.stream(...)`.
+    `close()`, the end of `async with`, and the loss of the last reference to the stream end the operation in the
+    kernel: so does `break` or an exception in `async for item in client.stream(...)`.
 
     Attributes:
         began: the first answer of the operation, from before its items.
         missed: items that were dropped so far, in the kernel or here, since this end was too slow.
-        ended: whether it is over: no item comes any more.
+        ended: whether the stream is over: no item comes any more.
         result: the last answer of the operation.
     """
 

@@ -19,7 +19,7 @@ END: Final = object()
 
 
 class CutOff(ClosedError):
-    """The error of a client that took nothing: the kernel ended its session and runs on."""
+    """The kernel has ended the session, whose client read nothing for too long, and still runs."""
 
 
 class BaseClient:

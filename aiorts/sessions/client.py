@@ -126,7 +126,7 @@ class Client(BaseClient):
     def read_ahead(self) -> None:
         """Start a thread that reads the socket, so that a pause of this program does not hold up the kernel.
 
-        A stream keeps `session.ITEMS` items that are not taken; the others are `missed`. Afterwards `read` and `fileno`
+        A stream keeps `session.ITEMS` items that wait; further items are `missed`. After this call, `read` and `fileno`
         must not be called. Idempotent.
         """
         if self._thread is None:
@@ -298,7 +298,7 @@ class Stream:
     Attributes:
         began: the first answer of the operation, from before its items.
         missed: items that were dropped so far, in the kernel or here, since this end was too slow.
-        ended: whether it is over: no item comes any more.
+        ended: whether the stream is over: no item comes any more.
         result: the last answer of the operation.
     """
 
@@ -347,7 +347,7 @@ class Stream:
         return END
 
     def take(self, timeout: float) -> list[Any]:
-        """Wait for items; returns all that have come, or none after `timeout` seconds. END is the stream's last."""
+        """Wait for items; returns all that have come, or none after `timeout` seconds. END comes last in a stream."""
         try:
             found = [self.next(timeout)]
         except NoAnswerError:
@@ -385,8 +385,8 @@ def open_all(
 ) -> tuple[list[tuple[Client, Any]], list[Silent]]:
     """Open a session with each kernel and make one call in each, all at the same time.
 
-    A kernel that does not even send hello delays the others by at most `grace` seconds; a kernel whose loop is busy, by
-    at most `timeout`.
+    A kernel that sends not even hello delays the others by at most `grace` seconds; a kernel with a busy loop, by at
+    most `timeout`.
 
     Args:
         timeout: seconds to wait while no kernel has answered, and for kernels that have said hello.

@@ -3,8 +3,8 @@
 An entry is a socket, named by a hash of the kernel's address, and a small file next to it that names the kernel. The
 folder is refused when it is a link, belongs to another user, or gives others access. An entry without a listener was
 left by a process that is gone: the next reader removes it. The variable AIORTS_FOLDERS names further folders of that
-kind, with ":" between them. A process that carries sessions to other hosts has one socket there for all of their
-kernels, and its file is a list (`Carrier`).
+kind, with ":" between them. A process that carries sessions to other hosts has one socket in such a folder for all
+their kernels; the file next to it lists them (`Carrier`).
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def private_folder() -> Path:
     """The folder for sockets of this user's kernels, made if it does not exist.
 
     Raises:
-        ControlError: it cannot be made, is a link, belongs to another user, or is open to others.
+        ControlError: the folder cannot be made, is a link, belongs to another user, or is open to others.
     """
     folder = place()
     try:
@@ -88,7 +88,7 @@ def private_folder() -> Path:
 
 
 def check(folder: Path) -> None:
-    """Check a folder: ControlError unless it is this user's alone, FileNotFoundError when it does not exist."""
+    """Check a folder: ControlError unless only this user has access, FileNotFoundError when it does not exist."""
     found = folder.lstat()
     why = ""
     if stat.S_ISLNK(found.st_mode):
@@ -143,7 +143,7 @@ def discard(entry: Entry) -> None:
 
 
 def is_served(entry: Entry) -> bool:
-    """Whether the kernel of an entry, and no other, still listens; two looks, since a killed one closes late."""
+    """Whether the kernel of an entry, and no other, still listens; checked twice, as a killed kernel closes late."""
     if not is_listed(entry):
         return False
     time.sleep(CLOSING_SECONDS)
@@ -151,7 +151,7 @@ def is_served(entry: Entry) -> bool:
 
 
 def is_listed(entry: Entry) -> bool:
-    """Whether the kernel of an entry listens, by one look: for a kernel that is ending, this may be wrong."""
+    """Whether the kernel of an entry listens, checked once: for a kernel that is ending, this may be wrong."""
     if not entry.path:
         return False
     said = {(one.address, one.epoch) for one in _read(Path(entry.path).with_suffix(".json")) or ()}
@@ -159,7 +159,7 @@ def is_listed(entry: Entry) -> bool:
 
 
 def _read(file: Path) -> tuple[Entry, ...] | None:
-    """The kernels reached by the socket next to a file: one, or a list; None: the file is missing or malformed."""
+    """The kernels that a file lists for the socket next to it, one or several; None: it is missing or malformed."""
     path = str(file.with_suffix(".sock"))
     try:
         with file.open("rb") as opened:
@@ -212,13 +212,14 @@ def _locked(folder: Path, waits: tuple[float, ...] = (0.001, 0.01, 0.1, 0.5, 0.5
 
 
 class Claim:
-    """An entry of this process: a listening socket under an address, until it is withdrawn and closed.
+    """An entry of this process: a listening socket under an address, until the entry is withdrawn and closed.
 
     Args:
         folder: the folder of the entry; the user's own by default.
 
     Raises:
-        ControlError: the folder is not safe, the address is taken (the text says by whom), or its path is too long.
+        ControlError: the folder is not safe, the address is taken (the text names the owner), or the path of the socket
+            is too long.
         OSError: the socket cannot be made.
     """
 
@@ -271,12 +272,12 @@ class Carrier:
         """The path of the socket, which the owner of the carrier opens."""
 
     def write(self, kernels: Iterable[tuple[str, str]]) -> None:
-        """Replace the list of kernels that can be reached, by address and epoch; the socket listens already."""
+        """Replace the list of kernels that can be reached, by address and epoch. The socket has to listen already."""
         _write(Path(self.path).with_suffix(".json"), {"pid": os.getpid(), "carried": list(kernels)})
 
 
 def remove_left(prefix: str) -> None:
-    """Remove this user's temporary folders of that prefix whose carriers are gone: a killed one leaves its folder."""
+    """Remove this user's temporary folders of that prefix that killed carriers have left."""
     for folder in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
         with contextlib.suppress(OSError, ControlError):
             check(folder)

@@ -1,7 +1,7 @@
-"""One call to many kernels whose sessions one socket carries: one question, without opening a session.
+"""Call an operation in many kernels behind one socket with a single question, without opening sessions.
 
 The frame `{"every": "names"}` asks; `{"said": [["host/kernel", epoch, value], ...]}` has the answers that came in time.
-A few kernels are not asked so: sessions with them begin at once, since they are needed next.
+With up to `FEW` kernels, sessions begin at once instead, since they are needed next.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from aiorts.sessions.folder import Entry
 from aiorts.sessions.protocol import ANSWERS, answer_in, framed, frames
 
 FEW: Final = 16
-"""Kernels of one socket up to which sessions begin at once."""
+"""The most kernels of one socket with which sessions begin at once."""
 _SECONDS: Final = 5.0
 """Seconds within which the socket's process answers; it waits a shorter time for its kernels."""
 _CHUNK: Final = 1 << 18
@@ -27,9 +27,8 @@ Answers = Mapping[tuple[str, str], Any]
 
 
 def said_by_many(wanted: Iterable[Entry], operation: str) -> Answers:
-    """The answers of kernels to a call, from sockets that carry sessions with more than `FEW` of the wanted kernels.
-
-    A kernel without an answer is missing; it may run all the same.
+    """The answers of kernels to a call, from sockets that carry sessions with more than `FEW` of the wanted kernels. A
+    kernel that is missing here has not answered, but may run.
     """
     by_path: dict[str, int] = {}
     for entry in wanted:

@@ -31,22 +31,22 @@ OLDEST: Final = 1
 """The oldest protocol that this release speaks."""
 NEWEST: Final = 1
 REQUESTS: Final = Limits(frame=512 * KIB, string=65_536, values=8_192, length=8_192)
-"""Limits of the frames of clients: the worst one takes less than 10 ms to decode."""
+"""Limits of the frames of clients: the worst frame takes less than 10 ms to decode."""
 ANSWERS: Final = 512 * MIB
 """Bytes of the longest frame that a client takes from a kernel."""
 WAITING: Final = 256
 """Calls of one client that may wait or run at a time, and items of a stream that wait to be sent."""
 STALL_SECONDS: Final = 30.0
-"""Seconds after which a client is cut off that does not read, or does not complete a frame that it began."""
+"""Seconds after which a client is cut off if it does not read, or does not complete a frame."""
 RightName = Literal["", "view", "operate", "code"]
 """The highest right that a client wants, as in hello; "": all that the kernel allows."""
 _LENGTH: Final = 4
 _BYTES: Final = "surrogateescape"
-"""The error handler of texts, as for Python's paths, whose bytes may be no UTF-8."""
+"""The error handler for texts that are no valid UTF-8, as Python uses it for paths."""
 
 
 class Made:
-    """Base of values that are made into plain data when they are sent: in the thread of the socket, not on the loop."""
+    """Base of values that the thread of the socket makes into plain data when it sends them, not the loop."""
 
     __slots__ = ()
 
@@ -59,7 +59,7 @@ def agreed(oldest: object, newest: object, who: str) -> int:
     """The newest protocol that both ends speak.
 
     Raises:
-        ControlError: there is none; the text says what each speaks.
+        ControlError: no protocol is common; the text has those of each end.
     """
     if type(oldest) is not int or type(newest) is not int:
         raise ControlError(f"{who}: hello without the protocols it speaks; it is no client of aiorts")
@@ -79,7 +79,7 @@ def framed(message: Mapping[str, Any]) -> bytes:
 def packed(message: Mapping[str, Any]) -> bytes:
     """A message as msgpack; values of other types are made plain first.
 
-    A path that is not UTF-8 goes as the bytes that it has on disk, and is the same path at the other end.
+    A path that is not UTF-8 is sent as its bytes on disk, and is the same path at the other end.
     """
     try:
         return cast("bytes", msgpack.packb(message, default=_plain, unicode_errors=_BYTES))
@@ -109,17 +109,15 @@ def has_frame(buffer: bytearray, longest: int) -> bool:
 
 
 def request_in(frame: bytes) -> dict[Any, Any]:
-    """The message of a client in a frame.
-
-    Raises:
-        WireError: it is no map, is not whole, or exceeds the limits of `REQUESTS`.
+    """The message of a client in a frame. Raises: WireError: the message is no map, is not whole, or exceeds the limits
+    of `REQUESTS`.
     """
     count_values(frame, REQUESTS)
     return answer_in(frame)
 
 
 def answer_in(frame: bytes) -> dict[Any, Any]:
-    """The message of a kernel in a frame; WireError when it is no map."""
+    """The message of a kernel in a frame; WireError when the message is no map."""
     try:
         value = msgpack.unpackb(frame, strict_map_key=False, raw=False, unicode_errors=_BYTES)
     except (ValueError, TypeError) as error:  # TypeError: a list or map as a key

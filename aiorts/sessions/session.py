@@ -1,4 +1,4 @@
-"""A client's session with a kernel, without its socket: bytes in; answers and bytes out.
+"""A client's session with a kernel, as a pure state machine: it takes bytes, and returns answers and bytes.
 
 The session has no socket, thread, loop or clock: the blocking `Client` and the `AsyncClient` of a loop both drive it.
 Two tables define it: `SESSION` for each frame that comes, `CALL` for each answer to a call.
@@ -28,26 +28,26 @@ from aiorts.sessions.protocol import (
 )
 
 ITEMS: Final = 4_096
-"""Items of a stream that are kept for a taker that is behind, where `credit` is limited."""
+"""The most items of a stream that are kept for a slow reader, where `credit` is limited."""
 WINDOW: Final = 1_024
-"""Items of a stream that a kernel may send to a taker on a loop before some are taken. New credit is given after half
-of them: early enough even where the kernel holds calls back for half a second."""
+"""Items of a stream that a kernel may send to a reader on a loop before it takes some. The reader gives new credit
+after half of them: early enough even where the kernel delays calls for half a second."""
 BYTES: Final = 32 << 20
-"""Bytes of the frames of kept items; a single item may be larger."""
+"""The most bytes of the frames of kept items; a single item may be larger."""
 
 SessionState = Literal["greeting", "open", "ended"]
 """The state of a session. In "greeting" the kernel has not said hello; calls may be sent all the same."""
 Frame = Literal["hello", "answer", "refusal", "busy", "other"]
 """The kinds of frames: a "refusal" is an error without a call's number; "other" may come from a newer kernel."""
 CallState = Literal["opening", "open", "ending", "ended"]
-"""The state of a call: "open" when it streams and has begun; "ending" when this end has given it up and its last answer
-is still to come; "ended" when its last answer has come, taken or not."""
+"""The state of a call. "open": it streams and has begun; "ending": this end has given the call up, and its last answer
+is still to come; "ended": its last answer has come, taken or not."""
 Said = Literal["ok", "began", "item", "end", "error", "cancel", "leave"]
-"""The answers of a kernel ("began": the "ok" of a stream), and the ways in which this end gives a call up: by "cancel"
-the kernel ends the call, by "leave" it carries the call out."""
+"""The answers of a kernel ("began": the "ok" of a stream), and the ways in which this end gives a call up: after
+"cancel" the kernel ends the call, after "leave" it still carries the call out."""
 Do = Literal["take", "skip", "send", "forget", "fault"]
-"""The effect: the frame or answer is taken, or skipped; the kernel is sent the cancellation; the call's number is
-forgotten; the session ends with a fault."""
+"""The effects, in order: the frame or answer is taken; it is skipped; the cancellation is sent to the kernel; the
+call's number is forgotten; the session ends with a fault."""
 Table = Mapping[Any, Mapping[Any, tuple[Any, Do]]]
 
 
@@ -107,7 +107,7 @@ class Heard:
 
 
 class Call:
-    """One call: its state, and its answers that are not taken yet. One thread may `take` while another calls `keep`."""
+    """One call: its state, and its answers that are not taken yet. `take` and `keep` may run in two threads."""
 
     __slots__ = ("_came", "_kept", "_missed", "_taken", "due", "given_up", "number", "state", "streams", "window")
 
@@ -150,7 +150,7 @@ class Call:
         return answer
 
     def missed_last(self) -> int:
-        """The number of items that are missing after the last answer; each is counted once."""
+        """Return the number of items that are missing after the last answer, and count them no more."""
         missed, self._missed = self._missed, 0
         return missed
 
@@ -168,8 +168,8 @@ class ClientSession:
         hello: the kernel's hello; empty before it comes.
         epoch: the kernel's epoch, which goes with each call.
         error: the reason of the session's end; None before.
-        busy: seconds for which the kernel's loop is held up, as last reported since the last answer; 0.0: not held up.
-        credit: items of each stream that are kept for a taker that is behind, of at most `BYTES`; None: all.
+        busy: seconds for which the kernel's loop is held up, as reported since the last answer; 0.0: not reported.
+        credit: the most items of each stream that are kept for a slow reader, of at most `BYTES`; None: all.
 
     Args:
         address: the kernel's address, "host/kernel", for texts.
@@ -184,7 +184,7 @@ class ClientSession:
         self.busy = 0.0
         self.credit: int | None = None
         self.calls: dict[int, Call] = {}
-        """The calls by number whose last answer is still to come, or to be taken."""
+        """The calls, by number, whose last answer has not come, or is not taken."""
         self.last = 0
         """The number of the last call that was begun."""
         self._longest = longest
@@ -216,8 +216,8 @@ class ClientSession:
             window: items of a stream that the kernel may send before `take` gives it new credit; 0: all.
 
         Raises:
-            LimitError: the call is larger than a kernel takes; the session goes on.
-            AiortsError: the session has ended; this is its reason.
+            LimitError: the call is larger than a kernel accepts; the session goes on.
+            AiortsError: the session has ended; the error is the reason.
         """
         self.check()
         number = self.last + 1
@@ -240,12 +240,12 @@ class ClientSession:
         return answer, b""
 
     def cancel(self, call: Call) -> bytes:
-        """Give a call up so that the kernel ends it; returns the bytes to send: none where it has ended already."""
+        """Give a call up so that the kernel ends it; returns the bytes to send: none if the call has ended already."""
         do = self._step(call, "cancel")
         return framed({"id": call.number, "cancel": True}) if do == "send" and self.error is None else b""
 
     def leave(self, call: Call) -> None:
-        """Give a call up that the kernel still carries out: its answers are skipped. Idempotent."""
+        """Give a call up, and let the kernel carry it out: its answers are skipped. Idempotent."""
         self._step(call, "leave")
 
     def _step(self, call: Call, said: Said) -> Do:
@@ -277,12 +277,12 @@ class ClientSession:
         """Take bytes of the kernel, divided at any place.
 
         Returns:
-            The calls with new answers, in the order of the answers; a call once for each of its answers.
+            The calls with new answers, in the order of the answers: a call is listed once for each answer.
         """
         return self.hear(self.decode(data))
 
     def decode(self, data: bytes) -> Heard:
-        """Decode the frames that these bytes complete; takes time, and changes nothing that another thread reads."""
+        """Decode the frames that these bytes complete: slow, but changes nothing that another thread reads."""
         heard = Heard([])
         self._buffer += data
         try:
@@ -354,7 +354,7 @@ class ClientSession:
 
 
 def _said(frame: Mapping[Any, Any]) -> Said | None:
-    """The kind of answer of a frame; of several keys the first of this order counts."""
+    """The kind of answer in a frame; of several keys, "error" counts first, then "ok", "item" and "end"."""
     if "error" in frame:
         return "error"
     if "ok" in frame:

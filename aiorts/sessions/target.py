@@ -1,8 +1,8 @@
 """The meaning of a command line's word among running kernels: a kernel, a component, a port.
 
-A word is `component`, `component.port`, `kernel/component.port` or `host/kernel/component.port`. A short word is enough
-where only one kernel has the name; so is the name of a kernel without the number of its process. A file ends in .toml,
-.xml, .yaml or .mcap, or begins with ./ or /; every other word is a name.
+A word is `component`, `component.port`, `kernel/component.port` or `host/kernel/component.port`. A shorter form is
+enough where only one kernel has that name; a kernel's name may also omit the number of its process. A file ends in
+.toml, .xml, .yaml or .mcap, or begins with ./ or /; every other word is a name.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def is_file(word: str) -> bool:
 
 
 def is_glob(word: str) -> bool:
-    """Whether a word has one of the characters * ? [, and may so mean several things."""
+    """Whether a word has one of the characters * ? [, with which it may mean several things."""
     return _GLOB.search(word) is not None
 
 
@@ -50,9 +50,9 @@ class Running:
     names: Mapping[str, Any]
     """The answer of the operation `names`: components, contexts, connectors."""
     alias: str = ""
-    """The name by which links reach the kernel, where it is not also a kernel's own name; "" otherwise."""
+    """The name by which links reach the kernel, if no kernel is called so; "" otherwise."""
     short: str = ""
-    """The kernel's name without the number of its process, where this means no other kernel."""
+    """The kernel's name without the number of its process, if no other kernel is meant by that; else ""."""
 
     @property
     def name(self) -> str:
@@ -79,7 +79,7 @@ class Found:
     component: str
     """The component's name; "" where the kernel itself is meant."""
     port: str = ""
-    """The name after the component's: a port, a parameter, any part of it; "" where there is none."""
+    """The name after the component's, such as a port's or parameter's; "" where there is none."""
 
     @property
     def client(self) -> Client:
@@ -102,7 +102,7 @@ class Found:
         return "port" if self.port else "component" if self.component else "kernel"
 
     def check(self, *kinds: str) -> None:
-        """Raise AbsentError unless it is of one of these kinds."""
+        """Raise AbsentError unless the found thing is of one of these kinds."""
         if self.kind not in kinds:
             raise AbsentError(f"{self.full}: is a {self.kind}, no {' or '.join(kinds)}; `aiorts ls -R` shows all")
 
@@ -113,7 +113,8 @@ class Kernels:
     Attributes:
         running: the kernels that answered.
         silent: the kernels that did not.
-        changing: whether the command changes something: a word that a silent kernel may have, too, is then refused.
+        changing: whether the command changes something: it then refuses a word that may also mean something in a silent
+            kernel.
     """
 
     def __init__(self, running: Sequence[Running], silent: Sequence[Silent], *, changing: bool = False) -> None:
@@ -133,7 +134,7 @@ class Kernels:
         self.changing = changing
 
     def find(self, word: str, *, bare: bool = False) -> Found:
-        """Find the single thing that a word means; with `bare`, also a kernel's name alone, where no component has it.
+        """Find the single thing that a word means; with `bare`, also a kernel, if no component has that name.
 
         Raises:
             AbsentError: nothing has the name.
@@ -148,8 +149,9 @@ class Kernels:
 
         Raises:
             AbsentError: nothing has the name.
-            AmbiguousError: several have it, and the word has no such character; the text lists them.
-            NoAnswerError: nothing has it, or `changing` is set, and a kernel that may have it does not answer.
+            AmbiguousError: several things have the name, and the word has no such character; the text lists them.
+                NoAnswerError: a kernel that may have the name does not answer, and nothing else has it or `changing` is
+                set.
             InvalidNameError: the word has more parts than a name.
         """
         host, kernel, component, port = split_path(word)
@@ -176,10 +178,9 @@ class Kernels:
 
         Args:
             kind: "contexts" or "connectors".
-            word: its name, or the kernel's name, a slash and its name.
+            word: the name of the context or connector, also after the kernel's name and a slash.
 
-        Raises:
-            NoAnswerError: `changing` is set, and a kernel that may have it does not answer.
+        Raises: NoAnswerError: `changing` is set, and a kernel that may have the thing does not answer.
         """
         kernel, _, name = word.rpartition("/")
         found = [(one, name) for one in self.running if (not kernel or one.fits(kernel)) and name in one.names[kind]]
@@ -188,7 +189,7 @@ class Kernels:
         return found
 
     def check_sure(self, word: str, kernel: str, found: Sequence[Running]) -> None:
-        """Raise NoAnswerError where `changing` is set and a kernel that may be meant, too, does not answer."""
+        """Raise NoAnswerError if `changing` is set and the word may also mean a kernel that does not answer."""
         mute = self._mute(kernel) if self.changing else ""
         if mute:
             there = dict.fromkeys(one.name for one in found)
@@ -199,12 +200,12 @@ class Kernels:
             )
 
     def _mute(self, kernel: str) -> str:
-        """The names of silent kernels that may be meant: all where no kernel is named."""
+        """The names of the silent kernels that `kernel` may mean: all, if no kernel is named."""
         mute = [one.entry.name for one in self.silent if not kernel or _matches(one.entry, kernel)]
         return ", ".join(mute[:_SHOWN])
 
     def component(self, word: str) -> Found:
-        """Find the component that a word means; raises as `find`, and AbsentError where it is no component."""
+        """Find the component that a word means; raises as `find`, and AbsentError for any other thing."""
         one = self.find(word)
         one.check("component")
         return one
@@ -249,7 +250,7 @@ class Kernels:
         raise AmbiguousError(f"{word or 'no kernel is named, and'} {len(fitting)} kernels run: {shown}; say which one")
 
     def _nothing(self, word: str, kernel: str, component: str) -> Never:
-        """Raise the error for a name that nothing has among the kernels that answer."""
+        """Raise the error for a name that exists in no kernel that answers."""
         what = f"{word}: " if word else ""
         if (kernel or component) and (mute := self._mute(kernel or component)):
             raise NoAnswerError(f"{what}no answer from {mute}; it is stopped, or busy")
@@ -317,7 +318,7 @@ def kernels(
 
 
 def _told(wanted: Sequence[Entry], right: RightName) -> tuple[list[Running], list[Entry]]:
-    """The kernels whose names are known without a session, which begins with the first call; and all others."""
+    """The kernels that told their names without a session, which begins at the first call; and all other kernels."""
     said = said_by_many(wanted, "names")
     running, others = [], []
     for one in wanted:
@@ -335,7 +336,7 @@ _shared: Final[list[Kernels]] = []
 
 @contextmanager
 def sharing() -> Iterator[None]:
-    """Share the sessions that are open now with all commands until the end of the block, whichever right they need."""
+    """Share the sessions that are open now with all commands of the block, whatever right a command needs."""
     with kernels() as found:
         _shared.append(found)
         try:
@@ -360,7 +361,7 @@ def _anew(shared: Kernels, select: Callable[[Entry], bool] | None, *, changing: 
 
 
 def _told_apart(found: Sequence[Found]) -> list[str]:
-    """The names of things, with the host where several have the same name."""
+    """The names of things; where several have the same name, with the host."""
     count = Counter(one.full for one in found)
     hosts = [f"{one.client.entry.address.rpartition('/')[0]}/" if count[one.full] > 1 else "" for one in found]
     return [f"{host}{one.full}" for host, one in zip(hosts, found, strict=True)]
@@ -371,7 +372,7 @@ def _matches(entry: Entry, kernel: str) -> bool:
 
 
 def _short(entry: Entry) -> str:
-    """The name without the number of the process, which ends the names of kernels started without a name; or ""."""
+    """The name without the process number with which the default names of kernels end; "" without such a number."""
     short = entry.name.removesuffix(f"-{entry.pid}")
     return "" if short == entry.name else short
 
@@ -387,7 +388,7 @@ def _of(one: Running, component: str, *, bare: bool) -> list[str]:
 
 
 def the_one(word: str, found: Sequence[T], names: Sequence[str]) -> T:
-    """The single item of `found`, which has at least one; AmbiguousError, with the names, where it has several."""
+    """The single item of `found`, which is not empty; AmbiguousError, with the names, if `found` has several."""
     if len(found) > 1:
         more = ", ..." if len(names) > _SHOWN else ""
         raise AmbiguousError(
@@ -403,7 +404,7 @@ def entry_named(word: str = "") -> Entry:
         word: the kernel's name, "host/name" or the path of its socket; "" is the only one that runs.
 
     Raises:
-        AbsentError: no kernel has the name. AmbiguousError: several have it; the text lists them.
+        AbsentError: no kernel has the name. AmbiguousError: several kernels have the name; the text lists them.
     """
     if word.startswith("/"):
         return entry_at(word)
@@ -420,7 +421,7 @@ def entry_named(word: str = "") -> Entry:
 
 
 def _absent(word: str, name: str, known: Iterable[str]) -> AbsentError:
-    """The error for a name in a word that nothing has; its text has the near names, or all."""
+    """The error for a name that does not exist; its text has the near names, or all."""
     hint = suggestion(name, dict.fromkeys(known), shown=str)
     return AbsentError(f"{word}: nothing that runs has this name; {hint}")
 
@@ -432,7 +433,7 @@ PATIENCE: Final = 0.05
 
 
 def likely(incomplete: str) -> list[str]:
-    """The words that complete a beginning: components, their ports after a dot, kernels with a slash."""
+    """The words that begin with `incomplete`: components, ports after a component's dot, kernels with a slash."""
     with kernels(PATIENCE, right="view") as found:
         head, dot, _ = incomplete.rpartition(".")
         if dot:

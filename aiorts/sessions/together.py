@@ -1,7 +1,7 @@
 """Change the systems of several kernels to those of files, all or none.
 
-Each kernel changes its own system, whole or not at all, and holds the change open. When all have changed, all are
-asked to keep the change; a kernel that hears nothing more takes it back by itself.
+Each kernel changes its own system, whole or not at all, and waits. When all have changed, all are asked to keep the
+change; a kernel that is not asked undoes its change by itself.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Outcome:
 
     Attributes:
         kept: the steps of each kernel that has its wanted system now.
-        failed: the kernel that did not change, or did not answer; "" where all did.
+        failed: the kernel that did not change, or did not answer; "" where all changed.
         why: the text of its error.
         unsure: the kernels whose outcome is not known; each keeps its change or takes it back, whole.
     """
