@@ -1,7 +1,8 @@
 """The graph of waiting among the calls of a kernel.
 
-A hook that runs and a call that is served are *activities*. An activity that has called waits for the call; a call
-that is not let in waits for the activity that is inside. A call that would close such a circle is never begun.
+A hook that runs and a call that is served are *activities*. An activity that has called waits for the call; a call that
+may not enter a component yet waits for the activity inside it. A call that would close a circle of waiting is never
+begun.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class CallGraph(KernelService):
             del self._by_caller[caller]
 
     def way_back(self, holder: Activity | None, caller: Activity) -> list[Any] | None:
-        """The calls through which `holder` waits for `caller`, or None: it does not, or not through calls alone."""
+        """The calls through which `holder` waits for `caller`; None if `holder` does not wait for it through calls."""
         return self._way(holder, caller, set())
 
     def _way(self, holder: Activity | None, caller: Activity, seen: set[int]) -> list[Any] | None:
@@ -67,7 +68,7 @@ def holder_of(component: Component) -> Activity | None:
 
 
 def activity_of(task: asyncio.Task[Any] | None) -> Activity | None:
-    """The activity whose own task this is; None for tasks that an activity has started."""
+    """The activity that runs in this task; None for further tasks that an activity has started."""
     if task is None:
         return None
     visit: Activity | None = getattr(task, "_aiorts_visit", None)

@@ -58,7 +58,7 @@ class GoalEnded(Event):
 
 
 class Link(Protocol):
-    """A required interface that is bound to a provided one, as far as it is known here."""
+    """A required interface bound to a provided one: the part of a link that goals use."""
 
     kernel: Microkernel
     component: Component
@@ -120,11 +120,11 @@ class Acceptance:
         return InterfaceMismatch(f"{self.name}: {wrong}") if wrong else None
 
     def count(self, what: str, reason: str = "") -> None:
-        """Count an event of the goal for the connector and, once that has ended, for both ends."""
+        """Count an event of the goal for the connector and, after the connector's end, for both its ends."""
         count_in(tallies(self.link), what, reason)
 
     def begin(self, goal: Goal[Any, Any]) -> None:
-        """Begin the goal in the task of its client, whose cancellation is the client's end."""
+        """Begin the goal for the task of its client: the goal's client counts as gone when the task is cancelled."""
         self._keeper.running[goal] = self
         task = current_task()
         if task is not None:
@@ -171,12 +171,12 @@ def _client_task_ended(goal: Goal[Any, Any], task: asyncio.Task[Any]) -> None:
 
 
 def tallies(link: Link) -> tuple[Tally, ...]:
-    """The tallies in which a link counts: after its end also those of its ends, which took over its counts."""
+    """The tallies in which a link counts: also those of its two interfaces after they took over its counts."""
     return (link.tally, link.required._tally, link.provided._tally) if link.closed else (link.tally,)
 
 
 def forsake(value: object) -> None:
-    """End the goal, if it is one, that a method has returned after its caller had gone."""
+    """End the value if it is a goal: a method has returned it after its caller had gone."""
     if isinstance(value, Goal) and value._acceptance is None:
         value._end_from_outside("refused", _FORSAKEN)
 

@@ -74,7 +74,7 @@ class Goal(Generic[F, R]):
         self._acceptance: Acceptance | None = None
         """The goal's acceptance; None before."""
         self._chance = [True]
-        """An item that the first end takes, from any thread."""
+        """A list with one item, which the first end of the goal removes, from any thread."""
         self._outcome: Outcome | None = None
         self._doings: deque[tuple[Any, bool]] = deque()
         """Feedback, and the end, on their way to the loop; each with whether its type was checked."""
@@ -186,9 +186,10 @@ class Goal(Generic[F, R]):
 
     @property
     def cancel_requested(self) -> bool:
-        """Whether the goal is to be given up: end it soon, with `cancelled`, or with `succeed` if it is done by then.
+        """Whether the provider should end the goal soon, by `cancelled`, or by `succeed` if the work is done by then.
 
-        It stays True when the goal was ended from outside. An event context executes the provider when it becomes True.
+        The value stays True when the goal was ended from outside. An event context executes the provider when it
+        becomes True.
         """
         return self._requested != ""
 
@@ -232,7 +233,7 @@ class Goal(Generic[F, R]):
         """End the goal as cancelled, on request. Returns False where the goal was ended from outside.
 
         Raises:
-            StateError: the client did not ask for it, or the provider has ended the goal.
+            StateError: the client did not ask to cancel the goal, or the provider has ended the goal.
         """
         if not self._requested:
             raise StateError(
@@ -254,7 +255,7 @@ class Goal(Generic[F, R]):
         return False
 
     def _checked(self, what: str, value: object) -> bool:
-        """Whether the type is known by now; InterfaceMismatch: it is known, and the value is of another one."""
+        """Whether the value's type could be checked by now; InterfaceMismatch: the value is of another type."""
         acceptance = self._acceptance
         if acceptance is None:
             return False
@@ -314,7 +315,7 @@ class Goal(Generic[F, R]):
         _wake(self._reader)
 
     def _end_from_outside(self, reason: str, text: str, error: BaseException | None = None) -> None:
-        """Fail the goal, unless it had its end before; further steps of its provider are ignored."""
+        """Fail the goal, unless it has ended already; further steps of its provider are ignored."""
         if not self._claim():
             return
         self._outcome = Outcome("failed", None, text, error, reason, own=False)

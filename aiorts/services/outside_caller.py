@@ -1,4 +1,4 @@
-"""Calls from outside of all components, such as a tool's, which are let in, run and ended as any other.
+"""Calls from outside of all components, such as a tool's; they wait, run and end as all other calls do.
 
 The caller has a required interface of its own and no connector of a kernel: it counts for no limit of the provider's
 port, and is in no profile.
@@ -52,7 +52,7 @@ class OutsideCaller:
         return self._answer(method).goal is not None
 
     async def call(self, method: str, args: Sequence[Any], kwargs: Mapping[str, Any], timeout: float) -> Any:
-        """The result of a call, which waits until it is let in; for a method with goals the goal.
+        """Call a method; returns its result, or the goal of a method with goals.
 
         Raises:
             InterfaceMismatch: the arguments are not those of the method.

@@ -81,7 +81,7 @@ class GoalTypes(NamedTuple):
     result: Any = Any
 
     def misfit(self, what: str, value: object) -> str:
-        """The misfit of a value and its type, in words; "" where it fits, or that cannot be known."""
+        """The misfit of a value and its type, in words; "" where the value fits, or its type is not known."""
         hint = getattr(self, what)
         check = check_of(hint)
         if check is None or check(value):
@@ -94,7 +94,7 @@ def goal_types(returns: Any, where: str = "") -> GoalTypes | None:
     """The types of the goals that a method returns; None where it returns none.
 
     Raises:
-        DeclarationError: the method may return a goal, whose types cannot be known.
+        DeclarationError: the method may return a goal, but the types of its values cannot be known.
     """
     if returns is Goal:
         return GoalTypes()

@@ -1,4 +1,4 @@
-"""A call that may wait: let in, run, answered, given up; on the kernel's loop.
+"""A call that may wait, on the kernel's loop: it enters the provider's component, runs, and is answered or given up.
 
 An `async def` has a task of its own, so that a deadline, a caller that is cancelled and a provider that goes end it
 without harm to others. A task that ignores cancellation is cancelled once for each grace step and then abandoned, as a
@@ -37,7 +37,7 @@ def seconds_left(task: asyncio.Task[Any] | None) -> float:
 
 
 class ServiceCall(Visit):
-    """A call that may wait: to be let in, for the provider's own task, for its thread."""
+    """A call that may wait: to enter the provider's component, for the provider's own task, or for its thread."""
 
     __slots__ = (
         "_caller",
@@ -69,7 +69,7 @@ class ServiceCall(Visit):
         self.seconds = seconds
         self.begun_ns = 0
         self.runs = False
-        """Whether the call was let in and is not over."""
+        """Whether the call has entered the provider's component and is not over."""
         self.over = False
         self.reply: asyncio.Future[Outcome] | None = None
         self.task: asyncio.Task[None] | None = None
@@ -180,7 +180,7 @@ class ServiceCall(Visit):
         return True
 
     def _run_plain(self) -> None:
-        """Run a plain method that had to wait to be let in."""
+        """Run a plain method whose call had to wait for another activity of the component."""
         value, error = run_in_step(self.answer, self, self.args, self.kwargs)
         self._ended(value, error)
 
@@ -258,7 +258,7 @@ class ServiceCall(Visit):
         self.give_up()
 
     def give_up(self) -> None:
-        """Cancel the provider's method, whose caller waits no more, again and again; then abandon it."""
+        """Cancel the provider's method again and again, then abandon it: its caller waits no more."""
         task = self.task
         if task is None or task.done() or self._cancels:
             return

@@ -29,7 +29,7 @@ _TIMEOUT: Final = 1.0
 
 
 def idempotent(method: F) -> F:
-    """Mark a method of an interface that may be called again where the outcome of a call is not known.
+    """Mark a method as one to call again where the outcome of a call is not known.
 
     A call into another kernel that is lost, since that kernel is gone, is then made again when the kernel is back,
     until the call's deadline; without the mark, it raises ServiceUnavailable.
@@ -44,8 +44,8 @@ class Provided(ServiceEnd[I], Generic[I]):
     Args:
         provider: the object whose methods answer: None means the component itself, a name an attribute of the
             component, looked up when it is connected; any other object of a class body is shared by all instances.
-        concurrent: whether a call runs at once, whatever the component does; else never while one of its hooks or
-            another call runs.
+        concurrent: whether a call runs at once, whatever the component does; else a call waits while one of its hooks
+            or another call runs.
         always: whether calls are served in every lifecycle state; else only while the component is active somewhere,
             or in no context at all.
         failure: "reply": the caller gets the error of a method; "error": the component goes to error, too, as if a

@@ -1,7 +1,7 @@
 """Interfaces that pass from one instance to another: bound ends stay bound, and are answered by the newest code.
 
-An interface stays where its port, its name and its methods are the same. A call that waits to be let in is answered by
-the new code; one that runs already (it is declared concurrent) ends with the old.
+An interface stays where its port, its name and its methods are the same. A call that has not begun is answered by the
+new code; a call that runs already (of a concurrent interface) ends with the old code.
 """
 
 from __future__ import annotations

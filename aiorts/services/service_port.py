@@ -115,7 +115,7 @@ class ServicePort(Port[Any]):
         self._changed()
 
     def _vacate(self, leaving: bool = True) -> None:
-        """End calls in progress and begin no other, because the component is about to go; or take that back."""
+        """End calls in progress and begin no other, since the component is about to go; False begins calls again."""
         for end in self._ends.values():
             end._vacant = leaving
             for link in end._links if leaving and end.polarity == "provided" else ():
@@ -184,7 +184,7 @@ class ServiceEnd(PortDeclaration, Generic[I]):
         self._blocked: set[Any] = set()
         """The calls that threads of its component block for."""
         self._goals: Keeper | None = None
-        """The keeper of its goals, once it was connected and a method answers with one."""
+        """The keeper of the interface's goals, from its first connection on, where a method answers with a goal."""
         self._vacant = False
         """Whether its component is about to go."""
 
@@ -251,7 +251,7 @@ class ServiceEnd(PortDeclaration, Generic[I]):
         return replace(port, type=kinds, interfaces=(*port.interfaces, one))
 
     def add_to(self: E, component: Component, host: PortHost, name: str) -> E:
-        """Add the live interface to the port of that name, which is made with its first one."""
+        """Add the live interface to the port of that name; the first interface makes the port."""
         ports = host.ports
         known = ports.get(name)
         instance = self.instance or (self._attribute if self.name else "") or name
@@ -368,7 +368,7 @@ class ServiceConnector:
 
 
 Service: TypeAlias = ServicePort | ServiceEnd[Any]
-"""The parts of services that can be connected: a port with all its interfaces, or one of them."""
+"""The parts of services that can be connected: a port with all its interfaces, or a single interface."""
 
 
 Made: TypeAlias = "Connection[ServiceConnector]"

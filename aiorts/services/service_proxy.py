@@ -39,7 +39,7 @@ Outcome: TypeAlias = tuple[Any, BaseException | None]
 
 
 class Relayed(Exception):
-    """Raised by the stand-in of a provider elsewhere: the caller gets the error in it, and no ServiceFailed."""
+    """Raised by the stand-in of a provider elsewhere: the caller gets the contained error, not ServiceFailed."""
 
     def __init__(self, error: BaseException) -> None:
         super().__init__(error)
@@ -242,7 +242,7 @@ _OUTCOMES = {
 def wrong_argument(
     link: Link, answer: Answer, name: str, args: tuple[Any, ...], kwargs: dict[str, Any]
 ) -> InterfaceMismatch:
-    """The error of a call whose argument of this name is of another type than the interface says."""
+    """The error of a call in which this argument has another type than the interface says."""
     parameters = answer.signature.parameters
     given = kwargs[name] if name in kwargs else args[list(parameters).index(name)]
     place, value = misfit(parameters[name].annotation, given)

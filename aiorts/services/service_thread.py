@@ -1,4 +1,4 @@
-"""Calls where a thread is one of the two: a provider that runs in one, a caller whose thread blocks for the answer.
+"""Calls with a thread at one end: a provider that runs in a thread, or a caller whose thread blocks for the answer.
 
 A provider in a thread answers between two of its cycles, in that thread, as it carries out transitions; a real-time
 thread does, too. A caller's thread blocks as it does at a port; its request is carried out on the kernel's loop.
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def serve_in_thread(call: ServiceCall) -> None:
-    """Serve the call between two cycles of the provider's thread; its reply says so when that cannot be."""
+    """Serve the call between two cycles of the provider's thread; if that is impossible, the reply says so."""
     link, name = call.link, call.link.named(call.answer.name)
     if not call.answer.plain:
         call.conclude(
@@ -112,7 +112,7 @@ class _Blocked:
         self.task: asyncio.Task[None] | None = None
 
     def wake(self, value: Any, error: BaseException | None) -> None:
-        """Wake the thread with an outcome, or because it is to stop waiting: the first call counts."""
+        """Wake the thread with an outcome, or because the thread has to stop waiting: the first call counts."""
         with self.lock:
             if not self.done:
                 self.value, self.error, self.done = value, error, True

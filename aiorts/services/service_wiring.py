@@ -1,7 +1,7 @@
 """Connects service ports: all pairs of interfaces are decided here before anything is changed.
 
-A required interface is bound to exactly one provided one, unless it is declared `many=True`; a provided one answers
-any number. Without a mapping the interface decides, and the name of the instance where several fit.
+A required interface is bound to exactly one provided one, unless it is declared `many=True`; a provided one may answer
+any number. Without a mapping, interfaces are paired by their type, and by the name of the instance where several fit.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Answer:
         self.check = check_of(method.returns) if self.goal is None else is_goal
         self.look = look_of(method)
         self.visit = visit
-        """The activity that is in the entry lock while the method runs at once."""
+        """The activity that holds the entry lock while the method runs at once."""
 
     @property
     def signature(self) -> inspect.Signature:
@@ -143,8 +143,8 @@ def plan(kernel: Microkernel, given: Sequence[Any], options: Mapping[str, Any]) 
     """The connectors to make, fully checked: for each pair of ports the joined paths and the plan of its connector.
 
     Raises:
-        WiringError: says which ports or options do not go together, and why.
-        InterfaceMismatch: says it with the method.
+        WiringError: names the ports or options that do not go together, and why. InterfaceMismatch: names the method
+            that does not fit.
     """
     where = " -> ".join(str(getattr(one, "path", repr(one))) for one in given)
     ends = _ends(kernel, where, given)
@@ -163,7 +163,7 @@ def end(connector: ServiceConnector) -> None:
 
 
 def renewed(kernel: Microkernel, profile: ServiceConnectorProfile) -> Plan:
-    """The plan that binds the pairs of a connector again; if it was not strict, as far as that is possible.
+    """The plan that binds the pairs of a connector again; as far as possible, if the connector was not strict.
 
     Raises:
         WiringError: an interface is gone, is bound to another one, or does not fit any more.
@@ -357,7 +357,7 @@ class _Matching:
         )
 
     def _bound_already(self, provided: Sequence[Provided[Any]]) -> WiringError | None:
-        """The error where each of these would answer an interface that is bound already, and no other; else None."""
+        """The error if each of these providers fits an interface that is bound already; else None."""
         bound = [required for required in self._required if required._links and not required.many]
         takers = [next((one for one in bound if self._may(one, answering)), None) for answering in provided]
         return _taken(takers[0]) if takers and takers[0] is not None and None not in takers else None
