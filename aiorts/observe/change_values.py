@@ -1,4 +1,4 @@
-"""Changes of a system as values: applied to the profile before it, a change gives the next profile."""
+"""Changes of a system as values: a change, applied to the previous profile, gives the next profile."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ _OF_PROFILE: Final[Mapping[str, Mapping[str, Any]]] = {
     "Assembled": {"assembled": True},  # names of events: a reader of changes imports no kernel
     "Closing": {"state": "closing"},
 }
-"""The kinds of events that change the profile itself, and no part of it: its fields after them."""
+"""The kinds of events that change fields of the profile itself, and no part: the fields after the event."""
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One named thing of a profile: as it is now, or gone."""
+    """One named part of a profile after a change: its new report, or that it is gone."""
 
     section: Literal["components", "connectors", "service_connectors", "contexts"]
     name: str
     now: ComponentReport | ConnectorReport | ServiceConnectorReport | ContextReport | None
-    """None when it is gone."""
+    """The new report; None when the part is gone."""
 
     def __post_init__(self) -> None:
         if self.now is not None and not isinstance(self.now, SECTIONS[self.section]):
@@ -92,12 +92,12 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class ProfileSnapshot:
-    """The whole profile: the first that a reader of the changes gets, and again whenever it was too slow for them."""
+    """The whole profile: a reader of changes gets it first, and again whenever the reader was too slow."""
 
     sequence: int
     profile: SystemProfile
     missed: int = 0
-    """Changes that this snapshot stands for."""
+    """The number of dropped changes that this snapshot replaces."""
 
     def apply(self, profile: SystemProfile | None = None) -> SystemProfile:
         """The profile of this snapshot."""

@@ -1,7 +1,7 @@
 """`kernel.changes()`: a stream of changes after one profile; a reader that is too slow gets a new profile.
 
-Every event of the bus that names a component, a context or a connector becomes one change with the new reports of
-all that it touches, whatever its kind: events of other parts of the system need no code here.
+Every event of the bus that names a component, a context or a connector becomes one change with the new reports of all
+things that the event touches, whatever its kind: new kinds of events need no code here.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Changes(Closing):
         self._members = {name: _members(kernel, name) for name in kernel.contexts}
         """The members of each context as last reported: a context that has stopped has none any more."""
         self._sink = sink
-        """The function that takes the changes themselves, in place of a queue."""
+        """The function that takes each change at once, instead of a queue; or None."""
         self._stale = sink is None
         """Whether a new snapshot is due."""
         self._missed = 0

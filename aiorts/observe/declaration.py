@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 class Declaration:
     """The declarations of a component class: ports, parameters, hooks and configuration sets.
 
-    ports: those of its class body; a component may add others when it is created.
-    hooks: those that it defines, in the order of a component's life.
-    sets: its configuration sets by name, "default" first; the other sets hold the values that they change.
+    ports: the ports of the class body; a component may add others when it is created. hooks: the hooks that the class
+    defines, in the order of a component's life. sets: its configuration sets by name, "default" first; the other sets
+    hold the values that they change.
     """
 
     type: str

@@ -1,7 +1,6 @@
-"""`kernel.heartbeat()`: a heart-beat of each context and component at an interval, with whether it progressed.
-
-The loop sends the beats, so no component can send one for another. A beat says what was observed: whether the context
-has run a cycle, or been idle as it should, since the last one. While the loop is held, the beats stop.
+"""`kernel.heartbeat()`: a heart-beat of each context and component at an interval, with whether it progressed. The loop
+sends the beats, so no component can send the beat of another. A beat says what was observed since the last beat:
+whether the context has run a cycle, or was idle as it should be. While the loop is held, the beats stop.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ class ContextBeat(Event):
     cycles: int
     """Cycles run so far."""
     progressed: bool
-    """Whether the context did its work since the last beat; False while a hook has not come back."""
+    """Whether the context did its work since the last beat; False while a hook has not returned."""
 
 
 @dataclass(frozen=True, slots=True)

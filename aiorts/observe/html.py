@@ -1,5 +1,4 @@
-"""Small tables for notebooks: what `repr` says, readable at a glance. Everything is escaped; nothing is loaded from
-anywhere."""
+"""Small tables for notebooks with the content of `repr`. Everything is escaped; nothing is loaded from anywhere."""
 
 from __future__ import annotations
 

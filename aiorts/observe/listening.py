@@ -1,8 +1,8 @@
-"""Listeners of connectors are called for what becomes of each sample: soon after it happened, on the loop, in order.
+"""Listeners of connectors are called for each event of a sample: soon after the event, on the loop, in order.
 
-A connector with listeners has a transport of the kind here; every other connector and port runs the very code it ran
-before. An event is only noted where it happens, in any thread, and reported at the loop's next turn: no listener runs
-inside a write or a read, and none can lose a sample or harm a component. At most 10,000 notes wait; those beyond are
+A connector with listeners has a transport of the kind here; the code of all other connectors and ports is unchanged. An
+event is only noted where it happens, in any thread, and reported at the loop's next turn: no listener runs inside a
+write or a read, and no listener can lose a sample or harm a component. At most 10,000 notes wait; further notes are
 counted in `missed`.
 """
 
@@ -60,20 +60,20 @@ class ConnectorEventKind(StrEnum):
     SEND = "send"
     """A sample leaves for the reader."""
     RECEIVED = "received"
-    """A sample is where the reader can read it."""
+    """A sample can be read by the reader from now on."""
     RECEIVER_FULL = "receiver_full"
     """A sample met a reader without room."""
     RECEIVER_TIMEOUT = "receiver_timeout"
     RECEIVER_ERROR = "receiver_error"
     """The reader takes no sample: it is not active."""
     BUFFER_EMPTY = "buffer_empty"
-    """The reader looked and there was nothing."""
+    """The reader read, and there was no sample."""
     BUFFER_READ_TIMEOUT = "buffer_read_timeout"
     """The reader waited and gave up, by a time-out or cancelled."""
     SENDER_EMPTY = "sender_empty"
-    """A reader pulled and the writer had nothing."""
+    """A reader pulled, and the writer had no sample."""
     SENDER_TIMEOUT = "sender_timeout"
-    """A reader waited for the writer (pull) in vain, or a writer for room."""
+    """A reader waited in vain for the writer (pull), or a writer waited in vain for room."""
     SENDER_ERROR = "sender_error"
     """A reader pulled and no context runs the writer any more."""
     CONNECT = "connect"
@@ -123,7 +123,7 @@ class Listening:
         self._waiting: deque[tuple[Connector, ConnectorEventKind, Any]] = deque()
         self._requested = False
         self.missed = 0
-        """Notes that were dropped: one turn of the loop brought more than are kept."""
+        """The number of dropped notes: one turn of the loop brought more notes than are kept."""
 
     def add(
         self, connector: Connector, listener: Callable[[ConnectorEvent], object], kinds: Iterable[str]
@@ -148,7 +148,7 @@ class Listening:
         return remove
 
     def all_wanted(self, wanted: bool) -> None:
-        """Listen to every connector while the bus has an observer of all, and no longer."""
+        """Begin or end listening to every connector: the bus has an observer of all, or none any more."""
         for connector in self._kernel.connectors.values():
             if not wanted:
                 self._unlisten(connector)
@@ -254,7 +254,7 @@ class ListenedTransport(Transport):
         self.replace(PLAIN, self.receiver)
 
     def found_empty(self) -> None:
-        """Note that the reader looked and there was nothing."""
+        """Note that the reader read, and there was no sample."""
         self._note(ConnectorEventKind.BUFFER_EMPTY)
         if self.pulls:
             host = host_of(self.connector.out)

@@ -159,7 +159,7 @@ def _look(kernel: Microkernel, path: str) -> Any:
     """The value of a path at this moment.
 
     Raises:
-        WiringError: there is no such value; names what there is.
+        WiringError: there is no such value; the text names the values that exist.
     """
     owner, _, rest = path.partition(".")
     first, _, field = rest.partition(".")
@@ -227,7 +227,7 @@ def _of_component(component: Component, path: str, first: str, field: str) -> An
 
 
 def _seen(port: Port[Any]) -> Any:
-    """The newest sample of a port, without an effect: an unread one stays unread."""
+    """The newest sample of a port, read without an effect: an unread sample stays unread."""
     if isinstance(port, OutPort):
         sample = last_written(port)
         return None if sample is NOTHING else sample

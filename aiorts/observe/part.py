@@ -21,14 +21,14 @@ _frozen: Final = MappingProxyType
 
 @dataclass(frozen=True, slots=True)
 class ProcessReport:
-    """The process of a component that has its own, as the profile has it under `services.isolation`."""
+    """The process of a component that runs in its own process, as the profile reports it under `services.isolation`."""
 
     pid: int
     runs: bool
     busy: float
     """Seconds for which a hook has held the process."""
     unprinted: int
-    """Lines that it wrote and that were not printed."""
+    """Lines that the process wrote and that were not printed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class SystemPart:
     links: Mapping[str, str] = field(default_factory=empty)
     """The state of each link into another kernel, by the name of its connector."""
     processes: Mapping[str, ProcessReport] = field(default_factory=empty)
-    """The processes of components that run in one of their own, by component."""
+    """The processes of components that run in their own processes, by component."""
 
 
 def system_part(

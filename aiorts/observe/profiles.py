@@ -28,7 +28,7 @@ from aiorts.model.profile import (
 from aiorts.model.service_profile import ServiceStatistics
 
 PROFILE_VERSION: Final = 1
-"""The version of a profile's form: raised whenever a reader of the version before would be misled."""
+"""The version of a profile's form, raised with each change that would mislead a reader of the previous form."""
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
@@ -56,7 +56,7 @@ class ParameterReport:
     doc: str = ""
     widget: str = ""
     allowed: str = ""
-    """In one line, such as "0.0 <= x <= 10.0"; empty when everything is."""
+    """The allowed values in one line, such as "0.0 <= x <= 10.0"; empty when every value is allowed."""
     ge: float | None = None
     gt: float | None = None
     le: float | None = None
@@ -64,7 +64,7 @@ class ParameterReport:
     choices: tuple[Any, ...] | None = None
     pattern: str | None = None
     declared: bool = True
-    """Whether the class declares it; else it was added at run time."""
+    """Whether the class declares the parameter; else it was added at run time."""
     file: str = ""
     """"read" or "write" when the value names a file that the component reads, or writes."""
     elements: tuple[Limits, ...] | None = None
@@ -90,7 +90,7 @@ class MachineReport:
     states: tuple[str, ...]
     """The active states, the outer before the inner; none while the component is not active."""
     history: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
-    """The states that each history stands for; nothing before its state was left once."""
+    """The states that each history would restore; none before its state was left for the first time."""
     timers: Mapping[str, int] = field(default_factory=lambda: _NOTHING)
     """The deadline of each running timer, on the kernel's monotonic clock, in nanoseconds."""
     ignored: int = 0
@@ -101,11 +101,11 @@ class MachineReport:
 
 @dataclass(frozen=True, slots=True)
 class ModeReport:
-    """The modes of a component, and the one that it is in."""
+    """The modes of a component, and its present mode."""
 
     modes: tuple[str, ...]
     mode: str
-    """In the context whose hook runs, else the one requested last."""
+    """The mode in the context whose hook runs, else the mode requested last."""
     by_context: Mapping[str, str]
     pending: str | None = None
     """The mode requested last, while it is not in force in every context."""
@@ -116,11 +116,11 @@ class CompositeReport:
     """The members of a composite, its parts and its exported ports."""
 
     members: tuple[str, ...]
-    """In the order stated."""
+    """The members in the declared order."""
     parts: tuple[str, ...]
     """The components that run with it, in order of execution; a composite among them is replaced by its parts."""
     exported: Mapping[str, str]
-    """The ports it shows: each name with the path of the member's port."""
+    """The ports that the composite shows: each name with the path of the member's port."""
     groups: tuple[tuple[str, ...], ...] = ()
     """The members that run side by side, by group."""
     order: str = "stated"
@@ -143,7 +143,7 @@ class ComponentReport:
     states: Mapping[str, str]
     """Lifecycle state by context."""
     last_error: str | None = None
-    """The error by which it failed last; None once it was reset, or activated again."""
+    """The error of the last failure; None after a reset or a new activation."""
     log: tuple[LogLine, ...] = ()
     """The last lines it logged, oldest first."""
     calls: Mapping[str, ServiceStatistics] = field(default_factory=lambda: _NOTHING)
@@ -213,7 +213,7 @@ class ClockReport:
     time_ns: int
     """Since the epoch."""
     monotonic_ns: int
-    """Since a fixed moment; deadlines and log lines go by it."""
+    """Nanoseconds since a fixed moment, the time of deadlines and log lines."""
     uptime_ns: int
     """Since the kernel was opened."""
     speed: float
@@ -226,7 +226,7 @@ class SystemProfile:
 
     name: str
     sequence: int
-    """Number of the last event of the bus that this profile knows of."""
+    """The number of the last bus event that this profile includes."""
     state: str
     """"open", "closing" or "closed"."""
     clock: ClockReport
@@ -241,10 +241,10 @@ class SystemProfile:
     services: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
     """The reports of services attached to the kernel, by name of the service."""
     lasting: str = ""
-    """The name by which it is known again after a restart: "host/NAME", or without a name given "host/PROGRAM:FILE" of
-    what it runs. Kernels that run the same have the same one. "" where clients cannot reach it."""
+    """The name by which the kernel is known again after a restart: "host/NAME", or, if it has no given name,
+    "host/PROGRAM:FILE". Kernels that run the same file share this name. "" where clients cannot reach the kernel."""
     assembled: bool | None = None
-    """Whether all that the run begins with is there; None: its program makes it, and does not report that."""
+    """Whether the system of the run is complete; None: a program makes the system, and does not report that."""
     schema: int = PROFILE_VERSION
 
     def to_plain(self) -> dict[str, Any]:

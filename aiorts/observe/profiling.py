@@ -1,7 +1,6 @@
-"""Takes the profile of a system, or of a part of it: on the loop, at one moment, without disturbing what it looks at.
-
-No sample is taken, no lock is waited for longer than a ledger takes, and what cannot have changed since the last
-profile is not described again.
+"""Takes the profile of a system, or of a part of it: on the loop, at one moment, without disturbing the system. No
+sample is taken, no lock is awaited for longer than an update of a ledger, and parts that cannot have changed since the
+last profile are not described again.
 """
 
 from __future__ import annotations

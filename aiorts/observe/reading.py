@@ -1,6 +1,5 @@
-"""Profiles, changes and statistics from what JSON carried: a saved or a remote system as values of the same classes.
-
-Nothing of the kernel is imported, and nothing is trusted: what comes out is a value, RecordError or LimitError.
+"""Reads profiles, changes and statistics of a saved or remote system from JSON data, as values of the same classes.
+Nothing of the kernel is imported, and no input is trusted: the result is a value, RecordError or LimitError.
 """
 
 from __future__ import annotations
@@ -35,9 +34,9 @@ def profile_from_plain(
 ) -> T:
     """The value of which `data` is the plain form: a `SystemProfile`, or any report, change or statistics.
 
-    Keys that are not known, as a later version may write them, are put into `unknown` by their paths; fields that are
-    missing have their defaults. Values of parameters have the types of the parameters again, but a member of an Enum
-    is its value. The event of a `Change` is a `PastEvent`.
+    Unknown keys, which a later version may write, are put into `unknown` by their paths; missing fields have their
+    defaults. Values of parameters have the types of the parameters again, but a member of an Enum is its value. The
+    event of a `Change` is a `PastEvent`.
 
     Raises:
         RecordError: something is missing or of a wrong type, with its path; or a later aiorts wrote it, in a form that

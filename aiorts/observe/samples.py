@@ -1,6 +1,6 @@
 """`kernel.samples(port)`: the samples of an out-port as an async iterator, for tests, WebSockets and notebooks.
 
-They come over a tap: the system is the same with it and without, and no writer waits.
+The samples come over a tap, which changes nothing in the system: no writer waits.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Samples(Closing, AsyncIterator[T], Generic[T]):
 
     @property
     def dropped(self) -> int:
-        """Samples that were written and are not given here, since `length` others waited: the oldest are dropped."""
+        """Samples that were dropped here since more than `length` waited; the oldest are dropped first."""
         return self._feed.dropped
 
     @property
@@ -132,7 +132,7 @@ def out_port_of(kernel: Microkernel, path: str) -> OutPort[Any]:
     """The out-port of a path, to be tapped.
 
     Raises:
-        WiringError: there is none of that path in this kernel; names the writers of an in-port.
+        WiringError: no out-port of this kernel has that path; for an in-port, the text names its writers.
     """
     out = kernel.find(path)
     if isinstance(out, InPort):
