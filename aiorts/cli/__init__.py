@@ -43,7 +43,7 @@ def main() -> int:
 
 
 def _fill_gaps() -> None:
-    """Open /dev/null in place of a missing standard stream, or the next opened file would take its number."""
+    """Open /dev/null in place of a missing standard stream: else the next opened file would take its number."""
     for number in range(3):
         try:
             os.fstat(number)
@@ -52,7 +52,7 @@ def _fill_gaps() -> None:
 
 
 def _print_for_programs() -> None:
-    """Write UTF-8 where no terminal shows it: JSON lines and system files are UTF-8, whatever the locale is.
+    """Make output to a file or pipe UTF-8: JSON lines and system files are UTF-8, whatever the locale is.
 
     A terminal keeps its encoding; each character that it lacks is printed as a number.
     """
@@ -67,7 +67,7 @@ def _print_for_programs() -> None:
 def _has_room() -> bool:
     """Whether this process can open the files that any command opens; prints an error when not.
 
-    Later the error would come from whatever opens the next descriptor: an import, the event loop, a context's thread.
+    Without this check, the next code to open a descriptor would fail: an import, the event loop, a context's thread.
     """
     opened: list[int] = []
     try:

@@ -80,7 +80,7 @@ _COMMANDS: Final = {
 _HIDDEN: Final = {"kernel": ("aiorts.cli.runtime.process_kernel:kernel", "")}
 """Commands that only aiorts itself calls; no help lists them."""
 _NO_TYPES: Final = tuple(f"aiorts.cli.{one}" for one in ("commands.live.", "commands.helping", "console.", "demo."))
-"""Modules of commands that load no types: they look into running kernels, or need none."""
+"""Modules of commands that load no types: the commands look into running kernels, or need no types."""
 _FULL: Final = (errno.ENOSPC, errno.EIO, errno.EFBIG)
 _SHOWN: Final = 60
 """Names of components that a message and `aiorts help commands` show."""
@@ -257,7 +257,7 @@ def run_command(arguments: Sequence[str], *, last: bool = False) -> int:
     """Run one command; returns the exit status. An error is one line on standard error.
 
     Args:
-        last: whether the process ends afterwards: then it does so within seconds, even with threads left behind.
+        last: whether the process ends after the command: within seconds, even with threads left behind.
     """
     try:
         return _run_command(arguments)

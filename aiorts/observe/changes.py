@@ -160,7 +160,7 @@ class Changes(Closing):
 
 
 async def system_profile_in_turns(kernel: Microkernel, hold: float) -> SystemProfile:
-    """As `system_profile`, giving the loop a turn after each `hold` seconds; changes meanwhile are applied."""
+    """Take the profile as `system_profile`, in turns of `hold` seconds; changes meanwhile are applied."""
     changes: list[Change] = []
     with closing(Changes(kernel, 0, changes.append)):
         reports = await in_turns(_reports(kernel), hold)

@@ -75,7 +75,7 @@ class Reading:
     """The kernel's clock, since the epoch."""
     monotonic_ns: int
     values: Mapping[str, Any]
-    """The values by requested path; None for one that is not there now: no sample yet, or a component that is gone."""
+    """The values by requested path; None for a missing value: no sample yet, or a component that is gone."""
     missed: int = 0
     """Readings left out since the last one: the reader was slower than the rate."""
 

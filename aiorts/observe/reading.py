@@ -92,7 +92,7 @@ class ToldSnapshot:
     kind: str
     """"ProfileSnapshot": a change has the name of its event here."""
     missed: int = 0
-    """Changes that this snapshot stands for."""
+    """The number of dropped changes that this snapshot replaces."""
 
 
 def _read(form: type[T], kind: type, data: object, limits: PlainLimits, unknown: dict[str, Any] | None) -> T:

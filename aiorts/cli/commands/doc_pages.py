@@ -13,7 +13,7 @@ from typing import Final
 from aiorts.late import dataclass
 
 _SPECIAL: Final = re.compile(r"[\\*_\[\]|~]|^[#+=-]|(?<=^\d)[.)](?=\s)|(?<=^\d\d)[.)](?=\s)")
-"""The special characters of Markdown, and those that begin a heading, a rule or a list at the start of a text."""
+"""The special characters of Markdown, and characters that begin a heading, a rule or a list at a text's start."""
 _STYLE: Final = (
     "body{font-family:sans-serif;max-width:60em;margin:2em auto;padding:0 1em}table{border-collapse:collapse}"
     "td,th{border:1px solid #999;padding:.2em .6em;text-align:left;vertical-align:top}pre{overflow:auto}"

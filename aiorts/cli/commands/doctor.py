@@ -1,7 +1,7 @@
 """`aiorts doctor`: checks whether this computer can run systems, and prints remedies.
 
-Each finding is "ok", a "note" (it works and could be better) or a "problem" (something will not work). The checks try
-all that can be tried: they wait for timers, request scheduling classes and write files.
+Each finding is "ok", a "note" (it works and could be better) or a "problem" (something will not work). The checks
+really use what they check: they wait for timers, request scheduling classes and write files.
 """
 
 from __future__ import annotations

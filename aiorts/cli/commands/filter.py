@@ -78,13 +78,12 @@ def command_of(name: str, cls: type[Component]) -> click.Command:
 
 
 class _FilterCommand(click.Command):
-    """A command that takes `--loop=-1`: a negative value for an option that may go without a value.
-
-    The error for `--set PARAM=VALUE`, which is of `aiorts run`, names the option of that parameter.
+    """A command that accepts `--loop=-1`: a negative value for an option whose value may be omitted. The error for
+    `--set PARAM=VALUE`, an option of `aiorts run`, names the filter's option of that parameter.
     """
 
     def make_parser(self, ctx: click.Context) -> Any:
-        """Wrap click's parser, which would take -1 for an option, and the option before it for one without a value."""
+        """Wrap click's parser, which would read -1 as an option, and the option before it as one without a value."""
         parser: Any = super().make_parser(ctx)
         parse = parser.parse_args
         beginnings = tuple(f"{flag}=-" for one in self.params if one.callback is _stripped for flag in one.opts)
@@ -159,7 +158,7 @@ def _without_value(option: Any) -> dict[str, Any]:
     """The keyword arguments of a click option that has no value, or may have none."""
     if bare := getattr(option, "bare", ""):
         return {"is_flag": False, "flag_value": bare, "callback": _stripped}
-    # None, not False: with False click takes a value that begins with "-" for the next option.
+    # None, not False: with False click reads a value that begins with "-" as the next option.
     return {"is_flag": True if option.kind == "flag" else None}
 
 

@@ -1,7 +1,7 @@
 """`aiorts inspect NAME`: describes a component or a record type without running it: no hook is called.
 
-A component whose parameters make its ports (a class with a method `make_ports`, which does nothing else) is constructed
-with the given options, outside any kernel; of every other class only the declarations are read.
+A component whose parameters decide its ports (its class has a method `make_ports`, which only makes ports) is
+constructed with the given options, outside any kernel; for any other class, only the declarations are read.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from aiorts.system import AS_WRITTEN, Choices, Wanted, check, load, prepare, wan
 _FILE: Final = click.Path(dir_okay=False, path_type=Path)
 _PART: Final = 60_000
 _MOST: Final = 500_000
-"""Characters of the largest system that is sent (_MOST), in texts of `_PART` characters."""
+"""Characters of the largest system that is sent (`_MOST`), and of each text into which it is divided (`_PART`)."""
 
 
 @click.command("plan", short_help="Show the steps from one system to another.")

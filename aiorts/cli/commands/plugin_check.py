@@ -70,7 +70,7 @@ def _verdict(
 
 
 def _awaited(child: subprocess.Popen[bytes], limit: float, begins: Path) -> int | None:
-    """Wait for the exit status; None when the import, which makes the file `begins` first, does not end in time."""
+    """Wait for the exit status; None if the import does not end in time after the file `begins` was made."""
     until = time.monotonic() + _LONGEST_START + limit
     begun = False
     while (status := child.poll()) is None and time.monotonic() < until:

@@ -18,7 +18,7 @@ def catalogue_of(system: SystemFile | None) -> Catalogue:
 
 @contextlib.contextmanager
 def quietly() -> Iterator[None]:
-    """Redirect prints of imported component files to standard error: standard output belongs to the command."""
+    """Redirect the prints of imported component files to standard error, since standard output is the command's."""
     if sys.stderr is None:
         yield
         return

@@ -1,4 +1,4 @@
-"""A quote of the line with a mistake in typed text, with a mark under the place.
+"""Quotes a line of typed text that has a mistake, with a mark under the place.
 
 Each character is printed in a known number of columns, so that the mark is at its place: tabs, control characters and
 characters outside the stream's encoding as escapes, wide characters as two columns. A long line is cut.

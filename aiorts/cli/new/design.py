@@ -151,7 +151,7 @@ def design(
         ins, outs: "PORT:TYPE".
         params: "NAME[:KIND][=DEFAULT]", KIND bool, int, float or str.
         services: "NAME[:provided]" or "NAME:required".
-        flexi: ports follow from parameters; then there are none of `ins` and `outs`.
+        flexi: ports follow from parameters; `ins` and `outs` are then empty.
         described: the design from a file, to which the words are added.
 
     Raises:

@@ -110,7 +110,7 @@ async def connect_input(kernel: Kernel, component: Component, ends: Ends, **how:
         return any(unread_at(component.ports[name]) for name in outs)
 
     source = await kernel.add(ends.source(ins, ordered=ordered, held_up=held_up, **how))
-    # A component that pairs samples leaves the rest unread; this must not stop the reading of those that it waits for.
+    # A component that pairs samples leaves unpaired ones unread; they must not stop the samples that it waits for.
     ways = LOSSLESS if ordered or len(ins) == 1 else {**LOSSLESS, "length": _LONGEST}
     for name in ins:
         await kernel.connect(source.ports[name], component.ports[name], **ways)

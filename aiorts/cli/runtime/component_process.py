@@ -1,6 +1,6 @@
 """The process of one component: a kernel that its starting kernel operates over a socket.
 
-It has no socket that others can find, and ends with the socket that it was started with.
+The process has no socket that others can find, and ends when the socket to its starting kernel closes.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ class _Process:
         return self._kernel.components[self._first.component]
 
     async def _hold(self, holds: bool) -> None:
-        """Make the in-ports take samples in any state of the component, or end that."""
+        """Make the in-ports take samples in any state of the component, or only in their usual states again."""
         (hold if holds else release)(self._component)
 
     async def _state(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ _LAST = ("on_deactivated", "on_shutdown", "on_finalize")
 
 
 class Failures:
-    """A record of a kernel's failures, which forgets those that are repaired before the end."""
+    """A record of a kernel's failures, without the failures that are repaired before the end."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel

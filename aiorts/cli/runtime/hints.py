@@ -23,7 +23,7 @@ _LEFT: Final = ("inactive", "disconnected")
 
 
 class Drops:
-    """The losses of connectors that are to deliver every sample, noted before the kernel's end, reported after it."""
+    """The losses of connectors that should deliver every sample: noted before the kernel's end, reported after it."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._before = [
@@ -64,10 +64,10 @@ def _on_events(kernel: Kernel, connector: Connector) -> bool:
 
 
 def unfed(kernel: Kernel, advice: str) -> str:
-    """The hint for a component alone that waits for data which cannot come; empty when it does not wait so.
+    """The hint for a component alone that waits for data which cannot come; empty for any other system.
 
     Args:
-        advice: the text that says how it gets data.
+        advice: the text that says how the component gets data.
     """
     for component in kernel.components.values():
         ports = [port for port in component.ports.values() if isinstance(port, InPort)]

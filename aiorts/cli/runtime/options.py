@@ -40,7 +40,7 @@ class Options:
     log_format: str = "text"
     """"text" or "json"."""
     tell_drops: bool = False
-    """Whether every sample is reported that a connection was to deliver and did not."""
+    """Whether each sample is reported that a connection should have delivered and did not."""
     post_mortem: bool = False
     """Whether `debug` opens a debugger where a component failed, if a person sits at a terminal."""
     status: bool = False

@@ -1,6 +1,7 @@
 """The debugger at the frame that failed, with the loop standing still; only where a person sits at a terminal.
 
-It is `pdb`; the system goes on when it is left. Ctrl-C in it is the debugger's, and the terminal is restored after it.
+The debugger is `pdb`; the system goes on when the user leaves it. Ctrl-C goes to the debugger meanwhile, and the
+terminal is restored afterwards.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from aiorts.system import Choices, load
 _KEY: Final = "aiorts.service options"
 """The key under which a click context keeps the options by service, once they were looked up."""
 _ARGS: Final = "aiorts.arguments"
-"""The key under which it keeps the arguments of the command line, which lead to plugins."""
+"""The key under which a click context keeps the arguments of the command line, which lead to plugins."""
 
 
 class RunCommand(click.Command):

@@ -218,7 +218,7 @@ def _freeze_when_made(kernel: Kernel, components: int) -> None:
 
 
 def _over(kernel: Kernel, duration: float | None) -> asyncio.Future[None]:
-    """A future that is done `duration` seconds after the first context runs: waits at start count, making does not."""
+    """A future that is done `duration` seconds after the first context runs; making the system does not count."""
     running = asyncio.Event()
     unsubscribe = kernel.bus.subscribe(ContextStarted, lambda _event: running.set())
 

@@ -27,7 +27,7 @@ _PERIOD: Final = 0.25
 _HELD: Final = 1.0
 """Seconds without an answer of the loop after which the line shows that it is held up."""
 _SHARE: Final = 100
-"""The loop spends at most one part in so many of its time on the figures, for any size of the system."""
+"""The loop spends at most one in so many seconds on the figures, for any size of the system."""
 _ERASE: Final = b"\r\x1b[K"
 
 

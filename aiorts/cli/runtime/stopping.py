@@ -54,7 +54,7 @@ class Stopper:
         self._signals = count()
 
     def attach(self, kernel: Kernel) -> None:
-        """Send requests to this kernel from now on, also one that came before."""
+        """Send requests to this kernel from now on, also a request that came before."""
         self._kernel = kernel
         self._loop = asyncio.get_running_loop()
         if self.status is not None:
@@ -81,7 +81,7 @@ class Stopper:
             start_new_thread(self._end_late, (over,))
 
     def _end_late(self, over: LockType) -> None:
-        # Each watch has its own lock: with one for all, a new watch took the release for another.
+        # Each watch has its own lock: with a common lock, a new watch would get the release meant for another.
         if over.acquire(timeout=LONGEST_STOP):
             return  # the run is over, and the process goes on
         what = f"not everything ended in {LONGEST_STOP} s{where_now()}; the process ends now"
@@ -111,7 +111,7 @@ class Stopper:
         told.release()
 
     def linger(self, status: int) -> None:
-        """Let services that still show the run go on, without a limit of time; a signal ends them."""
+        """Let services that still show the ended run go on without a time limit; a signal ends them."""
         if self._kernel is None or self.status is not None:
             return
         self.over()

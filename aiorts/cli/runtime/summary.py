@@ -36,7 +36,7 @@ class Summary:
 
 
 class _Look(KernelService):
-    """The service that takes the profile before the kernel stops, and its connectors again after all contexts have."""
+    """The service that takes the profile before the kernel stops, and its connectors again after all contexts."""
 
     found: dict[str, Any]
 

@@ -220,7 +220,7 @@ def errors_of(
     with contextlib.nullcontext() if running else contextlib.redirect_stdout(sys.stderr):
         found = check(text, changes, catalogue_of().folders, choices)
     wrong = [one for one in found if one.severity == "error"]
-    # A mistake on the command line is none of the file.
+    # A mistake on the command line is not reported as an error of the file.
     return tuple(replace(one, code=ConfigurationError.code) if one.where.startswith("--") else one for one in wrong)
 
 

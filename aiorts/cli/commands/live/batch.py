@@ -21,7 +21,7 @@ from aiorts.errors import AiortsError
 
 _HERE: Final = __name__.rpartition(".")[0]
 _LONGEST: Final = 65_536
-"""Characters of the longest line: `shlex` takes time by the square of the length, 17 s for 1 MB."""
+"""Characters of the longest line: the time of `shlex` grows with the square of the length, to 17 s for 1 MB."""
 
 
 @click.command(short_help="Carry out commands for what runs, from a file.")

@@ -107,7 +107,7 @@ def absolute(kind: str) -> str:
 
 
 def right_for(values: Iterable[str], *, code: bool = False) -> RightName:
-    """The right for a call with values that users give: "code" where one is a text, since that may name a file.
+    """The right for a call with values of a user: "code" if a value is a text, since a text may name a file.
 
     Args:
         code: whether the call names code anyway.

@@ -98,7 +98,7 @@ def port_of(found: Kernels, word: str, *, whole: bool = False) -> Found:
 
 
 def _maker(ports: list[Found]) -> Running:
-    """The kernel that has or makes the connectors of ports: the kernel of all, or the writer's, which makes a link."""
+    """The kernel that has or makes the connectors of ports: the common kernel, or, for a link, the writer's kernel."""
     if len({one.running.name for one in ports}) == 1:
         return ports[0].running
     directions = [_direction(one) for one in ports]

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 EXACT: Final = 10_000_000
-"""Nanoseconds of error up to which a span of time is printed."""
+"""The largest possible error, in nanoseconds, with which a span of time is printed."""
 UP_TO_LINK: Final = ", up to the link"
-"""The text after spans that end where a link takes the sample: the writer's end does not know the time of the read."""
+"""The text after spans that end when a link takes the sample: the writer's end does not know the time of the read."""
 
 
 def ledger_text(counts: Mapping[str, Any]) -> str:

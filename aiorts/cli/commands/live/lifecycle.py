@@ -14,7 +14,7 @@ _DONE: Final = {"activate": {"active"}, "deactivate": {"inactive"}, "reset": {"a
 
 
 def _command(operation: str, text: str) -> click.Command:
-    """Make the command that does an operation to each named component; a pattern skips those that need it not."""
+    """Make the command of an operation on each named component; a pattern skips components that do not need it."""
 
     def to_do(one: Found, context: str | None) -> bool:
         states = one.running.names["components"][one.component]

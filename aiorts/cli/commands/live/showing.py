@@ -1,4 +1,4 @@
-"""The common parts of commands for running kernels: options, JSON documents, hints, the end of what is followed."""
+"""The common parts of commands for running kernels: options, JSON documents, hints, the end of a followed stream."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def moment_text(time_ns: int) -> str:
 
 
 def hint(text: str) -> None:
-    """Print a hint on standard error, where that is a terminal: why no output is to be seen."""
+    """Print a hint on standard error, if that is a terminal, that says why there is no output."""
     if sys.stderr is not None and sys.stderr.isatty():
         tell(f"aiorts: {text}")
 
@@ -177,7 +177,7 @@ def has_ended(running: Running, error: ClosedError, number: int, count: int | No
 
     Raises:
         AbsentError: as `followed`.
-        NoAnswerError: the kernel runs on: it has cut off this process, which took nothing.
+        NoAnswerError: the kernel still runs: it has cut off this process, which read nothing for too long.
     """
     if isinstance(error, CutOff):
         raise NoAnswerError(str(error)) from None

@@ -49,8 +49,8 @@ def named(found: Kernels, word: str) -> tuple[Named, ...]:
 
     Raises:
         AbsentError: nothing has the name.
-        AmbiguousError: several have it, and the word has no such character.
-        NoAnswerError: nothing has it, and a kernel that may have it does not answer.
+        AmbiguousError: several things have the name, and the word has no such character.
+        NoAnswerError: nothing has the name, and a kernel that may have it does not answer.
         InvalidNameError: the word has more parts than a name.
     """
     meant: list[Named] = []

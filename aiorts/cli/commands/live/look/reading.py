@@ -34,7 +34,7 @@ def profiles_of(word: str, count: int = 1) -> tuple[str, list[SystemProfile]]:
     """The name of the kernel that a word means, and `count` profiles of it, `BETWEEN` seconds apart.
 
     Raises:
-        AbsentError: nothing that runs has the name, or it means a part of a kernel.
+        AbsentError: nothing that runs has the name, or the name means a part of a kernel.
         AmbiguousError: several things have it.
         NoAnswerError: the kernel does not answer.
     """
@@ -79,7 +79,7 @@ def report_of(word: str) -> tuple[Named, Mapping[str, Any]] | None:
 
 
 def tell_of(word: str, command: str) -> None:
-    """Print on standard error that a running thing has the name, too, and the command that shows it."""
+    """Print on standard error that a running thing also has the name, and which command shows that thing."""
     if is_file(word) or not entries():
         return
     with kernels() as found:

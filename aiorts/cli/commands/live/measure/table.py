@@ -36,7 +36,7 @@ class Row:
     plain: Mapping[str, Any]
     """The row as JSON has it."""
     order: Mapping[str, float]
-    """The values by which it is sorted, the greatest first."""
+    """The values by which the row is sorted, the greatest first."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ _PATIENCE: Final = 5.0
 _FURTHER: Final = 0.5
 """Seconds to wait for the counters (_PATIENCE), and for the answers of other kernels (_FURTHER)."""
 _LATE: Final = 1.5
-"""Seconds without an answer after which the screen says so."""
+"""Seconds after which the screen shows that no answer has come."""
 _FOOT: Final = "q quit  n r d b l sort  i reverse  / filter  0-3 tables  space pause"
 _VIEWS: Final = {"0": KINDS, "1": KINDS[:1], "2": KINDS[1:2], "3": KINDS[2:]}
 _ORDERS: Final = {one[0]: one for one in SORTS}
