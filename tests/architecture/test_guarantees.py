@@ -158,7 +158,7 @@ GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
     (
         "aiorts.assembly",
         "Kernel.load_configuration",
-        "for every component in it, or for none when anything is wrong",
+        "of every component in it, or of none when anything is wrong",
         (
             "configuration/test_configuration_files.py::test_a_wrong_file_is_refused_with_its_place_and_nothing_changes",
             "configuration/test_configuration_files.py::test_when_the_last_component_refuses_what_the_first_took_is_taken_back",
