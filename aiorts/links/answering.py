@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _LOG: Final = KernelLog()
 _LONGEST: Final = 16_384
-"""The most bytes of another kernel's description of a connector (name, ports, options), kept as long as it lasts."""
+"""The most bytes of a connector's name, ports and options from another kernel; the connector keeps them."""
 
 
 def name_of(caller: Caller) -> str:
@@ -48,19 +48,19 @@ def refusal(what: str, caller: Caller, error: WiringError) -> bytes:
 
 
 def _check_theirs(path: Path, caller: Caller) -> None:
-    """WiringError: the port is not one of the kernel that asks."""
+    """Raise WiringError if the port is not in the kernel that asks."""
     if caller.peer is None or path.kernel != caller.peer.kernel:
         raise WiringError(f"{path}: is no port of {name_of(caller)}, which asks")
 
 
 def _check_length(what: str, length: int) -> None:
-    """WiringError: a message of this length is longer than this kernel keeps of a connector."""
+    """Raise WiringError if a message about a connector is longer than this kernel keeps."""
     if length > _LONGEST:
         raise WiringError(f"{what} of {length:,} bytes; at most {_LONGEST:,} are allowed")
 
 
 def _is_end(port: Port[Any], found: Port[Any]) -> bool:
-    """Whether a connector's port is the port that was found, or stands for it."""
+    """Whether a connector's port is the found port, or stands for the found port."""
     return port is found or (found.elsewhere is not None and getattr(port, "far", None) == found.elsewhere)
 
 
@@ -163,7 +163,7 @@ class Answering:
         return self._links.peer_of(end.far) == caller.peer
 
     def _awaits(self, end: LinkEnd[ReaderLink], caller: Caller) -> InPort[Any] | None:
-        """The in-port of a link that this kernel requested of the caller, if it belongs to no component; else None."""
+        """The in-port of a link that this kernel requested from the caller, if no component owns the in-port."""
         in_ = end.connector.in_
         return in_ if (in_.is_tap or in_.is_far) and end.own and self._is_of(end, caller) else None
 
@@ -214,7 +214,7 @@ class Answering:
     # -- arrivals and disconnections --------------------------------------------------------------------------------
 
     async def _come(self, body: bytes, caller: Caller) -> bytes:
-        """Handle the arrival of a component in another kernel for which links of this kernel waited."""
+        """Handle the news that another kernel has a component for which links here waited."""
         component = body.decode(errors="replace")
         for end in () if caller.peer is None else self._ends.at(caller.peer.kernel, component):  # over any transport
             end.on(LinkEvent.COME)
@@ -222,7 +222,7 @@ class Answering:
         return b""
 
     async def _left(self, body: bytes, caller: Caller) -> bytes:
-        """Handle the news that the other end of a link was disconnected, in the kernel that asks."""
+        """Handle the news that the asking kernel has disconnected its end of a link."""
         (epoch,) = fields(body, (int,), longer=True)
         end = self._ends.by_epoch.get(epoch) if epoch else self._departed(body, caller)
         if end is not None and not end.own and self._is_of(end, caller):  # this kernel connects its own again
@@ -230,7 +230,7 @@ class Answering:
         return b""
 
     def _departed(self, body: bytes, caller: Caller) -> LinkEnd[Any] | None:
-        """The reader's end whose writer was disconnected before it had heard that its offer was taken."""
+        """The reader's end of a link whose writer's end was disconnected before the answer to its offer came."""
         _, link, epoch = fields(body, (int, str, int), longer=True)
         end = self._ends.offered.get((caller.address, link))
         return end if end is not None and end.writer_epoch == epoch else None

@@ -32,8 +32,8 @@ _STARTED: Final = "{} is being started"
 class Arrivals:
     """The arrivals of components of one kernel, as far as other kernels wait for them.
 
-    A component that a system file or a plan makes has come when it is active, or when all that was made runs: samples
-    that another kernel wrote to it before would be dropped.
+    A component that a system file or a plan makes counts as arrived when it is active, or when all components
+    made with it run: earlier samples from other kernels would be dropped.
     """
 
     def __init__(self, links: Kernels) -> None:
@@ -50,7 +50,7 @@ class Arrivals:
         links.kernel.bus.subscribe(StateChanged, self._state_changed)
 
     def there(self, path: Path, caller: Caller, right: str) -> Port[Any] | Answer:
-        """The port that another kernel asks for, or the answer that it is absent; that kernel is told when it comes."""
+        """The port that another kernel asks for, or the answer that the port is absent; its arrival is told later."""
         kernel, asked = self._links.kernel, str(replace(path, kernel="", host=""))
         try:
             port = kernel.registry.port(asked)
@@ -60,7 +60,7 @@ class Arrivals:
                 raise
             return Answer(absent=_STARTED.format(path.component) if self._is_expected(path.component) else str(error))
         caller.check(right, port.path)  # a composite's port has the path of its member's port
-        # Only in-ports wait: samples to them would be dropped. Out-ports need links first; calls are always answered.
+        # Only for in-ports the kernel waits: samples would be dropped. Out-ports need links first; calls are answered.
         is_coming = isinstance(port, InPort) and self._is_coming(path.component)
         if is_coming and self._await(path.component, caller.peer):
             return Answer(absent=_STARTED.format(path.component))
@@ -75,7 +75,7 @@ class Arrivals:
         return component in self._expected or (one is not None and one.helping)
 
     def _await(self, component: str, peer: Peer | None) -> bool:
-        """Tell a kernel when the component comes; False: no kernel asks, or it waits for too many components."""
+        """Note that a kernel waits for the component; False: no kernel asks, or the kernel waits for too many."""
         waits = () if peer is None else self._waits.setdefault(peer, set())
         if peer is None or (len(waits) >= _AWAITED and component not in waits):
             return False
@@ -84,7 +84,7 @@ class Arrivals:
         return True
 
     def _is_coming(self, component: str) -> bool:
-        """Whether a component does not run yet: it is starting, or is being added and its adder connects it next."""
+        """Whether a component does not run yet: it is starting, or is being added and will be connected next."""
         registry = self._links.kernel.registry
         return component in self._starting or registry.is_arriving(self._links.kernel.components[component])
 
@@ -114,7 +114,7 @@ class Arrivals:
             self._has_come(name)
 
     def gone(self, peer: Peer) -> None:
-        """Forget the components that a kernel waited for, which is gone."""
+        """Forget the components for which a kernel waited; the kernel is gone."""
         for component in self._waits.pop(peer, ()):
             peers = self._awaited[component]
             peers.remove(peer)
@@ -141,23 +141,23 @@ class Arrivals:
 
 @dataclass(frozen=True, slots=True)
 class Departure:
-    """An end of a link that was disconnected in this kernel, and whose other end does not know it."""
+    """An end of a link that was disconnected in this kernel; the other end does not know that yet."""
 
     far: Path
     """The port at the other end."""
     connector: str
     """The name that the connector had."""
     epoch: int
-    """The epoch of the other end; 0: it has not answered, and may be there or not."""
+    """The epoch of the other end; 0: the other end has not answered, and may not exist."""
     own: int
     """The epoch of the end that was disconnected."""
 
 
 class Departures:
-    """The links that were disconnected while they were down: the other kernels are told at once, or when they are back.
+    """Links that were disconnected while they were down: the other kernels hear that at once, or on their return.
 
     Args:
-        connectors: gives the names of the present connectors: if one was made again, its former end is not told.
+        connectors: gives the names of the present connectors; a connector made again is not reported as disconnected.
     """
 
     def __init__(self, kernels: Kernels, connectors: Callable[[], Container[str]]) -> None:
@@ -165,7 +165,7 @@ class Departures:
         self._untold: deque[Departure] = deque(maxlen=_UNTOLD)
 
     def add(self, departure: Departure) -> None:
-        """Tell the other kernel of a link that is being disconnected, now or when it is back."""
+        """Report a link's disconnection to the other kernel: now, or when that kernel is back."""
         if (peer := self._kernels.peer_of(departure.far)) is not None:
             self._kernels.run(self._tell(peer, departure), "aiorts link")
         else:

@@ -45,7 +45,7 @@ DONE: Final = "done"
 GOAL: Final = "goal"
 """The kind of an answer that stands for a goal: messages about it follow."""
 UNBOUND: Final = "unbound"
-"""The kind of an answer where the interface is not bound any more: nothing was called, or it went during the call."""
+"""The kind of an answer where the interface is not bound any more: it was unbound before the call, or during it."""
 ERRORS: Final = {
     one.__name__: one for one in (InterfaceMismatch, ServiceCycle, ServiceFailed, ServiceTimeout, ServiceUnavailable)
 }
@@ -53,7 +53,7 @@ ERRORS: Final = {
 
 
 def frame_of(values: list[Any]) -> bytes:
-    """These plain values as one frame. LinkError: it would be too large, or an integer is."""
+    """These plain values as one frame. LinkError: the frame, or an integer in it, is too large."""
     try:
         frame: bytes = msgpack.Packer().pack(values)
         if len(frame) > LINK.frame:
@@ -66,7 +66,7 @@ def frame_of(values: list[Any]) -> bytes:
 
 
 def values_of(frame: bytes, kinds: tuple[type, ...]) -> list[Any]:
-    """The values of a frame, which are of these kinds. LinkError: they are of others, or it is no frame."""
+    """The values of a frame, checked to be of these kinds. LinkError: a value is not, or the bytes are no frame."""
     try:
         count_values(frame, LINK)
         found = msgpack.unpackb(frame, strict_map_key=False, max_ext_len=0)
@@ -79,7 +79,7 @@ def values_of(frame: bytes, kinds: tuple[type, ...]) -> list[Any]:
 
 
 def plain(hint: Any, value: Any) -> Any:
-    """A value as lists, maps and scalars. InterfaceMismatch: it cannot travel as the type in the interface."""
+    """A value as lists, maps and scalars. InterfaceMismatch: the value does not fit the interface's type."""
     if isinstance(value, Enum):
         return value.value
     if value is None or isinstance(value, _PLAIN):
@@ -110,7 +110,7 @@ def _parts(kind: Any, inner: tuple[Any, ...], count: int) -> tuple[Any, ...]:
 
 
 def restored(hint: Any, value: Any) -> Any:
-    """A received value as the type in the interface. InterfaceMismatch: it is none of that type."""
+    """A received value as the type in the interface. InterfaceMismatch: the value is not of that type."""
     try:
         return _reader(hint)(value)
     except InterfaceMismatch:
@@ -175,7 +175,7 @@ def interface_text(spec: Interface) -> list[Any]:
 
 
 def interface_difference(theirs: list[Any], ours: Interface) -> str:
-    """The reason why `ours` cannot answer the interface `theirs`; "" if it can. LinkError: `theirs` describes none."""
+    """The reason why `ours` cannot answer the interface `theirs`; "" if it can. LinkError: `theirs` is no interface."""
     name, methods, layouts = checked(theirs, (str, list, dict))
     wanted, given = _methods(methods), _methods(interface_text(ours)[1])
     if found := differences(wanted, given):

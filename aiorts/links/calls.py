@@ -63,7 +63,7 @@ _WITHIN: Final = 2.0
 _AGAIN: Final = 1.0
 """Seconds until a kernel that did not answer is asked again."""
 _LATER: Final = 1.0
-"""Seconds beyond the deadline of a call in which a late answer is awaited, to count it."""
+"""Seconds after the deadline of a call in which a late answer is still awaited, and counted."""
 
 
 class Calls:
@@ -91,7 +91,7 @@ class Calls:
         """The ports, with a stand-in provider in the place of each path.
 
         Raises:
-            WiringError: they do not go together.
+            WiringError: the ports cannot be connected.
         """
         near = [one for one in ports if not isinstance(one, str)]
         where = " -> ".join(one if isinstance(one, str) else one.path for one in ports)
@@ -115,14 +115,14 @@ class Calls:
                 raise WiringError(f"{one}: is a component; give one of its ports")
             far = [FarProvider(self._links, end, path, self._numbers) for end in required]
             found += [each.end for each in far]
-            # Bound when the connector is made: a connection that is refused before needs no binding.
+            # The provider is bound when its connector is made: a connection refused earlier needs no binding.
             for each in far:
                 self._new.append(each)
                 self._links.kernel.loop.call_soon(self._begin, each)
         return found
 
     def relay(self, end: Provided[Any], path: Path) -> FarProvider:
-        """A stand-in in this kernel for the interface of another one, until `end_relay`; the caller binds it."""
+        """A stand-in for an interface of another kernel, until `end_relay`; the caller binds the stand-in."""
         far = FarProvider(self._links, end, path, self._numbers)
         self._far[far] = None
         return far
@@ -170,7 +170,7 @@ class Calls:
                 self.look(far)
 
     def disconnected(self, event: Disconnected) -> None:
-        """Close the providers that have no connector any more: one has ended."""
+        """Close the providers that have no connector any more, after a connector has ended."""
         if isinstance(event.connector, ConnectorProfile):
             return  # a connector of data ports
         for far in [one for one in self._far if not one.in_use]:
@@ -194,8 +194,8 @@ class FarProvider:
     """Stands for a provided interface of another kernel, at the end of one service connector, or of many.
 
     Args:
-        asking: the required interface that it answers; or a provided interface of this kernel whose provider is
-            `methods`, and which any number of others call.
+        asking: the required interface that the stand-in answers; or a provided interface of this kernel, whose
+            provider is `methods`, for any number of callers.
         numbers: the numbers of calls, shared by all providers of this kernel.
     """
 
@@ -204,15 +204,15 @@ class FarProvider:
         self.first: asyncio.Future[None] = links.kernel.loop.create_future()
         """Done with the first answer, or failed with its refusal."""
         self.peer: Peer | None = None
-        """The kernel that it is bound in; None: it is not bound."""
+        """The kernel in which the provider is bound; None: there is none."""
         self._why = "not connected yet"
         self._over = False
         self._number = 0
         self._late = 0
         self._binding = self._again = False
-        """Whether a question to bind it is under way, and whether another one has to follow it."""
+        """Whether a question to bind the provider is under way, and whether another question must follow."""
         self._unheard: tuple[Peer, list[Any]] | None = None
-        """The kernel that was asked to bind it and has not answered, and the names by which it finds the binding."""
+        """The kernel that has not answered the question to bind the provider, and the names of the binding there."""
         self._timer: Cancellable | None = None
         self._changed: list[asyncio.Future[None]] = []
         self._goals: dict[int, tuple[Goal[Any, Any], GoalTypes]] = {}
@@ -232,17 +232,17 @@ class FarProvider:
 
     @property
     def _relays(self) -> bool:
-        """Whether it stands for many callers and needs no connector."""
+        """Whether the provider answers many callers and needs no connector."""
         return self.end is self._asking
 
     @property
     def in_use(self) -> bool:
-        """Whether it may be called."""
+        """Whether the provider may be called."""
         return bool(self.end.connectors) if not self._relays else not self._over
 
     @property
     def name(self) -> str:
-        """The name of the connector, or the path of the interface that it answers for many."""
+        """The name of the connector; for many callers, the path of the interface."""
         if self._relays:
             return self.end.path
         return next((one.name for one in self.end.connectors), f"{self._asking.path}-{self.end.path}")
@@ -253,7 +253,7 @@ class FarProvider:
         return self.end.path if self._relays else f"{self._asking.path} -> {self.end.path}"
 
     def report(self) -> str:
-        """Its state, for tools."""
+        """The provider's state, for tools."""
         late = f", {self._late} answers came too late" if self._late else ""
         return f"{'up' if self.peer is not None else f'down: {self._why}'}{late}"
 
@@ -299,7 +299,7 @@ class FarProvider:
         return None
 
     def _wait(self, seconds: float, why: str) -> None:
-        """Note why it cannot be bound yet; try again after so many seconds, or on news of its kernel or component."""
+        """Note why the provider cannot be bound yet; try again after so many seconds, or on news of its kernel."""
         if not self._over:
             self._stop_timer()
             self._timer = self._links.kernel.call_later(seconds, self._look_again)
@@ -316,7 +316,7 @@ class FarProvider:
             self._links.run(self.bind(), f"aiorts bind {self.name}")
 
     def waits(self, why: str) -> None:
-        """Note why it cannot be bound yet; the first time it is logged."""
+        """Note why the provider cannot be bound yet; the first reason is logged."""
         self._why = why
         if not (self.first.done() or self._relays):
             _LOG.warning("W-LINK: %s: waits: %s", self.name, why)
@@ -338,14 +338,14 @@ class FarProvider:
                 self.first.exception()  # a caller that did not wait has it in the log
 
     def lost(self, why: str) -> None:
-        """Unbind it: its kernel is gone, or this one ends. Its running goals fail."""
+        """Unbind the provider: its kernel is gone, or this kernel ends. Running goals fail."""
         self.peer, self._why = None, why
         goals, self._goals = self._goals, {}
         for goal, types in goals.values():
             _advance(goal, types, "failed", why)
 
     def close(self) -> None:
-        """End it for good: no call comes any more, and the other kernel unbinds it."""
+        """Close the provider for good: no call comes any more, and the other kernel unbinds it."""
         peer, self.peer, self._over = self.peer, None, True
         self._why = "was disconnected"
         self._stop_timer()
@@ -358,7 +358,7 @@ class FarProvider:
             self._unbind()
 
     def _unbind(self) -> None:
-        """Ask the other kernel to unbind the provider, in case that it has bound it and its answer was lost."""
+        """Ask the other kernel to unbind the provider, which may be bound there although no answer came."""
         if self._unheard is not None:
             peer, names = self._unheard
             self._tell(peer, "unbind", [0, *names])
@@ -421,7 +421,7 @@ class FarProvider:
                 await self._bound_again()
 
     async def _bound_again(self) -> None:
-        """Wait until it is bound; the deadline of the call ends the wait."""
+        """Wait until the provider is bound; the deadline of the call ends the wait."""
         if self.peer is None:
             changed: asyncio.Future[None] = self._links.kernel.loop.create_future()
             self._changed.append(changed)
@@ -458,7 +458,7 @@ class FarProvider:
         except asyncio.CancelledError:
             if not asked.done():
                 asked.add_done_callback(self._answered_late)
-                # Sent once: a call that is not cancelled ends by its deadline.
+                # The cancellation is sent once: if it is lost, the call ends by its deadline.
                 self._links.run(self._answer_of(peer, "cancel", frame_of([number]), _WITHIN), "aiorts cancel")
             raise
         finally:
@@ -487,7 +487,7 @@ class FarProvider:
             self._late += 1
 
     def advance(self, number: int, what: str, value: list[Any]) -> bool:
-        """Take a message about a goal; False: the goal is none of these."""
+        """Handle a message about a goal; False: this provider has no such goal."""
         if number not in self._goals or len(value) != 1:
             return False
         _advance(*self._goals[number], what, value[0])

@@ -54,7 +54,7 @@ _LEDGER_SECONDS: Final = 2.0
 _FIRST_SECONDS: Final = 5.0
 """The most seconds that `connect` waits for the answer of the other kernel."""
 _AT_ONCE: Final = 64
-"""Links that are offered to one kernel at once: of thousands, the last would have no answer in time."""
+"""The most links offered to one kernel at once: the last of thousands would have no answer in time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ class Links(KernelService):
         kernel.bus.subscribe(ConnectorChanged, self._ledgers.changed)
 
     def owns(self, connector: Connector) -> bool:
-        """Whether another kernel has connected it; such a connector is not saved, and plans leave it alone."""
+        """Whether another kernel has made the connector, which is then not saved, and not changed by plans."""
         return any(not end.own for end in self.ends.of(connector))
 
     def report(self) -> Mapping[str, Any]:
@@ -121,7 +121,7 @@ class Links(KernelService):
         return await self._ledgers.of(ends[0], within)
 
     async def up(self, connectors: Iterable[Connector], within: float) -> None:
-        """Wait until the writers of these connectors are linked with them, or so many seconds have passed."""
+        """Wait until the links from the writers to these connectors are up, or so many seconds have passed."""
         waits = [end.up() for one in connectors if (end := self.ends.readers.get(one)) is not None]
         if waits:
             await asyncio.wait(waits, timeout=within)
@@ -186,7 +186,7 @@ class Links(KernelService):
             return self.calls.resolve(given), options
         where = " -> ".join(port if isinstance(port, str) else port.path for port in ports)
         ends = far_ends(self.kernel, where, ports)
-        # A process of this kernel takes the writer's options from here; another kernel has to be asked there.
+        # Options of the writer's end reach a process of this kernel; at another kernel the reader cannot set them.
         from_reader = not near or any(
             isinstance(end, FarOutPort) and isinstance(port, str) for end, port in zip(ends, ports, strict=True)
         )
@@ -226,7 +226,7 @@ class Links(KernelService):
 
         Raises:
             LinkError: the transport cannot be opened.
-            WiringError: as `Kernel.connect`, or the other kernel refused a connector; those of this call were ended.
+            WiringError: as `Kernel.connect`, or the other kernel refused a connector; all of this call were ended.
         """
         for port in ports:
             if isinstance(port, str) and self.is_far(port):

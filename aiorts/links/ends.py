@@ -1,6 +1,6 @@
 """The ends of links: each carries out what the table of its negotiation says, and tells the table what came of it.
 
-An end is kept by its names alone: by its connector, by the component at its other end, by what the offer calls it.
+`Ends` finds an end by its connector, by the component at its other end, or by the names in its offer.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _ASK_SECONDS: Final = 2.0
 _OPEN_SECONDS: Final = 2.0
 """The most seconds in which a transport makes a channel."""
 _READ_SECONDS: Final = 0.05
-"""Seconds between two looks at a connector that takes no listener, until it was read empty."""
+"""Seconds between two checks whether a connector without listeners has been read empty."""
 _BY_ONE: Final = 10_000
 """The most connectors of this kernel that one other kernel may have made."""
 _BY_ALL: Final = 20_000
@@ -55,7 +55,7 @@ _GIVEN_UP: Final = 1_000
 _RECONNECTS: Final = 10.0
 """Seconds in which a kernel that was restarted connects again what it had connected before."""
 _READERS: Final = 256
-"""The most connectors that others may have made with one out-port: each is in every write (2 ms with 1,000 of them)."""
+"""The most connectors that others may have made with one out-port: every write goes to all (2 ms with 1,000)."""
 _LAST_SECONDS: Final = 1.0
 """The most seconds to wait for acknowledgements at an end."""
 Name: TypeAlias = tuple[str, str]
@@ -63,11 +63,11 @@ Side = TypeVar("Side", bound="WriterLink | ReaderLink", covariant=True)
 
 
 class LinkEnd(Generic[Side]):
-    """One end of a link in its kernel: its connector, its state, and what it is called elsewhere.
+    """One end of a link in its kernel: its connector, its state, and its names elsewhere.
 
     Args:
         far: the port at the other end.
-        own: whether this kernel has connected it, and not the other one.
+        own: whether this kernel, not the other one, has made the connector.
         link: makes the side of the link that carries the samples.
         departures: tells other kernels of ends that were disconnected here.
     """
@@ -90,7 +90,7 @@ class LinkEnd(Generic[Side]):
         """Done with the first answer, or failed with its refusal."""
         self._links, self._departures = links, departures
         self._peer: Peer | None = None
-        """The kernel that was asked last, or whose offer was taken last."""
+        """The kernel that was asked last, or whose offer was accepted last."""
         self._offer: LinkOffer | None = None
         """The offer that both ends have agreed on last."""
         self._channel: Channel | None = None
@@ -106,7 +106,7 @@ class LinkEnd(Generic[Side]):
         """Whether the writer's kernel was asked for an offer, and has not declined."""
         self._refused_by = ""
         self._said = ""
-        """The reason to wait that was logged last since it was up."""
+        """The last logged reason to wait, since the link was last up."""
 
     # -- what happens ----------------------------------------------------------------------------------------------
 
@@ -148,8 +148,8 @@ class LinkEnd(Generic[Side]):
             self.on(LinkEvent.PRESENT)
 
     def gone(self, peer: Peer) -> None:
-        """Handle the end of a kernel of that name."""
-        # A link that is agreed with another kernel, or has a channel to it, is not concerned.
+        """Handle the end of a kernel that has the name of the one at the other end."""
+        # A link that is agreed with another kernel of this name, or has a channel to that, goes on.
         if self.negotiation.state is NegotiationState.UP:
             if self._peer == peer:  # the transport may say in this moment how its channel was lost
                 self._links.kernel.loop.call_soon(self._left_alone, self.negotiation.step, peer)
@@ -179,13 +179,13 @@ class LinkEnd(Generic[Side]):
         self.on(LinkEvent.REFUSED, why)
 
     def offered(self, offer: LinkOffer, peer: Peer | None) -> None:
-        """Handle an offer that was taken; the answer to it says so."""
+        """Handle an offer that was accepted; the answer to the offer says so."""
         self._offer, self._peer, self.requested = offer, peer, False
         self.on(LinkEvent.OFFER)
 
     @property
     def writer_epoch(self) -> int:
-        """The epoch of the writer's end in the offer that was taken last; 0: none was."""
+        """The epoch of the writer's end in the last accepted offer; 0: there is none."""
         return 0 if self._offer is None else self._offer.writer_epoch
 
     def left(self) -> None:
@@ -261,7 +261,7 @@ class LinkEnd(Generic[Side]):
         return None
 
     def _fault_of(self, error: Exception) -> str:
-        """The text of an error. Any but a LinkError is a transport's fault and logged; the link is tried again, too."""
+        """The text of an error. An error other than LinkError is a transport's fault: it is logged, too."""
         if not isinstance(error, LinkError):
             _LOG.error("links: %s failed: %s", self.connector.name, format_error(error), exc_info=error)
         return str(error) if isinstance(error, AiortsError) else format_error(error)
@@ -299,7 +299,7 @@ class LinkEnd(Generic[Side]):
             self._on_step(step, LinkEvent.PROMISED)
 
     async def _question(self, peer: Peer, what: str, body: bytes) -> Answer:
-        """The answer of another kernel; a refusal where that kernel speaks no version of this one."""
+        """The answer of another kernel; a refusal if both share no version of the protocol."""
         answer = Answer.from_bytes(await self._links.ask(peer, what, body, _ASK_SECONDS))
         try:
             versions.agreed(peer.kernel, answer.protocol)
@@ -430,7 +430,7 @@ class LinkEnd(Generic[Side]):
     # -- its names -------------------------------------------------------------------------------------------------
 
     def reader_path(self, peer: Peer | None = None) -> str:
-        """The path of the in-port as the writer's kernel knows it; the in-port may stand for one of a third kernel."""
+        """The path of the in-port as the writer's kernel knows it; the in-port may be a third kernel's."""
         port: InPort[Any] = self.connector.in_
         if isinstance(port, FarInPort) and "/" in port.path:
             name = f"{port.far.kernel}-{port.far.component}"[:MAX_NAME_LENGTH]
@@ -530,7 +530,7 @@ class Ends:
         self._by_ports: dict[tuple[str, str], dict[LinkEnd[WriterLink], None]] = {}
         """Writer's ends by their out-port and the port at the other end; several with `allow_duplicate`."""
         self._given_up: dict[Name, None] = {}
-        """Reader's ends by writer and reader that were disconnected before the offer came that they had asked for."""
+        """Reader's ends, by writer and reader, that asked for an offer and were disconnected before it came."""
         self._readers_of: Counter[str] = Counter()
         """The writer's ends that other kernels have made at each out-port, by its path."""
         self._made: Counter[str] = Counter()
@@ -583,7 +583,7 @@ class Ends:
         return [end for end in found if end is not None]
 
     async def sent(self, connectors: Iterable[Connector], within: float = _LAST_SECONDS) -> None:
-        """Wait until what was written to these connectors is acknowledged, `within` so many seconds and at most 1 s."""
+        """Wait until all samples of these connectors are acknowledged, but at most `within` seconds, and 1 s."""
         ends = [end for one in connectors if (end := self.writers.get(one)) is not None]
         waits = [idle for one in ends if (idle := one.link.idle()) is not None]
         if waits and within > 0:
@@ -599,21 +599,21 @@ class Ends:
         return next(iter(self._by_ports.get((_port_of(out), str(far)), ())), None)
 
     def expect(self, name: Name, end: LinkEnd[ReaderLink]) -> None:
-        """Expect the offer that a reader's end asks its writer for, by writer and reader."""
+        """Note, by writer and reader, that a reader's end asks its writer for an offer."""
         self._given_up.pop(name, None)
         self.expected.put(name, end)
 
     def was_given_up(self, name: Name) -> bool:
-        """Whether an end that is gone had asked for an offer between these two ports; forgets it."""
+        """Whether a disconnected end had asked for an offer between these two ports; the end is then forgotten."""
         return self._given_up.pop(name, name) is None
 
     def check_made(self, path: Path) -> None:
-        """WiringError: another kernel has connected too many ports here to connect this one, too."""
+        """Raise WiringError if other kernels have made too many connectors here to make one with this port."""
         if self._made[path.kernel] >= _BY_ONE or self._made.total() >= _BY_ALL:
             raise WiringError(f"{path}: other kernels have made {self._made.total():,} connectors; no more are made")
 
     def check_readers(self, out: str) -> None:
-        """WiringError: other kernels read this out-port over too many connectors to make one more."""
+        """Raise WiringError if other kernels read this out-port over too many connectors to make one more."""
         if self._readers_of[out] >= _READERS:
             raise WiringError(f"{out}: other kernels have made {_READERS:,} connectors with it; no more are made")
 
@@ -629,7 +629,7 @@ def _out_of(end: LinkEnd[Any]) -> tuple[str, ...]:
 
 
 def _take_one(counts: Counter[str], name: str) -> None:
-    """Count one less, and forget a name without any."""
+    """Lower the count of a name by one; forget the name at zero."""
     counts[name] -= 1
     if not counts[name]:
         del counts[name]

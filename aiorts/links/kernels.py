@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _SECONDS: Final = 2.0
 """Seconds for an answer."""
 _LONGEST_PAUSE: Final = 10.0
-"""Seconds between two attempts while the other kernel stands still."""
+"""The most seconds between two attempts while the other kernel stands still."""
 
 
 class Reached(Protocol):
@@ -50,7 +50,7 @@ class Reached(Protocol):
         ...
 
     def host_of(self, peer: Peer | None) -> str:
-        """The host of a kernel that only other transports reach, so that a kernel here may have its name; else ""."""
+        """The host of a kernel that only other transports reach, as a kernel here may have the same name; else ""."""
         ...
 
     def name_for(self, peer: Peer | None) -> str:
@@ -62,7 +62,7 @@ class Reached(Protocol):
         ...
 
     def refusal(self, peer: Peer, right: str, port: InPort[Any] | OutPort[Any]) -> str:
-        """Why another kernel has not this right to a port; "" where it has, or the port is no component's here."""
+        """Why another kernel lacks this right to a port; "" if it has the right, or no component here has the port."""
         ...
 
     def carrier(self, peer: Peer | None) -> Transport:
@@ -75,7 +75,7 @@ class Kernels(Protocol):
 
     kernel: Microkernel
     numbers: Iterator[int]
-    """The numbers of this kernel's offers: an offer that is overtaken on the way is known by its number."""
+    """The numbers of this kernel's offers: they tell an offer that was overtaken on the way."""
 
     @property
     def reach(self) -> Reached:
@@ -100,7 +100,7 @@ class Kernels(Protocol):
         ...
 
     def turn(self, peer: Peer) -> AbstractAsyncContextManager[None]:
-        """A turn at offering to another kernel: a bounded number of links have one at the same time."""
+        """A turn to offer links to another kernel: a bounded number of links have a turn at the same time."""
         ...
 
     def run(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
@@ -112,9 +112,9 @@ class Kernels(Protocol):
         ...
 
     def there(self, path: Path, caller: Caller, right: str) -> Port[Any] | Answer:
-        """The port of this kernel that another one asks for, or the answer that it is not there yet.
+        """The port here that another kernel asks for, or the answer that the port is not there yet.
 
-        WiringError: there is none, or the caller has not this right to it.
+        WiringError: there is no such port, or the caller lacks this right to the port.
         """
         ...
 
@@ -124,7 +124,7 @@ class Kernels(Protocol):
 
 
 async def told(kernels: Kernels, peer: Peer, what: str, body: bytes) -> bool:
-    """Tell another kernel something until it has heard it, or refused it five times; it may hear it twice.
+    """Send a message to another kernel until that has answered, or refused five times; it may come twice.
 
     False: the kernel has gone.
     """
@@ -133,7 +133,7 @@ async def told(kernels: Kernels, peer: Peer, what: str, body: bytes) -> bool:
         try:
             await kernels.ask(peer, what, body, _SECONDS)
         except LinkTimeout:
-            # The messages may lie unread until the kernel goes on: fewer and fewer are added to them.
+            # The messages may lie unread until the kernel goes on: they are sent less and less often.
             rest, pause = pause, min(2 * pause, _LONGEST_PAUSE)
         except LinkError:
             if not kernels.is_there(peer):

@@ -15,7 +15,7 @@ from aiorts.wire import layout_text
 
 _SHOWN: Final = 80
 _LONGEST: Final = 65_536
-"""The most letters of the other end's text in which a difference is looked for; at least twice the letters of ours."""
+"""The most letters of the other end's text that are compared; more if our own text has over half as many."""
 _NOTHING: Final[Mapping[str, Any]] = {}
 _LAYOUTS: Final[WeakKeyDictionary[type, tuple[bytes, str]]] = WeakKeyDictionary()
 """The layouts of the types of ports: thousands of links may share one."""

@@ -1,7 +1,7 @@
 """The joint ledger of a link: the writer's kernel asks the reader's kernel, and joins both ledgers.
 
-Both ends count up to one sample number and not at one time: samples that the reader's end has not received when it
-answers are in flight, whatever has become of them since.
+Both ends count up to the same sample number, not up to the same time. Samples that the reader's end has not received
+when it answers count as in flight, whatever becomes of them later.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _LARGEST: Final = 2**63
 _FIGURES: Final[Mapping[object, int]] = {"waited": 4, "age": 4, "within": 1}
-"""The numbers in each entry of `LinkLedger.read`."""
+"""How many numbers each entry of `LinkLedger.read` has."""
 T = TypeVar("T")
 _WITHIN: Final = 2.0
 """Seconds in which the reader's kernel answers that of the writer."""
@@ -75,7 +75,7 @@ class LinkLedger:
 
 @dataclass(frozen=True, slots=True)
 class _Report:
-    """The counts of the reader's end. `besides`: those of its samples that are not from the present writer's end."""
+    """The counts of the reader's end. `besides`: counts of samples that are not from the present writer's end."""
 
     writer_epoch: int
     reader_epoch: int
@@ -131,7 +131,7 @@ class Ledgers:
         return replace(joined, read=_ages(connector.statistics))
 
     def changed(self, changed: ConnectorChanged) -> None:
-        """Ask the reader's end, so that it is measured while the writer's end is: each question says whether it is."""
+        """Ask the reader's end, since each question says whether the writer's end, and so the reader's, is measured."""
         connector = self._links.kernel.connectors.get(changed.connector.name)
         if connector is None or changed.connector.measure == changed.before.measure:
             return
@@ -145,7 +145,7 @@ class Ledgers:
     async def through(self, reader: LinkEnd[ReaderLink], writer: LinkEnd[WriterLink], within: float) -> LinkLedger:
         """The ledger of a connector whose both ends are in other kernels; errors as those of `of`.
 
-        The ledgers of its two links both contain the counts of this kernel, which are subtracted from one.
+        The ledgers of its two links both contain the counts of this kernel, which are subtracted once.
         """
         one = await self.of(reader, within)
         here = reader.link.reported
@@ -226,7 +226,7 @@ def _ages(found: ConnectorStatistics) -> dict[str, tuple[int, ...]]:
 
 
 def _further(body: bytes, kinds: tuple[type, ...], kind: type[T]) -> T | None:
-    """The field that follows these; None: the other kernel does not send it."""
+    """The field after the fields of these kinds; None: the other kernel does not send it."""
     try:
         *_, found = fields(body, (*kinds, kind), longer=True)
     except LinkError:

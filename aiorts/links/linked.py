@@ -51,7 +51,7 @@ class Drain(Protocol):
         ...
 
     def confirm(self, transport: Confirmed, sample: Any) -> Confirmation | None:
-        """Send a sample before which none waits, and watch the deadline of its write; None: it was not taken."""
+        """Send a sample ahead of which none waits, and watch its write's deadline; None: it was not sent."""
         ...
 
 
@@ -62,9 +62,9 @@ class Confirmation(Waiting):
     refused: bool = False  # type: ignore[misc] # the kind that a reader far away may refuse later
     late: bool = False  # type: ignore[misc] # as above
     number: int = 0
-    """The number under which it was sent; 0: it was not."""
+    """The number under which the sample was sent; 0: it was not sent."""
     until_ns: int = 0
-    """The deadline of its write, where the link watches it; 0: it does not."""
+    """The deadline of the sample's write, if the link watches it; 0: the link watches none."""
 
 
 class Linked(FeaturedTransport):
@@ -74,7 +74,7 @@ class Linked(FeaturedTransport):
 
     @property
     def direct(self) -> bool:
-        """A write goes straight into the queue: the link hears of each, and makes room in a full one."""
+        """Whether a write goes straight into the queue: the link hears of each, and makes room in a full queue."""
         return len(features_of(self.connector.profile)) == 1 and super(FeaturedTransport, self).direct
 
     def must_wait(self) -> bool:
@@ -128,7 +128,7 @@ class Confirmed(Linked):
 
     @property
     def is_awaited(self) -> bool:
-        """Whether a write that must not wait goes into the queue: always, unless a full one keeps its samples."""
+        """Whether a write that must not wait may go on: always, unless a full queue keeps its samples."""
         return self.connector.profile.full is not FullPolicy.BLOCK or len(self.queue) < self.length
 
     def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
@@ -190,7 +190,7 @@ class Confirmed(Linked):
 
 
 class Pulled(Linked):
-    """A transport from which the link takes a sample where the reader's end asks for it. See `Transport`."""
+    """A transport from which the link takes a sample when the reader's end asks for one. See `Transport`."""
 
     __slots__ = ()
 
@@ -203,7 +203,7 @@ class Looks(Protocol):
     """The link at the reader's end, as far as its transport needs it."""
 
     quiet: bool
-    """Whether a look asks for nothing now."""
+    """Whether `look` is not to be called now: the link itself uses the transport."""
 
     def look(self) -> None:
         """Ask the writer's end for its newest sample, unless such a question is under way."""
@@ -211,7 +211,7 @@ class Looks(Protocol):
 
 
 class Pulling(FeaturedTransport):
-    """A transport at the reader's end that holds one sample; each look at it asks for a newer one. See `Transport`."""
+    """A transport at the reader's end with one sample; each use of it asks for a newer sample. See `Transport`."""
 
     __slots__ = ()
 

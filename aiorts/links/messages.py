@@ -11,7 +11,7 @@ from aiorts.late import dataclass
 from aiorts.wire import LINK, count_values
 
 LARGEST: Final = 1_048_576
-"""The most bytes of a message of another program."""
+"""The most bytes of a message from another program."""
 _LONGEST: Final = 2_000
 
 
@@ -37,7 +37,7 @@ class Answer:
 
     @classmethod
     def from_bytes(cls, body: bytes) -> Answer:
-        """The answer of a frame. LinkError: it is none."""
+        """The answer in a frame. LinkError: the frame is no answer."""
         number, epoch, absent, refused, protocol = fields(body, (int, int, str, str, list), longer=True)
         if not 0 <= number < 2**32 or not 0 <= epoch < 2**64:
             raise LinkError(f"an answer with the number {number} and the epoch {epoch}")
@@ -61,7 +61,7 @@ class LinkRequest:
 
     @classmethod
     def from_bytes(cls, body: bytes) -> LinkRequest:
-        """The request of a frame. LinkError: it is none."""
+        """The request in a frame. LinkError: the frame is no request."""
         protocol, writer, reader, options = fields(body, (list, str, str, dict), longer=True)
         if not all(isinstance(key, str) for key in options):
             raise LinkError("a request whose options are not named by texts")
@@ -84,7 +84,7 @@ def packed(values: list[Any]) -> bytes:
 
 
 def fields(body: bytes, kinds: tuple[type, ...], *, longer: bool = False, largest: int = LARGEST) -> list[Any]:
-    """The values of a frame, as `checked` returns them. LinkError: they are of other kinds, or it is no frame."""
+    """The values of a frame, as `checked` returns them. LinkError: a kind differs, or the body is no frame."""
     if len(body) > largest:
         raise LinkError(f"a message of {len(body)} bytes; at most {largest} are allowed")
     try:

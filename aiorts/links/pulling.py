@@ -36,10 +36,10 @@ class PulledWriterLink(WriterLink):
 
 
 class PullingReaderLink(ReaderLink):
-    """Asks for a sample at each look at the in-port. See `ReaderLink`."""
+    """Asks for a sample each time the in-port is read or checked. See `ReaderLink`."""
 
     quiet = False
-    """Whether a look asks for nothing now: the look is the link's own."""
+    """Whether `look` asks for nothing now: the link itself uses the in-port."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -50,7 +50,7 @@ class PullingReaderLink(ReaderLink):
     def look(self) -> None:
         """Ask the writer's end for its newest sample, unless such a question is under way; on the loop.
 
-        Where a task or a thread waits, ask for the next sample if there is none.
+        If a task or a thread waits and there is no newer sample, the question asks for the next.
         """
         if not self.quiet and not self._ended and self.end.want(self._now(), wait=self._is_awaited):
             self._wake()

@@ -65,8 +65,8 @@ class Reach:
         self._named: dict[str, dict[Peer, None]] = {}
         """The peers by their names, in the same order."""
         self._ways: dict[Peer, list[Transport]] = {}
-        """All transports that reach each peer. The general one carries its links as soon as it has found it; else the
-        first that found it does, until the peer asks over another one: kernels of one host need no network."""
+        """All transports that reach each peer. The general one carries the peer's links once it has found the peer.
+        Until then, the transport that found the peer first carries them, or another over which the peer has asked."""
         self._hosts: dict[Peer, str] = {}
         """The host of each peer for `host_of`: unchanged as long as the peer is there."""
         self._epoch = 0
@@ -83,7 +83,7 @@ class Reach:
     async def carry(self, transport: Transport) -> None:
         """Open a transport in addition to the general one, such as for other hosts. LinkError: it cannot be opened.
 
-        The kernels named in `carried` are reached by it alone, and the general one is not opened for their sake.
+        The general transport is not opened for the kernels named in `carried`: only this one reaches them.
         """
         self._carriers.append(transport)
         await self._use(transport)
@@ -100,7 +100,7 @@ class Reach:
         return opening is not None and opening.done() and not opening.cancelled() and opening.exception() is None
 
     def open_soon(self, name: str | None = None) -> asyncio.Future[None]:
-        """Begin to open the general transport, of that name if one is given, unless that has begun."""
+        """Begin to open the general transport, unless that has begun; `name`: the name of the transport."""
         self._name = name or self._name
         if self._opening is None:
             loop = self._links.kernel.loop
@@ -114,7 +114,7 @@ class Reach:
             self.open_soon()
 
     async def opened(self) -> None:
-        """Wait until kernels can be reached in general. LinkError: they cannot; it is tried again."""
+        """Wait until kernels can be reached in general. LinkError: they cannot; the transport is tried again."""
         await asyncio.shield(self.open_soon())
 
     async def opened_for(self, path: Path) -> None:
@@ -240,7 +240,7 @@ class Reach:
         return "" if peer is None else self._hosts.get(peer, "")
 
     def refusal(self, peer: Peer, right: str, port: InPort[Any] | OutPort[Any]) -> str:
-        """Why another kernel has not this right to a port; "" where it has, or the port is no component's here."""
+        """Why another kernel lacks this right to a port; "" if it has the right, or no component here has the port."""
         allowed: Allowed = getattr(self.peers.get(peer), "allowed", EVERYTHING)
         return "" if port.is_tap or port.is_far else allowed.refusal(peer.kernel, right, port.path)
 

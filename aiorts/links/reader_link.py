@@ -1,6 +1,6 @@
 """The reader's end of a link in its kernel: writes what is received at a far out-port, in order.
 
-Also the options of the connector that it writes to, and the check of the shape.
+Also the options of the connector at this end, and the check of the shape of samples.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ _KEPT_BY_READER: Final = tuple(
 )
 """Options that the reader's end of a link takes unchanged; the subscription decides about its buffer."""
 _PATIENCE_NS: Final = 25_000_000
-"""How long a sample waits for room before it displaces another one, and at most twice as long. Samples written one
-after the other come together, and a reader that keeps up has room for them a few turns of the loop later."""
+"""A sample waits for room this long, at most twice as long, before it displaces another. Samples written one after the
+other come together, and a reader that keeps up has room for them a few turns of the loop later."""
 
 
 class ReaderLink(LinkSide[ReaderEnd]):
@@ -69,11 +69,11 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self.undecodable = 0
         """Samples that could not be decoded."""
         self.reported: ConnectorStatistics = connector.statistics
-        """The counts of its connector when the writer's kernel last asked."""
+        """The counts of this end's connector when the writer's kernel last asked."""
         self._is_measured_for_writer = connector.profile.measure > 0
         """Whether the connector is measured as long as the writer's end is."""
         self.taken_over = 0
-        """Samples of the reader's end before this one, which were unread when this one came."""
+        """Unread samples that this end took over from the reader's end before it."""
         self.settled: Callable[[], None] | None = None
         """Called when a sample that waited for room is in the reader's buffer, or was refused."""
         self._waiting: Waiting | None = None
@@ -84,7 +84,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
         self._patience = Wakening(kernel, self._displace)
         """The timer at which samples that wait for room displace others."""
         self._patient_to = 0
-        """The number of the last sample that displaces another at that time; 0: none waits."""
+        """The number of the last sample that displaces another when `_patience` is due; 0: none does."""
         # Its reader is in a third kernel: each sample waits for the answer from there, and so does its writer.
         self._confirms = connector.in_.is_far and connector.profile.subscription is Subscription.FLUSH
         self._takes_alone = not (self._confirms or self._ages)
@@ -126,7 +126,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
         return self.end.held + len(transport_of(self.connector).waiting or ())
 
     def connect(self, channel: Channel, number: int, peer_epoch: int) -> None:
-        """Receive over this channel from now on the frames that carry `number`."""
+        """From now on, receive the frames that carry `number` over this channel."""
         self._channel, self.why = channel, ""
         self.end.renumber(number)
         now = self._now()
@@ -266,7 +266,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
             self._date(None)
 
     def _deliver_all(self, now: int, decode_all: Callable[[Sequence[Buffer]], Iterator[Any]]) -> None:
-        """Write the first samples that have come, as far as they go together; `_deliver` looks at each of the rest."""
+        """Write the first samples that have come, as many as can be written together; `_deliver` writes the rest."""
         transport, end = transport_of(self.connector), self.end
         records: list[Any] = []
         with suppress(Exception):  # as in `_deliver`, which decodes that sample again and reports it
@@ -276,7 +276,7 @@ class ReaderLink(LinkSide[ReaderEnd]):
             end.done(now, end.take_all(count), count)
 
     def _date(self, written_ns: int | None) -> None:
-        """Date the next sample by this time of the kernel's clock; None: the next samples are written now."""
+        """Date the next sample with this time of the kernel's clock; None: date the next samples when written."""
         transport = transport_of(self.connector)
         if isinstance(transport, Dated):
             transport.moments.given_ns = written_ns

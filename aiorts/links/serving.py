@@ -1,7 +1,7 @@
 """Calls of this kernel's service ports by other kernels: an `OutsideCaller` makes each of them here.
 
-A call is let in, run and ended as any other. The task that serves a call with a goal stays the goal's client, and tells
-the other kernel what becomes of the goal.
+A call is accepted, run and ended as any other. The task that serves a call with a goal stays the goal's client, and
+tells the other kernel what becomes of the goal.
 """
 
 from __future__ import annotations
@@ -63,14 +63,14 @@ _Names: TypeAlias = "tuple[Peer | None, str, str, str]"
 
 
 class Serving:
-    """The provided interfaces of one kernel that required ones of others are bound to."""
+    """The provided interfaces of one kernel to which required interfaces of other kernels are bound."""
 
     def __init__(self, links: Kernels) -> None:
         self._links = links
         self._bound: dict[Peer, dict[int, _Bound]] = {}
         """The bound interfaces, by the kernel that has bound them and their number."""
         self._numbers: dict[_Names, int] = {}
-        """The number of each binding, by its names: a repeated one replaces the former, whose answer was lost."""
+        """The number of each binding, by its names: a repeated request replaces the former binding."""
         self._at: Counter[ServicePort] = Counter()
         """The number of bindings at each port."""
         self._number = 0
@@ -115,7 +115,7 @@ class Serving:
             names = (caller.peer, required, instance, provided)
             self._end(caller.peer, self._numbers.get(names, 0))
             if caller.peer is None or caller.peer.kernel not in self._links.reach.carried:
-                # Else a connector of this kernel stands for the binding, and is counted already.
+                # The binding of a carried kernel has a connector here, which is counted already.
                 check_room(end.port, 1, end.port.max_connectors, self._at[end.port])
             peer = self._checked(caller)
             bound = _Bound(end, Path.parse(required), names)
@@ -127,7 +127,7 @@ class Serving:
         return sent(Answer(number=self._number))
 
     def _checked(self, caller: Caller) -> Peer:
-        """The kernel that asks, which has room for one more. WiringError: none asks, or it has bound too many."""
+        """The asking kernel, if it may bind one more. WiringError: no kernel asks, or it has bound too many."""
         if caller.peer is None:
             raise WiringError("who asks is no kernel")
         by = Counter[str]()
@@ -208,7 +208,7 @@ class Serving:
         seconds: float,
         answer: asyncio.Future[bytes],
     ) -> None:
-        """Make the call; the task stays the goal's client where the call is answered with one."""
+        """Make the call; if the answer is a goal, the task stays the goal's client."""
         method = bound.end.spec.methods[name]
         types = goal_types(method.returns)
         try:
@@ -260,7 +260,7 @@ class Serving:
 
 
 class _Bound:
-    """An interface of this kernel that one of another kernel is bound to."""
+    """A provided interface of this kernel, bound to a required interface of another kernel."""
 
     def __init__(self, end: Provided[Any], required: Path, names: _Names) -> None:
         self.end, self.names = end, names
@@ -278,5 +278,5 @@ class _Bound:
         return await self._caller.call(method.name, given, named, seconds)
 
     def close(self) -> None:
-        """End the calls that still run for it."""
+        """End the calls that still run over this binding."""
         self._caller.close()

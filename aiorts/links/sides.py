@@ -33,7 +33,7 @@ class Owner(Protocol):
         ...
 
     def left(self) -> None:
-        """Handle the disconnection of the connector at its other end."""
+        """Handle the news that the connector was disconnected at its other end."""
         ...
 
 
@@ -88,7 +88,7 @@ class LinkSide(Generic[E]):
             self._owner.lost(why)
 
     def drop(self, why: str) -> None:
-        """Give the channel up, if there is one: there will be another."""
+        """Give up the channel, if there is one; another channel will follow."""
         if self._channel is not None:
             self._channel.close()
             self._down(why)

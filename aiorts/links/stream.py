@@ -30,19 +30,19 @@ _LARGE: Final = 65_536
 _AT_ONCE: Final = 65_536
 """Bytes that are received at once. Above 128 KiB each buffer is memory of its own from the system: 14 us."""
 _SHORT: Final = 512
-"""The most bytes of a receive of which the body is copied."""
+"""The most bytes of a received message whose body is copied."""
 _ONE_TURN: Final = 1 << 20
-"""Bytes after which a turn of the loop receives no more. With 64 KiB a loop whose turns take 0.1 s needed four of them
-to come to a question behind the 208 KiB that a socket holds."""
+"""Bytes after which a turn of the loop receives no more. With 64 KiB a loop whose turns take 0.1 s needed four
+turns to reach a question behind the 208 KiB that a socket holds."""
 _ONE_TURN_SECONDS: Final = 0.005
-"""Seconds after which a turn of the loop receives no more: small messages take longer than their bytes."""
+"""Seconds after which a turn of the loop receives no more: small messages need more time than bytes."""
 _LARGEST: Final = 80 << 20
 """The most bytes of one message."""
 _DESCRIPTOR: Final = struct.Struct("i")
 _ONE: Final = 20
 """The ancillary bytes of one descriptor (CMSG_LEN); CMSG_SPACE is rounded up and has room for two."""
 _GONE: Final = (errno.EPIPE, errno.ECONNRESET)
-"""Errors of a connection whose other end reads no more. Any other error, such as a want of memory, is of this end."""
+"""Errors of a connection whose other end reads no more. Any other error, such as a lack of memory, is of this end."""
 _VECTORS: Final = 64
 """The most buffers of one system call."""
 
@@ -72,7 +72,7 @@ class _Queue:
         self._refused = False
 
     def takes(self, turn: Turn) -> bool:
-        """Whether one more message is taken: as LAST twice as many, of any size. A refusal is remembered."""
+        """Whether one more message is taken; with `Turn.LAST`, up to twice as many, of any size. Notes a refusal."""
         count = len(self.messages)
         if (self.size < self._full and count < self._most) or (turn is Turn.LAST and count < 2 * self._most):
             return True
@@ -80,7 +80,7 @@ class _Queue:
         return False
 
     def room_made(self) -> bool:
-        """Whether there is room again after a refusal; True once for each."""
+        """Whether there is room again after a refusal; True once for each refusal."""
         made = self._refused and self.size < self._full // 2 and len(self.messages) < self._most // 2
         self._refused = self._refused and not made
         return made
@@ -125,9 +125,9 @@ class Stream:
         """The descriptor that was received and not taken yet; -1: none."""
         self.closed = False
         self._hung_up: select.poll | None = None
-        """Says whether the other end has hung up, on a loop that calls a reader once at a socket with an error.
+        """Says whether the other end has hung up, on a loop that calls a reader only once after an error.
 
-        The call may be for data; uvloop does not call again for what is behind them. One poll takes 0.4 us.
+        That call may be for data; uvloop does not call again for the end behind the data. One poll takes 0.4 us.
         """
         if not isinstance(loop, asyncio.SelectorEventLoop):
             self._hung_up = select.poll()
@@ -138,7 +138,7 @@ class Stream:
     # -- sending ---------------------------------------------------------------------------------------------------
 
     def send_alone(self, kind: int, number: int, body: bytes) -> bool:
-        """`send` of a message without parts while none waits, written out; False: `send` takes it, or says why not."""
+        """`send`, written out for a message without parts while no message waits; False: call `send` instead."""
         if self._waits or self.closed or self._broken:
             return False
         data = _HEAD.pack(len(body), kind, 0, 0, number) + body
@@ -196,7 +196,7 @@ class Stream:
     def send_descriptor(self, kind: int, number: int, body: bytes, descriptor: int) -> bool:
         """Send a short message with a descriptor, which stays the caller's; False: it will not be sent.
 
-        It goes after the samples that wait: those refer to earlier rings.
+        The message goes after the samples that wait, since those refer to earlier rings.
         """
         if self.closed or self._broken or not self._samples.takes(Turn.LAST):
             return False
@@ -325,7 +325,7 @@ class Stream:
             if (
                 not parts
                 and length == count - _HEAD.size
-                # A view of a short message takes longer than to copy it.
+                # To make a view of a short message takes longer than to copy the message.
                 and self._arrived_alone(
                     kind, number, data[_HEAD.size :] if count <= _SHORT else memoryview(data)[_HEAD.size :]
                 )
@@ -355,9 +355,9 @@ class Stream:
         return count if self._reset else count * (count == asked)
 
     def expect_descriptor(self) -> None:
-        """Receive one descriptor, which comes with any message from now on.
+        """Allow one descriptor to come, with any message from now on.
 
-        Unexpected ones are never received: the system closes a peer's descriptors that it is not asked for.
+        Unexpected descriptors are never received: the system closes those for which it is not asked.
         """
         self._expects = True
 
@@ -367,7 +367,7 @@ class Stream:
         return found if found >= 0 else None
 
     def _receive_descriptor(self) -> tuple[bytes, int]:
-        """Receive as `recv`, and the descriptor that comes along; data and count. ValueError: more than one."""
+        """The data, as from `recv`, and their count; keep a descriptor that comes along. ValueError: several."""
         large = self._large
         flags = getattr(socket, "MSG_CMSG_CLOEXEC", 0)
         if large is None:
@@ -465,7 +465,7 @@ def _message(view: memoryview) -> Message:
 
 
 def _room(sizes: Sequence[int]) -> int:
-    """Bytes that parts of these sizes take: each but the last one fills up eight bytes."""
+    """Bytes that parts of these sizes take: each but the last is padded to a multiple of eight."""
     return sum(size + -size % 8 for size in sizes[:-1]) + sizes[-1]
 
 

@@ -38,7 +38,7 @@ class Peer:
 
 
 def checked_peer(host: str, kernel: str, epoch: int) -> Peer:
-    """The peer of these names, which it has given itself. LinkError: they are no names."""
+    """The peer with these names, which it has given itself. LinkError: the names are not valid."""
     try:
         check_name(kernel, "kernel")
     except InvalidNameError as error:
@@ -59,7 +59,7 @@ class Caller:
     identity: str
     """The caller as the transport knows it, such as a user or a certificate: never as it calls itself."""
     allowed: Allowed = EVERYTHING
-    """Rights of the kernels that this transport reaches, to ports of this one."""
+    """The rights to ports of this kernel that the kernels reached by this transport have."""
 
     @property
     def address(self) -> str:
@@ -67,7 +67,7 @@ class Caller:
         return "/" if self.peer is None else f"{self.peer.host}/{self.peer.kernel}"
 
     def check(self, right: str, port: str) -> None:
-        """WiringError: the caller has not this right to a port, `component.port`."""
+        """Raise WiringError unless the caller has this right to a port, `component.port`."""
         if refused := self.allowed.refusal("" if self.peer is None else self.peer.kernel, right, port):
             raise WiringError(refused)
 
@@ -100,7 +100,7 @@ class ChannelEvents(Protocol):
         ...
 
     def on_clock(self, ahead_ns: int, within_ns: int) -> None:
-        """Take the lead of the other end's clock, and its possible error; 0, 0: both ends have one clock."""
+        """Note how far the other end's clock is ahead, and the possible error; 0, 0: both ends share a clock."""
         ...
 
 
@@ -133,7 +133,7 @@ class LinkOffer:
 
     @classmethod
     def from_bytes(cls, body: bytes) -> LinkOffer:
-        """The offer of a frame. LinkError: it is none; WiringError: this kernel does not have one of its options."""
+        """The offer in a frame. LinkError: the frame is no offer; WiringError: this kernel lacks one of its options."""
         protocol, link, ends, kind, options = fields(body, (list, str, list, list, list), longer=True)
         low, high = checked(protocol, (int, int), longer=True)
         writer, reader, writer_epoch, reader_epoch, number = checked(ends, (str, str, int, int, int), longer=True)
@@ -186,7 +186,7 @@ class KernelFace(Protocol):
 class Transport(Protocol):
     """Carries links between kernels.
 
-    It may have three things more: `known_as`, the name by which others know this kernel where its own is taken there;
+    It may have three things more: `known_as`, the name by which others know this kernel where its own name is taken;
     `async def session(peer)`, a connected socket for a control session with another kernel; and `allowed`, the
     rights of the kernels that it reaches to ports of this one, which it also gives with each `Caller`.
     """
@@ -301,7 +301,7 @@ class BaseTransport(Generic[C]):
         return Peer(self.kernel.host, self.kernel.name, self.kernel.epoch)
 
     def end_all(self) -> None:
-        """Tell nothing any more, close all channels, and fail all questions."""
+        """Call no callback any more, close all channels, and fail all questions."""
         self._tells.clear()
         for channel in tuple(self.channels.values()):
             channel.close()
@@ -322,7 +322,7 @@ class BaseTransport(Generic[C]):
         return bool(self._tells)
 
     def presence(self, tell: Callable[[Peer, bool], None]) -> Callable[[], None]:
-        """Tell of each kernel that is there or comes, and of each that goes; until the returned function is called."""
+        """Call `tell` for each kernel that is there, comes or goes, until the returned function is called."""
         self._tells.append(tell)
         for peer in self.peers:
             tell(peer, True)
@@ -346,7 +346,7 @@ class BaseTransport(Generic[C]):
             channel.lost(f"{peer.kernel}: {why}")
 
     def check_there(self, peer: Peer) -> None:
-        """LinkError: the kernel is gone."""
+        """Raise LinkError if the kernel is gone."""
         if peer not in self._there:
             raise LinkError(f"{peer.kernel}: is gone")
 
@@ -355,7 +355,7 @@ class BaseTransport(Generic[C]):
     def far_end(self, offer: LinkOffer) -> tuple[Peer, bool]:
         """The kernel at the other end of an offer, and whether this one has the writer. LinkError: it is gone.
 
-        Of several kernels of one name, started one after the other, it is the last.
+        If several kernels had this name one after the other, the last is meant.
         """
         own = self.own
         writes = offer.writer.kernel == own.kernel and offer.writer.host in ("", own.host)
@@ -398,10 +398,10 @@ class BaseTransport(Generic[C]):
         return number in self._questions
 
     async def asked(self, peer: Peer, within: float, give: Callable[[int], None]) -> bytes:
-        """The answer of another kernel to a question that `give` sends, with the number under which it is settled.
+        """The answer of another kernel to a question. `give` sends the question, with its number for `settle`.
 
         Raises:
-            LinkTimeout: there was none within so many seconds.
+            LinkTimeout: there was no answer within so many seconds.
             LinkError: the kernel is gone, or refuses to answer.
         """
         self.check_there(peer)

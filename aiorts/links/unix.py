@@ -56,7 +56,7 @@ _CONNECT_AGAIN: Final = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 _NO_ROOM: Final = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 """Errors that say that this process or the system has no descriptors or memory left."""
 _FOR_NOW: Final = (errno.EAGAIN, errno.EINTR, *_NO_ROOM)
-"""Errors of connecting to a kernel that is there, now; also since its queue is full, as while it stands still."""
+"""Passing errors of a connection to a kernel that is there, whose queue may be full while it stands still."""
 _MET: Final = 1_024
 """The most channels of one connection that are remembered."""
 _ASKED: Final = 1_000
@@ -68,16 +68,16 @@ _OF_ONE_PROGRAM: Final = 64 << 20
 class UnixTransport(BaseTransport["_UnixChannel"]):
     """Carries links between kernels of one user on one host. See `Transport`.
 
-    Large arrays go through memory that both kernels share. Readers of the same program look into it, although the
-    writer's kernel could still write there; for other readers the arrays are copied.
+    Large arrays go through memory that both kernels share. Readers of the same program use the arrays there,
+    although the writer's kernel could still change them; for other readers the arrays are copied.
 
     Args:
-        listens: whether other kernels find this one by the run-time folder; else it has the connections that it is
-            given with `take`.
+        listens: whether other kernels find this one by the run-time folder; else `take` gives it its
+            connections.
     """
 
     program: bytes = b""
-    """A secret of 16 random bytes or more that all kernels of one program are given; b"": this one is of none."""
+    """A secret of 16 random bytes or more that all kernels of one program share; b"": this kernel has none."""
 
     def __init__(self, *, listens: bool = True) -> None:
         super().__init__()
@@ -112,7 +112,7 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
             if any(map(_is_served, folder.glob(f"{name}-*{_SUFFIX}"))):
                 raise taken  # before this kernel is seen: it may be tried again and again
             self._listen(folder / f"{name}-{kernel.epoch:016x}{_SUFFIX}")
-            # Only now: of two that open at the same time, one at least finds the other.
+            # Others are sought only now: if two kernels open at the same time, at least one finds the other.
             others = [path for path in sorted(folder.glob(f"*{_SUFFIX}")) if path != self._path]
             mine = _made_ns(self._path)
             if any(path.name.startswith(f"{name}-") and _made_ns(path) <= mine and _is_served(path) for path in others):
@@ -275,7 +275,7 @@ class UnixTransport(BaseTransport["_UnixChannel"]):
         """The answer of another kernel.
 
         Raises:
-            LinkTimeout: there was none within so many seconds.
+            LinkTimeout: there was no answer within so many seconds.
             LinkError: the kernel is gone, or refuses to answer.
         """
         question = packed([what, body])
@@ -429,7 +429,7 @@ class _Connection:
     # -- rings -------------------------------------------------------------------------------------------------------
 
     def _prove(self, greeting: bytes) -> None:
-        """Send the other end, whose greeting this is, the proof of a common program, if there is one; make rings.
+        """Answer the other end's greeting with the proof of a common program, if this kernel has one; make rings.
 
         The proof is not in our greeting: kernels of other versions take only its present fields, and skip this message.
         """
@@ -448,7 +448,7 @@ class _Connection:
             )
 
     def _meet(self, said: bytes) -> None:
-        """Look into the other end's memory from now on, if it is of the same program."""
+        """Use the other end's memory from now on, if that end has proved to be of the same program."""
         transport = self._transport
         ours, theirs = transport.greeting, self._greeting
         if self.rings is not None and proves(transport.program, said, theirs, ours, process=self._process):
@@ -490,12 +490,12 @@ def _nothing() -> None:
 
 
 def _peer_of(greeting: bytes) -> Peer:
-    """The peer of a greeting. LinkError: it is no greeting, or its names are no names."""
+    """The peer of a greeting. LinkError: it is no greeting, or its names are not valid."""
     return checked_peer(*fields(greeting, (str, str, int)))
 
 
 def _made_ns(path: Path) -> int:
-    """The time when a socket came into its place; in the far future where it has gone."""
+    """The time when a socket was put into its place; in the far future if the socket is gone."""
     try:
         return path.stat().st_ctime_ns
     except OSError:

@@ -42,7 +42,7 @@ _NEWEST: Final = 2
 _LEAST: Final = 4
 """The smallest window for a slow reader, where the writer's buffer decides what becomes of further samples."""
 _SOON_NS: Final = 20_000
-"""A sample that is written so soon after another was sent goes with those that are written after it.
+"""A sample written within this time after another was sent is sent together with the samples that follow.
 
 Compared with a bound of 50 us (asyncio / uvloop; medians of the ratios of 15 interleaved rounds, two processes on two
 cores that others used, too): there and back 1.04x / 0.94x, samples 15 us apart 0.91x / 0.89x, 30 us apart 0.96x /
@@ -60,7 +60,7 @@ class WriterLink(LinkSide[WriterEnd]):
 
     Args:
         encode: makes the bytes of a sample, and the parts that travel with them.
-        encode_all: makes the bytes of several samples without parts at once; none if it does not take one of them.
+        encode_all: makes the bytes of several samples without parts at once; empty if one of them does not fit.
             None: there is no such encoder.
     """
 
@@ -91,14 +91,14 @@ class WriterLink(LinkSide[WriterEnd]):
         self.acknowledged_before = 0
         """Samples that former reader's ends have acknowledged."""
         self._overwritten = 0
-        """Samples that the buffer of this reader's end has overwritten, at the last look at `lost`."""
+        """Samples that the buffer of this reader's end had overwritten when `lost` was last read."""
         self._confirmations: deque[Confirmation] = deque()
         self._confirmed_at = 0
-        """The number of samples written when the last one was taken whose writer waits for its acknowledgement."""
+        """The count of written samples when the last sample with a waiting writer was taken."""
         self._limit_ns = None if profile.timeout is None else to_ns(profile.timeout)
         """The longest wait of a write for the acknowledgement of its sample."""
         self._limit = Wakening(kernel, self._expire)
-        """The timer of all these writes."""
+        """The timer of all writes that wait for an acknowledgement."""
         self._unsendable = False
         self._idle: asyncio.Future[None] | None = None
         """The future that the end of the kernel awaits."""
@@ -136,7 +136,7 @@ class WriterLink(LinkSide[WriterEnd]):
         """Take the samples that the window has room for; False where none can be taken now."""
         if self._ended or self._taking or self._channel is None:
             return False
-        # A read makes room for a writer that waits, whose sample notifies: that sample is taken in its turn.
+        # To take a sample makes room for a waiting writer, whose sample notifies: that is taken in its turn.
         self._taking = True
         try:
             self._take(now)
@@ -163,7 +163,7 @@ class WriterLink(LinkSide[WriterEnd]):
         return True
 
     def make_room(self) -> None:
-        """Take the samples that the window has room for; they are sent in the turn of the loop that is due."""
+        """Take the samples that the window has room for; they are sent in a turn of the loop that is due, or now."""
         if self._turn_due:
             self._drain(self._now())
         else:
@@ -332,12 +332,12 @@ class WriterLink(LinkSide[WriterEnd]):
     def _offer_last(self) -> None:
         """Give a new reader the sample that the writer wrote last, as a new connector in one kernel does.
 
-        It comes once and in order: with what waits if it is among that, else behind it.
+        The sample is sent once and in order: among the waiting samples if it is one of them, else behind them.
         """
         transport = self._transport()
         with transport.guard():
             transport.settle()
-            # The out-port keeps a sample that a write waits for, too, though that is on its way.
+            # The out-port also keeps a sample that is on its way while its writer waits.
             is_missed = transport.missed == transport.position != self._confirmed_at
             if (self.busy or transport.buffered) and not is_missed:
                 transport.spare_newest()
