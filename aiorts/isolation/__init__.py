@@ -1,8 +1,8 @@
 """Components that run in processes of their own.
 
 `Kernel.create_isolated` starts a process with a kernel in it, makes the component there, and gives a stand-in of it to
-this kernel. What is connected with the stand-in's ports is a link; its lifecycle, parameters and errors are those of
-the component in the process, whose end is a failure of the component like any other.
+this kernel. Connectors at the stand-in's ports are links. The stand-in has the lifecycle, parameters and errors of the
+component in the process. The end of the process is a failure of the component like any other.
 """
 
 from __future__ import annotations

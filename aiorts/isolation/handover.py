@@ -40,7 +40,7 @@ _DEEPEST: Final = 100
 
 
 def packed(value: Any, where: str, depth: int = 0) -> Any:
-    """A value as what a request can carry, JSON and bytes, with its type.
+    """A value in a form that a request can carry, JSON and bytes, with its type.
 
     Raises:
         StateError: it cannot go into another process; says where it is.
@@ -75,7 +75,7 @@ def packed(value: Any, where: str, depth: int = 0) -> Any:
 
 
 def unpacked(value: Any) -> Any:
-    """The value again."""
+    """The value from which `packed` made this one."""
     if not isinstance(value, dict):
         return value
     ((kind, given),) = value.items()
@@ -135,7 +135,7 @@ def state_of(component: Component) -> dict[str, Any]:
     """The attributes of a component, as values that a request can carry.
 
     Raises:
-        StateError: one of them cannot go over, and it has no `on_reload`; says which.
+        StateError: an attribute, which is named, cannot go over, and the component has no `on_reload`.
     """
     takes_over = _takes_over(component)
     state = {}
@@ -178,12 +178,12 @@ async def give_state(kernel: Microkernel, component: Component, state: Mapping[s
 
 
 def hold(component: Component) -> None:
-    """Keep its in-ports open wherever it is, if they are open now: unread samples stay unread."""
+    """Keep a component's open in-ports open, wherever the component is: unread samples stay unread."""
     cell(component).held_open = is_open(component)
 
 
 def release(component: Component) -> None:
-    """Its ports are open or closed as always."""
+    """End `hold`: the ports of the component are open or closed as always."""
     here = cell(component)
     if not here.held_open:
         return

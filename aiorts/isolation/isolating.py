@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 
 _LOG: Final = KernelLog()
 _STARTS: Final = 2 * (os.cpu_count() or 1)
-"""Processes that come up at the same time; the time of each begins when it is its turn."""
+"""The most processes that come up at the same time; the time limit of each begins with its turn."""
 
 _READ_SECONDS: Final = 0.05
-"""Seconds between two looks whether what a moved component wrote before was read."""
+"""Seconds between two checks whether all samples that a component wrote before its move have been read."""
 
 
 class Isolation(KernelService):
@@ -58,17 +58,17 @@ class Isolation(KernelService):
         self._transport.answer(REPORT, self._reported)
         self._opening: asyncio.Task[None] | None = None
         self._processes: dict[str, Process] = {}
-        """By the name of the process's kernel."""
+        """The processes, by the names of their kernels."""
         self._components: dict[Process, RemoteComponent] = {}
         self._delays: dict[str, str] = {}
-        """By component: how its process, which has ended, kept the kernel waiting for that."""
+        """By component: how its process delayed its own end."""
         self._stand_ins: dict[tuple[Any, ...], type[RemoteComponent]] = {}
         """The classes of stand-ins, by class, text and limits."""
         self._starts = asyncio.Semaphore(_STARTS)
         self._printing = Printing()
         self._said = False
         self._leftover: dict[Connector, Cancellable] = {}
-        """Connectors that end once they are read, each with when it is looked at next."""
+        """Connectors that end once they are read, each with the timer of its next check."""
         kernel.bus.subscribe(Connected, self._rewired)
         kernel.bus.subscribe(Disconnected, self._rewired)
 
@@ -95,7 +95,7 @@ class Isolation(KernelService):
         return await kernel.create(self.stand_in(cls, limits), name, **params)
 
     def stand_in(self, cls: type[Component], limits: Mapping[str, Any]) -> type[Component]:
-        """The class of what stands for components of this class; on a simulated clock it is the class itself.
+        """The class of stand-ins for components of `cls`; on a simulated clock it is `cls` itself.
 
         Args:
             limits: what the process of each may use.
@@ -151,7 +151,7 @@ class Isolation(KernelService):
         return "; ".join(f"{other}: {delay}" for other, delay in delays.items() if other != name)
 
     async def end(self, component: RemoteComponent) -> None:
-        """End the process of a component; with the last one, all that starts them."""
+        """End the process of a component; with the last process, end what starts processes, too."""
         process = next((one for one, other in self._components.items() if other is component), None)
         if process is None:
             return
@@ -190,7 +190,7 @@ class Isolation(KernelService):
             await self._launcher.close(budget.rest)
 
     def _rewired(self, event: Connected | Disconnected) -> None:
-        """Interfaces that isolated components call may have others who answer."""
+        """Tell isolated components that the providers of the interfaces they call may have changed."""
         if not isinstance(event.connector, ServiceConnectorProfile):
             return
         for name in {required.partition(".")[0] for required, _ in event.connector.mapping}:

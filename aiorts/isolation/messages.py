@@ -30,7 +30,7 @@ _HEAD: Final = struct.Struct("<QI")
 """The head of a request and an answer: the length of the JSON, and how many byte strings follow it. Their lengths come
 next."""
 _BYTES: Final = "\x1ebytes"
-"""The only key of an object that stands for bytes, with their place among them."""
+"""The only key of an object that stands for bytes; its value is their place among the byte strings."""
 _LONGEST: Final = 10_000
 """Letters of the text of an error."""
 
@@ -40,7 +40,7 @@ class First:
     """The first message to a process."""
 
     kernel: str
-    """The name of its kernel."""
+    """The name of the process's kernel."""
     component: str
     path: list[str]
     """The `sys.path` of the process."""
@@ -50,20 +50,20 @@ class First:
     """"uvloop" or "asyncio"."""
     log_level: int
     memory: int | None
-    """Bytes above what it has once the component is made."""
+    """Bytes that the process may use in addition to those in use once the component is made."""
     awaited: bool
     """Whether links wait until the component is active: what is sent to it before would be dropped."""
     program: str
     """In hexadecimal: the secret by which kernels of one program know each other."""
 
     def send(self, sock: socket.socket) -> None:
-        """Send it, blocking: it is small, and nothing else is in the socket."""
+        """Send the message, blocking: it is small, and nothing else is in the socket."""
         body = json.dumps(asdict(self)).encode()
         sock.sendall(_LENGTH.pack(len(body)) + body)
 
     @classmethod
     def receive(cls, sock: socket.socket) -> First:
-        """Wait for it, and take nothing behind it. ConnectionError: the other end is gone."""
+        """Wait for the message, and read nothing behind it. ConnectionError: the other end is gone."""
         (length,) = _LENGTH.unpack(_exactly(sock, _LENGTH.size))
         return cls(**json.loads(_exactly(sock, length)))
 
@@ -85,7 +85,7 @@ class Report:
     state: str
     """The lifecycle state in its context."""
     finished: bool
-    """Whether it was a source that has nothing more."""
+    """Whether the component was a source that has no more samples."""
     error: str
     """The error of the component, where it is in error."""
     ports: list[Any] | None = None
@@ -126,7 +126,7 @@ def value_of(body: bytes) -> Any:
     """The result of a request.
 
     Raises:
-        AiortsError: what refused it, as the class that has its code.
+        AiortsError: the error that refused the request, of the class that has its code.
     """
     answer = _value(body)
     if "code" in answer:

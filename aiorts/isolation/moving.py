@@ -43,9 +43,9 @@ if TYPE_CHECKING:
 
 _LOG: Final = KernelLog()
 _PATIENCE: Final = 5.0
-"""Seconds for what was written to arrive."""
+"""Seconds in which samples that were written must arrive."""
 _SETTLES: Final = 0.5
-"""Seconds for the other end of a link to say that it has all."""
+"""Seconds in which the other end of a link acknowledges all samples."""
 _LOOK: Final = 0.001
 
 
@@ -96,7 +96,7 @@ async def make_replacement(kernel: Microkernel, component: Component, limits: Ma
         limits: what its process may use; None for an instance in this process.
 
     Raises:
-        StateError, WiringError, DeclarationError: names what keeps the component from its place. What making it raises.
+        StateError, WiringError, DeclarationError: names what keeps it from that place. Also what making it raises.
     """
     _check(kernel, component, "process")
     if limits is not None:
@@ -105,19 +105,18 @@ async def make_replacement(kernel: Microkernel, component: Component, limits: Ma
 
 
 async def exchange(kernel: Microkernel, old: Component, new: Component) -> None:
-    """Put what `make_replacement` has made in the place of a component that is in no context: it takes over state and
-    connectors.
+    """Put the instance that `make_replacement` has made in the place of a component that is in no context.
 
-    Its in-ports take samples until `hold_at` says that they do no longer.
+    The new instance takes over state and connectors. Its in-ports take samples until `hold_at` ends that.
 
     Raises:
-        AiortsError: why the old one is in its place still; the new one has ended.
+        AiortsError: the reason why the old instance is still in its place; the new one has ended.
     """
     await _exchange(kernel, old, new, None, held=True)
 
 
 async def hold_at(component: Component, holds: bool) -> None:
-    """Open the in-ports of a component wherever it runs and whatever its state is, or no longer."""
+    """Keep the in-ports of a component open, wherever it runs and whatever its state is; False: no longer."""
     with suppress(ProcessError):  # of the process, which has ended: that is its failure, as always
         await _place_of(component).hold(holds)
 
@@ -144,7 +143,7 @@ def _check(kernel: Microkernel, component: Component, to: Context | str) -> None
 
 
 async def _change_context(kernel: Microkernel, component: Component, to: Context) -> Component:
-    """Put the same instance into another context; back into the one before, where that refuses it."""
+    """Put the same instance into another context; if that refuses it, put it back into the former context."""
     before = component.contexts[0] if component.contexts else None
     active = before is not None and before.state(component) is LifecycleState.ACTIVE
     hold(component)
@@ -172,11 +171,11 @@ async def _join(kernel: Microkernel, component: Component, to: Context, *, activ
 
 
 def _alike(kernel: Microkernel, component: Component) -> Context | None:
-    """A context of the kind of the component's, for it alone; a periodic one for a real-time one, whose thread could
-    not read from links.
+    """A new context for the component alone, of the kind of its present one. For a real-time context it is a periodic
+    one, as a real-time thread could not read from links.
 
     Raises:
-        StateError: there is none like it in another process.
+        StateError: another process cannot have a context of this kind.
     """
     if not component.contexts:
         return None
@@ -209,11 +208,11 @@ class _Here:
         self._component = component
 
     async def prepare(self, _to: Context | None) -> None:
-        """It is about to run in such a context."""
+        """Prepare the instance to run in such a context."""
         await self.hold(True)
 
     async def state(self) -> Mapping[str, Any]:
-        """Its attributes. StateError: one of them cannot go over."""
+        """The attributes of the instance. StateError: an attribute cannot go over."""
         return state_of(self._component)
 
     async def give(self, kernel: Microkernel, state: Mapping[str, Any]) -> None:
@@ -221,11 +220,11 @@ class _Here:
         await give_state(kernel, self._component, state)
 
     async def hold(self, holds: bool) -> None:
-        """Take samples whatever its state is, or no longer."""
+        """Let the instance take samples whatever its state is, or no longer."""
         (hold if holds else release)(self._component)
 
     async def leave(self, context: Context) -> None:
-        """Run no more."""
+        """Take the instance out of its context."""
         await context.remove(self._component)
 
 
@@ -236,14 +235,14 @@ class _There:
         self._component = component
 
     async def prepare(self, to: Context | None) -> None:
-        """It is about to run in such a context: what starting one imports is imported, which takes 0.1 s."""
+        """Prepare the process to run such a context: import what its start needs, which takes 0.1 s."""
         await self.hold(True)
         if to is not None:
             await self._component.ask("start_context", members=[], **RemoteContext(to).as_started())
             await self._component.ask("stop_context", context=to.name)
 
     async def state(self) -> Mapping[str, Any]:
-        """Its attributes. StateError: one of them cannot go over."""
+        """The attributes of the instance. StateError: an attribute cannot go over."""
         found: Mapping[str, Any] = await self._component.ask("state")
         return found
 
@@ -252,11 +251,11 @@ class _There:
         await self._component.ask("give", state=state)
 
     async def hold(self, holds: bool) -> None:
-        """Take samples whatever its state is, or no longer."""
+        """Let the instance take samples whatever its state is, or no longer."""
         await self._component.ask("hold", holds=holds)
 
     async def leave(self, context: Context) -> None:
-        """Run no more."""
+        """Stop the context, and with it the instance."""
         await context.stop()
 
 
@@ -265,7 +264,7 @@ def _place_of(component: Component) -> _Here | _There:
 
 
 async def _make_replacement(kernel: Microkernel, old: Component, cls: type[Component]) -> Component:
-    """Make another instance, where the old one can go there: refused before anything is changed."""
+    """Make another instance if the old one can be moved; a refusal comes before anything is changed."""
     await _Move(kernel, old).here.state()
     return await _make(kernel, old, cls)
 
@@ -273,7 +272,7 @@ async def _make_replacement(kernel: Microkernel, old: Component, cls: type[Compo
 async def _exchange(
     kernel: Microkernel, old: Component, new: Component, to: Context | None, *, held: bool = False
 ) -> Component:
-    """Another instance in the place of the old one, in another process; what fails takes all of it back."""
+    """Put another instance, in another process, in the place of the old one; a failure undoes all steps."""
     try:
         move, active = _Move(kernel, old), LifecycleState.ACTIVE in old.states.values()
     except BaseException:
@@ -305,10 +304,10 @@ async def _exchange(
 
 
 async def _make(kernel: Microkernel, old: Component, cls: type[Component]) -> Component:
-    """Make the other instance and run its `on_initialize`; it is in no place yet.
+    """Make the other instance and run its `on_initialize`; it does not take the old one's place yet.
 
     Raises:
-        StateError: it has other ports. What making it raises.
+        StateError: the new instance has other ports. Also what making it raises.
     """
     new = construct(cls, old.name)
     place_of(old).configure(new)
@@ -337,21 +336,21 @@ class _Move:
         self._kernel, self._old = kernel, old
         self.here = _place_of(old)
         self.context = old.contexts[0] if old.contexts else None
-        """The context in which it ran."""
+        """The context in which the old instance ran."""
         self._links = kernel.service(Links)
         self._options = {one: self._options_of(one) for one in self._connectors()}
         self._fed: list[tuple[Connector, Connector]] = []
-        """Connectors that the old one read from, each with the one that the new one reads from."""
+        """Connectors that the old instance read, each with the connector that the new instance reads."""
         self._made: list[Connector] = []
 
     async def leave(self) -> None:
-        """It runs no more, and all that it wrote is here."""
+        """Stop the old instance, and wait until all samples that it wrote are here."""
         if self.context is not None:
             await self.here.leave(self.context)
         await self._wait_for("what it wrote to be taken", self._has_all_arrived)
 
     async def go_on(self, *, active: bool) -> None:
-        """Run the old one again where it ran, if it has left."""
+        """Run the old instance again in its context, if it has left that."""
         if self.context is not None and not self._old.contexts:
             await _join(self._kernel, self._old, given_of(self.context), active=active)
 
@@ -362,12 +361,12 @@ class _Move:
             await self._links.connect(_there_already, (connector,), {})
 
     def _connectors(self) -> list[Connector]:
-        """Its connectors of data ports, one to itself once."""
+        """The data connectors of the old instance; a connector between two of its ports appears once."""
         ports = [port for port in self._old.ports.values() if not isinstance(port, ServicePort)]
         return list(dict.fromkeys(one for port in ports for one in port.connectors))
 
     def _reads(self, connector: Connector) -> bool:
-        """Whether the old one reads from it."""
+        """Whether the old instance reads from the connector."""
         port = connector.in_
         return port in self._old.ports.values() or str(getattr(port, "far", "")) in self._elsewhere()
 
@@ -376,7 +375,7 @@ class _Move:
         return {str(port.elsewhere) for port in self._old.ports.values() if port.elsewhere is not None}
 
     def _options_of(self, connector: Connector) -> dict[str, Any]:
-        """The options of the connector in its place.
+        """The options of the connector that replaces this one.
 
         Raises:
             StateError, WiringError: it cannot be made there.
@@ -404,7 +403,7 @@ class _Move:
         return link_options(where, given, from_reader=not reads)
 
     def neighbours_paused(self) -> AbstractAsyncContextManager[None]:
-        """Meanwhile no neighbour reads or writes in a thread of its own."""
+        """A context manager in which no neighbour reads or writes in a thread of its own."""
         paths = {path.partition(".")[0] for one in self._options for path in (one.out.path, one.in_.path)}
         components = self._kernel.components
         return threads_paused(self._kernel, [components[name] for name in paths if name in components])
@@ -412,7 +411,7 @@ class _Move:
     # -- one moment ------------------------------------------------------------------------------------------------
 
     def switch(self, new: Component) -> None:
-        """The new one has the old one's place and connectors, with what is unread here."""
+        """Give the new instance the old one's place and connectors, with the samples that are unread here."""
         kernel, old, options = self._kernel, self._old, self._options
         calls = [profile for profile, _ in place_of(old).connectors if isinstance(profile, ServiceConnectorProfile)]
         for profile in calls:
@@ -453,7 +452,7 @@ class _Move:
     # -- what is on its way ----------------------------------------------------------------------------------------
 
     async def _unread(self) -> None:
-        """Fetch the unread samples of the old process; they stand before those that came meanwhile."""
+        """Fetch the unread samples of the old process, and put them before the samples that came meanwhile."""
         old = self._old
         if not isinstance(old, RemoteComponent):
             return
@@ -464,9 +463,9 @@ class _Move:
                 unread.setdefault((port, writer), []).extend(samples)
 
         async def has_all_come() -> bool:
-            # Taken out again and again: it makes room there for what waits, where the buffer of its port is full.
+            # Samples are fetched again and again: that makes room in the full buffers of ports for samples that wait.
             is_all_sent = await self._is_all_sent()
-            # Cancelled, it would lose the answer, and the samples in it.
+            # If the request were cancelled, its answer and the samples in the answer would be lost.
             await see_through(kernel_task(self._kernel.loop, take_out(), f"aiorts move {old.name}"))
             return is_all_sent
 
@@ -478,14 +477,14 @@ class _Move:
                 put_in_front(made, [unpacked(one) for one in unread.get(key, ())])
 
     async def settle(self) -> None:
-        """End the links of the old one, once their other ends have acknowledged all."""
+        """End the links of the old instance, once their other ends have acknowledged all samples."""
         fed = [connector for connector, _ in self._fed if connector.in_.is_far]
         await self._links.ends.sent(fed, _SETTLES)
         for connector in fed:
             self._kernel.connections.end(connector)
 
     async def undo(self, new: Component) -> None:
-        """Give the new one's place back to the old one; the process of either may be gone."""
+        """Give the place back to the old instance; the process of either instance may be gone."""
         await self.settle()
         back = _Move(self._kernel, new)
         for step in (partial(back.here.hold, True), back.leave):
@@ -500,14 +499,14 @@ class _Move:
         await back.settle()
 
     async def _is_all_sent(self) -> bool:
-        """Whether the process has all that was written to the old one."""
+        """Whether the process has received all samples that were written to the old instance."""
         for connector, _ in self._fed:
             if unread_of(connector) or (await self._links.ledger(connector)).in_flight:
                 return False
         return True
 
     async def _has_all_arrived(self) -> bool:
-        """Whether all that the old one wrote is here."""
+        """Whether all samples that the old instance wrote are here."""
         if isinstance(self._old, RemoteComponent):
             for connector in self._connectors():
                 if not self._reads(connector):

@@ -23,10 +23,10 @@ _LONGEST: Final = 5.0
 
 @asynccontextmanager
 async def threads_paused(kernel: Microkernel, components: Iterable[Component]) -> AsyncGenerator[None]:
-    """Meanwhile no hook of these components runs that runs in a thread. What is done meanwhile must not wait for one.
+    """A context manager in which these components run no hook in a thread. Its body must not wait for such a hook.
 
     Raises:
-        TransitionTimeout: a hook of one did not end in time; nothing was done.
+        TransitionTimeout: a hook did not end in time; the body was not run.
     """
     by_context: dict[Context, Component] = {}
     for component in components:

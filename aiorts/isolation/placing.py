@@ -1,4 +1,4 @@
-"""The context of a component that runs in a process of its own: it stands for the one that runs there."""
+"""The context of a component that runs in a process of its own: it stands for the context that runs there."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class RemoteContext(Context):
         self._late: OverdueHook | None = None
         """The hook that is over its deadline there."""
         self._late_ns = 0
-        """When that was said."""
+        """The time at which the process reported that hook."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name in ("given", "name"):
@@ -67,7 +67,7 @@ class RemoteContext(Context):
         return replace(self._there, hooks={}, at_ns=super().counts.at_ns)
 
     def counted(self, statistics: ContextStatistics, overdue: OverdueHook | None) -> None:
-        """Its process says what the context has done there so far, and which hook is over its deadline there."""
+        """Take a report of the process: the counts of the context there, and the hook that is over its deadline."""
         self._there, self.ticks = statistics, statistics.cycles
         self._late, self._late_ns = overdue, self.runner.kernel.clock.monotonic_ns()
 

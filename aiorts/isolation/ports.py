@@ -1,4 +1,4 @@
-"""The ports of a component in another kernel, as this one is told of them; and its failure there, here as well."""
+"""The ports of a component in another kernel, as that kernel reports them; its failure there fails it here, too."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def follow(component: Component, rows: Iterable[list[Any]], kernel: str, host: s
     """Give a component the ports that these rows describe, and no others; an equal port stays, with its connectors.
 
     Args:
-        kernel, host: the one in which they are.
+        kernel, host: the kernel and host of these ports.
 
     Raises:
         DeclarationError: a type of a port is not known here.
@@ -68,7 +68,7 @@ def follow(component: Component, rows: Iterable[list[Any]], kernel: str, host: s
 
 
 def fail(component: Component, error: Exception) -> None:
-    """It has failed in the other kernel, and so it has here, wherever it is a member."""
+    """Let a component that has failed in the other kernel fail here, too, wherever it is a member."""
     members = cell(component).members
     if not members:
         cell(component).last_error = error

@@ -32,7 +32,7 @@ class Printing:
         self._lines: deque[tuple[RemoteComponent, str]] = deque()
         self._writing: asyncio.Task[None] | None = None
         self.left_out: Counter[str] = Counter()
-        """Lines that it did not take, by component."""
+        """Lines that standard output did not take, by component."""
 
     def put(self, component: RemoteComponent, line: str) -> None:
         """Queue a line; it is left out where too many wait already, which is logged once for a component."""
@@ -48,7 +48,7 @@ class Printing:
             self._writing = kernel_task(component.kernel.loop, self._write(), "aiorts isolation output")
 
     async def flush(self, component: RemoteComponent) -> None:
-        """Wait until its lines are written, at most for a moment; log how many lines were left out in all."""
+        """Wait until a component's lines are written, or a moment has passed; log how many lines were left out."""
         if self._writing is not None:
             await asyncio.wait((self._writing,), timeout=_FLUSHED)
         kept = [one for one in self._lines if one[0] is not component]

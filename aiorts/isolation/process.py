@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from aiorts.processes import Child, Ending, Launcher, Limits
 
 _COMES_UP: Final = 10.0
-"""Seconds in which a process has a kernel and its component: the import of heavy modules counts."""
+"""Seconds in which a process must make its kernel and its component, with the import of heavy modules."""
 _ANSWERS: Final = 7.0
-"""Seconds in which it answers: a hook that it runs meanwhile has 5 s and 2 s beyond."""
+"""Seconds in which a process must answer: a hook that runs there meanwhile has 5 s, and 2 s beyond."""
 _LOOK: Final = 0.5
-"""How often it is looked whether the process answers."""
+"""Seconds between two checks whether the process answers."""
 _PATIENT: Final = 3_600.0
-"""Seconds for the answer to that question, which comes between two hooks."""
+"""Seconds for the answer to such a check; it comes between two hooks."""
 _BUSY_BEYOND: Final = 2.0
 """Seconds beyond its deadline that a hook may hold its process."""
 _ENDS: Final = 1.2
-"""Seconds that a process has to end by itself: with the request for it less than the 2 s of the hook that waits."""
+"""Seconds that a process has to end by itself: with the request to end, less than the 2 s of the hook that waits."""
 _KILLED: Final = 0.25
 """Seconds for which the end of a process that was killed is waited for."""
 
@@ -41,12 +41,12 @@ class Process:
 
     Args:
         name: the component's.
-        starts: how many may come up at the same time.
-        ended: called once, when it has ended without being asked to, with how and its last lines.
+        starts: how many processes may come up at the same time.
+        ended: called once, if the process ends unasked, with how it ended and its last lines.
         line: called with a level of the log and a line that it logged or wrote to standard error.
         printed: called with a line that it wrote to standard output.
         counted: called with the statistics of its contexts, as plain values, about twice a second.
-        holder: says which other processes use up the time of the end, and how; "" where none does.
+        holder: names the other processes that use up the time of the end, and says how; "" if none does.
     """
 
     def __init__(
@@ -70,42 +70,42 @@ class Process:
         self._printed, self._counted, self._holder = printed, counted, holder
         self._links = kernel.service(Links)
         self.kernel = f"{self._links.reached_as}-{name}"
-        """The name of its kernel."""
+        """The name of the process's kernel."""
         self._child: Child | None = None
         self._peer: Peer | None = None
         self._looking: asyncio.Task[None] | None = None
         self._busy_since: float | None = None
         self.deadline: float | None = None
-        """Seconds that a hook may take there."""
+        """Seconds that a hook may take in the process."""
         self._ending = False
         self._killed = ""
-        """Why it was killed, where this kernel did it."""
+        """The reason why this kernel has killed the process; "": it has not."""
         self._delay = ""
-        """How it has kept its own end waiting."""
+        """How the process has delayed its own end."""
 
     @property
     def runs(self) -> bool:
-        """Whether it is there."""
+        """Whether the process is running."""
         return self._child is not None and not self._child.ended.done()
 
     @property
     def pid(self) -> int | None:
-        """Its number."""
+        """The number of the process; None before its start."""
         return None if self._child is None else self._child.pid
 
     @property
     def busy(self) -> float:
-        """Seconds for which it has not answered: the hook that runs now holds it, since it answers between two; 0 while
-        it does."""
+        """Seconds for which the process has not answered, since it answers only between two hooks; 0 while it
+        answers."""
         return 0.0 if self._busy_since is None else self._kernel.loop.time() - self._busy_since
 
     @property
     def delay(self) -> str:
-        """How it keeps others waiting, or did at its end; "" where it does not."""
+        """How the process keeps others waiting, or did at its end; "" if it does not."""
         return f"a hook has held it for {busy:.1f} s" if (busy := self.busy) else self._delay
 
     async def start(self, text: str, params: dict[str, Any]) -> None:
-        """Start it, and make the component there.
+        """Start the process, and make the component there.
 
         Raises:
             ProcessError: it cannot be started, or has not come up in time.
@@ -159,7 +159,7 @@ class Process:
         self._looking = self._links.run(self._look(), f"aiorts process {self.name}")
 
     async def _not_up(self, why: str) -> ProcessError:
-        """The error that the process did not come up, which is over then."""
+        """End the process, which did not come up; the error that says so."""
         child = self._child
         assert child is not None  # noqa: S101 - it was started
         with contextlib.suppress(TimeoutError):
@@ -229,7 +229,7 @@ class Process:
         while True:
             await asyncio.sleep(_LOOK)
             asked = self._kernel.loop.time()
-            # One question until it is answered: between two hooks it is, and the next one holds it since then.
+            # One question waits until it is answered, between two hooks; meanwhile the present hook holds the process.
             ping = asyncio.ensure_future(self.ask("ping", within=_PATIENT))
             try:
                 while not (await asyncio.wait((ping,), timeout=_LOOK))[0]:
@@ -263,5 +263,5 @@ class Process:
 
 
 def text_of(line: str) -> str:
-    """A line of a process without what says that it is one of its log."""
+    """A line of a process, without the mark that makes it a record of the log."""
     return line[1:].partition(" ")[2] if line.startswith(messages.MARK) else line

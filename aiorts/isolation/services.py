@@ -29,7 +29,7 @@ _LONGEST: Final = 86_400.0
 
 
 def remote_end(owner: str, attribute: str, end: ServiceEnd[Any]) -> ServiceEnd[Any]:
-    """The declaration of a stand-in for an interface of the class that it stands for.
+    """The interface that a stand-in declares for an interface of the original class.
 
     Raises:
         DeclarationError: a method of the interface may not wait, and a call into another process does.
@@ -58,11 +58,11 @@ class RemoteServices:
         self._required = [end for end in ends if isinstance(end, Required)]
         self._relays: list[FarProvider] = []
         self._bound: dict[tuple[str, str], str] = {}
-        """The connectors in the process, by who calls and who answers."""
+        """The connectors in the process, by caller and provider."""
         self._turn = asyncio.Lock()
 
     async def begin(self, process: Process) -> None:
-        """The component was made in this process, which may be another one than before."""
+        """Handle the making of the component in this process, which may differ from the former one."""
         self._bound.clear()
         for end in () if self._relays else self._provided:
             far = self._links.calls.relay(end, replace(Path.parse(end.port.path), kernel=process.kernel))
@@ -73,7 +73,7 @@ class RemoteServices:
         await self.bind(process)
 
     def end(self) -> None:
-        """The component is removed."""
+        """Close the stand-ins of providers: the component is removed."""
         for far in self._relays:
             self._links.calls.end_relay(far)
 

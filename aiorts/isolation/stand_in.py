@@ -36,7 +36,7 @@ _LINKED: Final = 2.0
 
 
 class RemoteKind(Kind):
-    """Passes changes of parameters on, before they are in force here; says in which context it is started."""
+    """Passes on changes of parameters before they are in force; says in which context the component is started."""
 
     def placed(self, component: Any, context: Any, components: Sequence[Any]) -> Any:
         return placed(context, components)
@@ -111,7 +111,7 @@ class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
             raise
 
     async def rewired(self) -> None:
-        """Others than before answer what it requires."""
+        """Handle a change of the providers of its required interfaces."""
         if self._services is not None and self._running.runs:
             await self._services.bind(self._running)
 
@@ -132,7 +132,7 @@ class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
             await self._services.begin(self._running)
 
     async def _follow(self) -> None:
-        """Follow the ports that it has in the process."""
+        """Give the stand-in the ports that the component has in the process."""
         follow(self, await self._running.ask("ports"), self._running.kernel)
 
     @property
@@ -148,7 +148,7 @@ class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
         self._fail(ProcessError(f"{self.name}: its process has ended: {how}{lines}"))
 
     def unprinted(self, error: Exception) -> None:
-        """Standard output takes nothing that it prints: that is its failure, as it is here, and its process ends."""
+        """Fail the component, as standard output takes nothing that it prints, and end its process."""
         if self._there is not LifecycleState.ERROR:
             self._there = LifecycleState.ERROR
             self.kernel.service(Links).run(self._end_with(error), f"aiorts end {self.name}")
@@ -158,7 +158,7 @@ class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
         self._fail(error)
 
     def reported(self, report: Report) -> None:
-        """The process says what has become of the component."""
+        """Handle a report of the process on the component."""
         if report.ports is not None:
             follow(self, report.ports, self._running.kernel)
             return
@@ -206,7 +206,7 @@ class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
                 raise
 
     async def _retire(self) -> None:
-        """End it there as a component of this kernel ends: it has, and reads, what was written to it before."""
+        """End the component in the process, after it has received and read all samples written to it before."""
         connectors = [one for port in self.ports.values() for one in port.connectors]
         await self.kernel.service(Links).ends.sent(connectors)
         await self._running.ask("retire", context=self.context.name)
@@ -228,7 +228,7 @@ class RemoteComponent(Component, Elsewhere, kind=RemoteKind()):
 
 
 def stand_in_of(cls: type[Component], text: str, limits: Mapping[str, Any]) -> type[RemoteComponent]:
-    """The class of what stands for components of this class, which a process finds by this text.
+    """The class of stand-ins for components of `cls`, a class that a process finds by `text`.
 
     Raises:
         DeclarationError: it has what cannot be used across processes.
