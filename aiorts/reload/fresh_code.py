@@ -1,8 +1,8 @@
-"""The code of one component type, read again: the type that is meant, its file compiled and run aside, its names set.
+"""The code of one component type, read again: finds the type, compiles and runs its file aside, and sets its names.
 
 Nothing that is in use changes until `adopt`: until then the new module stands under a name of its own, so that no
-import finds a module that is half done. The file is always read, and nothing that it imports. No byte code of it is
-trusted: an edit within one second, of the same length, is an edit.
+import finds a half-made module. The file is always read, but not the files that it imports. Its byte code is not used:
+that would miss an edit within one second that keeps the length.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class FreshCode(Code):
     module: ModuleType
 
     def adopt(self) -> None:
-        """From now on this is the module of that name: who imports it, or asks for one of its types, gets this one."""
+        """Make this the module of its name: from now on, imports and look-ups of types get this module."""
         aside, name = self.module.__name__, self.origin.module
         _rename(vars(self.module).values(), aside, name)
         spec = self.module.__spec__
@@ -91,7 +91,7 @@ class FreshCode(Code):
         sys.modules.pop(aside, None)
 
     def forget(self) -> None:
-        """As if it had never been read."""
+        """Forget this module, as if its file had not been read again."""
         if sys.modules.get(self.module.__name__) is self.module:
             del sys.modules[self.module.__name__]
 
@@ -100,11 +100,11 @@ class FreshCode(Code):
 
 
 def find_type(kernel: Microkernel, kind: type[Component] | str) -> Origin:
-    """The type that a class, its name, or a type as text (`extensions/type_names.py`) stands for; it has instances.
+    """The type with instances that is meant by a class, its name, or a type as text (`extensions/type_names.py`).
 
     Raises:
-        AbsentError: there is none.
-        PluginError: there are several (all are named), or it does not come from a file.
+        AbsentError: there is no such type.
+        PluginError: there are several such types (all are named), or the type does not come from a file.
     """
     used = {_key(cls): cls for cls in map(type, kernel.components.values())}
     if isinstance(kind, str):
@@ -153,7 +153,7 @@ def _same_file(wanted: str, file: Path | None) -> bool:
 
 
 def file_of(cls: type) -> Path | None:
-    """The source file of the module that a class is of; None where there is none."""
+    """The source file of the module of a class; None: there is no such file."""
     file = getattr(sys.modules.get(_key(cls)[0]), "__file__", None)
     return Path(file).resolve() if isinstance(file, str) and file.endswith(".py") else None
 
@@ -168,7 +168,7 @@ def _origin(cls: type[Component]) -> Origin:
 
 
 def code_of(cls: type[Component]) -> Code:
-    """The code of a class as it is, for a component that is to become an instance of it.
+    """The present code of a class, for a component that is to become an instance of the class.
 
     Raises:
         DeclarationError: its `on_reload` cannot be called with the old instance.
@@ -180,7 +180,7 @@ def code_of(cls: type[Component]) -> Code:
 
 
 def _key(cls: type) -> tuple[str, str]:
-    """Module and name of a class, of one that has not proved itself, too: the module of that has a name of its own."""
+    """The module's real name and the class's name; new code on trial is in a module of another name."""
     return _READ_ANEW[cls][1] if cls in _READ_ANEW else cls.__module__, cls.__qualname__
 
 
@@ -190,7 +190,7 @@ def readings_of(cls: type) -> int:
 
 
 def forget_file(path: Path) -> None:
-    """Forget a file, which is read again for the next of its types; for files of which there is no component."""
+    """Forget a file without components: it is read again when one of its types is wanted next."""
     for name, module in list(sys.modules.items()):
         if getattr(module, "__file__", None) == str(path):
             del sys.modules[name]
@@ -211,7 +211,7 @@ class _Anew(SourceFileLoader):
 async def read_anew(kernel: Microkernel, origin: Origin, limit: float) -> FreshCode:
     """Read, compile and run the file in a thread, for at most `limit` seconds of real time.
 
-    A simulated clock stands still meanwhile. One that does not come to an end is abandoned.
+    A simulated clock stands still meanwhile. A file that does not come to an end is abandoned.
 
     Raises:
         PluginError: names file and line; the class is gone, or is no component any more.

@@ -22,7 +22,7 @@ def pass_on_references(kernel: Microkernel, old: Component, new: Component) -> N
 
 
 def pass_on_distant_references(kernel: Microkernel, pairs: Mapping[Component, Component]) -> None:
-    """Pass on the references that only a look at every component finds, for all instances of a context at once."""
+    """Pass on references that are found only by searching every component, for all instances of a context at once."""
     for component in kernel.components.values():
         for kind in kinds_of(component):
             kind.others_replaced(component, pairs)

@@ -30,13 +30,13 @@ class ComponentReloaded(Event):
     kind: str
     """File and class, as "pid.py:Pid"."""
     old: int
-    """The reading of the file that its code came from: 0 is the first."""
+    """The number of the reading of the file from which the old code came; 0 is the first."""
     new: int
     kept: tuple[str, ...]
     """Ports with their connectors and unread samples, and parameters with their values."""
     dropped: tuple[Dropped, ...]
     added: tuple[str, ...]
-    """Ports that it did not have."""
+    """Ports that the old instance did not have."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,9 @@
 
 In this order: the file is read and run aside (`fresh_code.py`); a new instance of each component of the type is made
 beside the old one (`replacement.py`); in each context all of them are put in place between two cycles, one
-after the other with nothing in between (`swap.py`), and `on_reload` is told the old one; they have to do a few
-cycles without a failure, and in a window of time no worse than the old ones before; then the old ones are ended. What
-fails on the way takes all of it back. One reload at a time.
+after the other with nothing in between (`swap.py`), and `on_reload` gets the old one; the new instances have to
+do a few cycles without a failure, and a window of time no worse than that of the old ones; then the old ones are ended.
+A failure on the way takes all of it back. One reload at a time.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from aiorts.model.health.windows import Window
 
 _LOOKS: Final = 50
-"""How often within `seconds` it is looked whether enough cycles were done."""
+"""The number of checks, within `seconds`, whether enough cycles were done."""
 
 
 async def reload(
@@ -114,7 +114,7 @@ class _Reload:
     _health: Health
 
     async def run(self) -> Reloaded:
-        """All of it."""
+        """Carry out the reload; its result."""
         kernel = self._kernel
         async with kernel.registry.renewal:
             kernel.check_open("reload")
@@ -155,7 +155,7 @@ class _Reload:
     # -- the first cycles ------------------------------------------------------------------------------------------
 
     async def _prove(self) -> None:
-        """Wait until each has done its first cycles."""
+        """Wait until each new instance has done its first cycles."""
         while not all(map(self._has_proved, self._trial.swap.replacements)):
             self._trial.swap.check()
             woken: asyncio.Future[None] = self._kernel.loop.create_future()
@@ -177,7 +177,7 @@ class _Reload:
         )
 
     async def _prove_healthy(self, before: Window, origin: str) -> None:
-        """Wait, too, for a window from now on, and raise ComponentError when it is worse than the one before."""
+        """Wait for a window from now on; raise ComponentError if it is worse than the window before."""
         measured = kernel_task(self._kernel.loop, self._health.window(self._window), "aiorts health")
         measured.add_done_callback(lambda task: None if task.cancelled() else task.exception())
         try:

@@ -1,4 +1,4 @@
-"""A new instance in the place of an old one: made while that works, put in place in one moment, or taken back whole.
+"""A new instance in the place of an old one: made while the old one works, put in place at once, or taken back whole.
 
 The ports that its code declares are the live ports of the old one where they fit, so that connectors, unread samples
 and who waits there need not be moved. `switch` and `undo` are done on the kernel's loop while no hook of the component
@@ -63,14 +63,14 @@ _MISSING: Final[Any] = object()
 
 
 class Replacement:
-    """The new instance, the old one, and each in the other's place."""
+    """Puts a new instance in the place of an old one, and the old one back."""
 
     def __init__(self, kernel: Microkernel, old: Component, code: Code, edit: Edit | None = None) -> None:
         self.kernel = kernel
         self.old = old
         self.code = code
         self._edit = edit
-        """Makes its configuration of the declared one; None: it takes over the old one's."""
+        """Makes the new configuration from the declared one; None: the old instance's configuration is taken over."""
         self.made: Component | None = None
         """The new instance, as far as it was made."""
         self.lost: dict[str, str] = {}
@@ -80,17 +80,17 @@ class Replacement:
         self._words: dict[Port[Any], dict[str, Any]] = {}
         """The declarations of the new code for the ports that stay."""
         self._seen: ConfigurationState | None = None
-        """The configuration of the old one, as it was handed over."""
+        """The configuration of the old instance, as it was handed over."""
         self.switched = False
         self.homeless = False
-        """Whether it was removed in between: there is no place to go back to."""
+        """Whether the component was removed meanwhile: there is no place to go back to."""
         self.late = False
-        """Whether it is taken back only when a hook of the new one returns."""
+        """Whether the replacement is taken back only when a hook of the new instance returns."""
         self.began: dict[Context, int] = {}
-        """Ticks of its contexts when it was put in place."""
+        """Ticks of the contexts when the new instance was put in place."""
         self.began_ns = 0
         self.tasks: tuple[str, ...] = ()
-        """Tasks of the old one that were ended."""
+        """Tasks of the old instance that were ended."""
         self._ended: set[asyncio.Task[Any]] = set()
         self._made_ports: dict[str, Port[Any]] = {}
         """The ports that the new one was made with, as it holds them."""
@@ -99,7 +99,7 @@ class Replacement:
         self._limits: Any = _MISSING
         """The limits of the old instance's hooks, while others are in force."""
         self.gone: list[Port[Any]] = []
-        """Ports that the new one does not have."""
+        """Ports that the new instance does not have."""
         self._fresh: list[Port[Any]] = []
         self._ports: dict[str, Port[Any]] = {}
         self._said: dict[Port[Any], dict[str, Any]] = {}
@@ -122,7 +122,7 @@ class Replacement:
         """Construct the new instance and run its `on_initialize`, at most for `timeout` seconds; the old one goes on.
 
         Raises:
-            PluginError: it cannot be made; says why, with file and line.
+            PluginError: the new instance cannot be made; says why, with file and line.
         """
         old, cls, kernel = self.old, self.code.cls, self.kernel
         where = f"{self.code.origin}: {old.name}"
@@ -165,7 +165,7 @@ class Replacement:
             raise refused
 
     def _check_thread(self, where: str) -> None:
-        """Refuse `async def` hooks that are new where the component runs in a thread, which cannot await."""
+        """If the component runs in a thread, which cannot await, refuse new `async def` hooks."""
         if all(context.suspends for context in self.old.contexts):
             return
         awaiting = [hook for hook in coroutine_hooks(cell(self.new).hook_kinds) if hook not in _ON_LOOP]
@@ -188,7 +188,7 @@ class Replacement:
                 ports[name] = group[name]
 
     def bind(self, component: Component, name: str, declared: object) -> Port[Any] | ServiceEnd[Any]:
-        """In the place of `Component.add_port`, while the component is made: the live port of the old one if it fits.
+        """Called instead of `Component.add_port` while the component is made: the old one's live port if it fits.
 
         Raises:
             WiringError, DeclarationError: as `add_port`.
@@ -210,7 +210,7 @@ class Replacement:
         return bound
 
     def unbind(self, component: Component, name: str) -> None:
-        """In the place of `Component.remove_port`: the old one's stays until that has gone."""
+        """Called instead of `Component.remove_port`: a port of the old instance stays until that has gone."""
         del cell(component).ports[name]
 
     def _live(self, name: str, fresh: Port[Any]) -> Port[Any] | None:
@@ -236,7 +236,7 @@ class Replacement:
     # -- one moment ------------------------------------------------------------------------------------------------
 
     def switch(self) -> None:
-        """The new one is in the old one's place.
+        """Put the new instance in the old one's place.
 
         Raises:
             StateError: the old one has gone.
@@ -275,7 +275,7 @@ class Replacement:
             outer.check_ports()
 
     def undo(self) -> None:
-        """The old one is in its place again, as it was; what the new one failed for is forgotten."""
+        """Put the old instance back in its place, as it was; the failure of the new one is forgotten."""
         if not self.switched:
             return
         self.switched = False
@@ -305,7 +305,7 @@ class Replacement:
         for member in members:
             member.open_ports()
         for port in self._ports.values():
-            # What the new code has not read: no other sample may come before the old code runs.
+            # These are samples that the new code has not read: no other may come before the old code runs.
             if isinstance(port, InPort) and port.is_new:
                 receiver_of(port).notify()
         if configured is not self._put_in_force:
@@ -318,19 +318,19 @@ class Replacement:
             _LOG.warning("%s: what was configured meanwhile is not in force: %s", self.old.name, refused)
 
     def limit(self, seconds: float) -> None:
-        """How long `on_reload`, which is called in the place of a hook of the old one, may take."""
+        """Limit the time of `on_reload`, which is called in the place of a hook of the old instance."""
         here = cell(self.old)
         self._limits = here.deadlines
         here.deadlines = MappingProxyType({**(self._limits or {}), "on_reload": seconds})
 
     def unlimit(self) -> None:
-        """As it was."""
+        """End `limit`: the limits of the old instance's hooks are in force again."""
         limits, self._limits = self._limits, _MISSING
         if limits is not _MISSING:
             cell(self.old).deadlines = limits
 
     def note_handed(self) -> None:
-        """`on_reload` has returned."""
+        """Note which attributes `on_reload`, which has returned, took over or set."""
         self._handed = frozenset(self._changed())
 
     def end_tasks(self) -> None:
@@ -364,7 +364,7 @@ class Replacement:
         ports: Mapping[str, Port[Any]],
         words: Mapping[Port[Any], Mapping[str, Any]],
     ) -> None:
-        # In place: others look at this very dictionary.
+        # The dictionary is changed in place: others hold the same object.
         live = cell(one).ports
         live.clear()
         live.update(ports)
@@ -410,9 +410,9 @@ class Replacement:
     # -- for good --------------------------------------------------------------------------------------------------
 
     def settle(self) -> ComponentReloaded | None:
-        """The new one stays: the ports that have gone lose their connectors, and all observers are notified.
+        """Keep the new instance: the ports that have gone lose their connectors, and all observers are notified.
 
-        None: it was removed meanwhile.
+        None: the component was removed meanwhile.
         """
         old, new, kernel = self.old, self.new, self.kernel
         self._end_trial()
@@ -455,7 +455,7 @@ class Replacement:
         return self.kernel.components.get(self.old.name) is not self.new
 
     def _end_gone(self) -> None:
-        """It was removed meanwhile: what its code had no name for goes, too."""
+        """After a removal of the component, end also the ports that the new code does not have."""
         for port in self.gone:
             self._end_port(port)
         for end in self.services.gone():
@@ -487,7 +487,7 @@ def _look_at_ports(member: Member) -> Steps:
 
 
 def _rebind(member: Member, component: Component) -> None:
-    """It is this instance that runs here from now on."""
+    """Let the member run this instance from now on."""
     member.component = component
     member.hooks.clear()
     member.settle_updates()
@@ -506,7 +506,7 @@ def _change_ports(component: Component, gone: list[Port[Any]], come: list[Port[A
 async def retire(
     kernel: Microkernel, component: Component, successor: Component | None = None, *, finalize: bool = True
 ) -> None:
-    """The end of an instance that is in no place: `on_finalize`, and what it started is ended; no port is touched."""
+    """End an instance that is in no place: run `on_finalize` and end what it started; no port is touched."""
     registry, budget, here = kernel.registry, StopBudget(kernel.loop), cell(component)
     if successor is not None:
         here.ports, here.successor, here.alive = {}, None, False

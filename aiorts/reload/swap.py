@@ -36,20 +36,20 @@ _LOOP_PATIENCE: Final = 5.0
 
 
 class Group:
-    """The instances that one context runs, which are put in place in one go; or one that none runs."""
+    """The instances that one context runs, which are put in place in one go; or an instance that no context runs."""
 
     def __init__(self, context: Context | None, kernel: Microkernel) -> None:
         self.context = context
         self.replacements: list[Replacement] = []
         self.came: asyncio.Future[BaseException | None] = kernel.loop.create_future()
-        """Done when they are in place, with why not if not."""
+        """Done when the instances are in place, or with the reason why they are not."""
         self.begun = self.passed_on = False
         self.back: asyncio.Future[BaseException | None] | None = None
-        """Done when they are out of it again."""
+        """Done when the instances are out of their places again."""
 
     @property
     def bounded(self) -> bool:
-        """Whether it has begun and will end: a hook that takes too long is cancelled, but for one in a thread."""
+        """Whether the change has begun and will end: a hook that takes too long is cancelled, except in a thread."""
         return self.begun and (self.context is None or self.context.suspends)
 
     def late(self, timeout: float | None) -> str:
@@ -69,7 +69,7 @@ class Swap:
         self.replacements: list[Replacement] = []
         self.groups: list[Group] = []
         self.failure: BaseException | None = None
-        """Why all is taken back."""
+        """The failure for which all is taken back."""
         self.failed: asyncio.Future[None] = kernel.loop.create_future()
 
     # -- putting them in place -------------------------------------------------------------------------------------
@@ -78,7 +78,7 @@ class Swap:
         """Put every new instance in its place, between two cycles of its context; what fails is raised.
 
         Raises:
-            TransitionTimeout: no cycle of a context ended in time. What `failure` is.
+            TransitionTimeout: no cycle of a context ended in time. Also the error in `failure`.
         """
         kernel = self._kernel
         groups: dict[Context | None, Group] = {}
@@ -129,7 +129,7 @@ class Swap:
         self.groups = list(groups.values())
 
     async def _may_enter(self, replacement: Replacement) -> bool:
-        """Wait for the end of a call that the old one serves."""
+        """Wait for the end of a call that the old instance serves."""
         lock = cell(replacement.old).entry_lock
         if lock.open:
             return True
@@ -144,14 +144,14 @@ class Swap:
                 timer.cancel()
 
     def check(self) -> None:
-        """Raise what all is to be taken back for, or ClosedError when the kernel closes."""
+        """Raise the failure for which all is to be taken back, or ClosedError when the kernel closes."""
         if self.failure is not None:
             raise self.failure
         if self._kernel.closed:
             raise ClosedError(f"{self._kernel.name}: closes; the reload was given up")
 
     def _came(self, group: Group, error: BaseException | None) -> None:
-        """From whatever thread: the instances of a group are in their places, or will not be."""
+        """Note, from any thread, that the instances of a group are in their places, or that they will not be."""
         if error is not None:
             self._kernel.call_on_loop(partial(self.fail, error))
         self.report(group.came, error)
@@ -164,11 +164,11 @@ class Swap:
             self.go_back()
 
     def report(self, future: asyncio.Future[BaseException | None], error: BaseException | None) -> None:
-        """Resolve a future of the loop's, from whatever thread; one that is resolved already stays."""
+        """Resolve a future of the loop, from any thread; a resolved future stays as it is."""
         self._kernel.call_on_loop(lambda: None if future.done() else future.set_result(error))
 
     def _steps(self, group: Group, notify: Callable[[BaseException | None], None]) -> Steps:
-        """Between two cycles of the context: all of its instances, or none."""
+        """The steps that put all instances of a group in place between two cycles, or none."""
         context = group.context
         assert context is not None  # noqa: S101 - only groups with one have steps
         group.begun = True
@@ -220,7 +220,7 @@ class Swap:
             pass_on_distant_references(self._kernel, {one.new: one.old for one in group.replacements})
 
     def _enter(self, replacement: Replacement) -> Any:
-        """Runs in the place of a hook of the old one: no other context is inside."""
+        """Put a new instance in place; runs instead of a hook of the old one, so no other context is inside."""
         _on_loop(self._kernel, replacement.switch)
         kind = cell(replacement.new).hook_kinds[_HOOK]
         if kind == HookKind.ABSENT:
@@ -247,7 +247,7 @@ class Swap:
         return failure
 
     async def _switch_alone(self, group: Group) -> None:
-        """Instances that no context runs."""
+        """Put instances that no context runs in their places."""
         error: BaseException | None = None
         for replacement in group.replacements:
             error = self.failure
@@ -304,7 +304,7 @@ class Swap:
             for replacement in reversed(group.replacements):
                 lock, members = cell(replacement.new).entry_lock, cell(replacement.new).members
                 member = next((member for member in members if member.context is group.context), None)
-                # Who only waits comes in later, and finds the old code.
+                # A context that only waits comes in later, and finds the old code.
                 if member is not None and lock.inside is not None:
                     member.hooks[_HOOK] = HookKind.PLAIN, partial(_on_loop, self._kernel, replacement.undo)
                     yield Call(member, _HOOK)

@@ -1,4 +1,4 @@
-"""New instances in the places of old ones, until it is decided who stays: they settle there, or all is as it was."""
+"""New instances in the places of old ones on trial: then the new ones settle there, or the old ones come back."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ class Trial:
         """Make a new instance next to an old one, which goes on.
 
         Args:
-            edit: makes its configuration of the declared one; by default it takes over the old one's.
+            edit: makes the new configuration from the declared one; by default the old one's is taken over.
 
         Raises:
-            PluginError: it cannot be made; says why, with file and line.
+            PluginError: the new instance cannot be made; says why, with file and line.
         """
         replacement = Replacement(self._kernel, old, code, edit)
         self.swap.replacements.append(replacement)
@@ -80,7 +80,7 @@ class Trial:
             self._unsubscribe = None
 
     async def settle(self) -> tuple[ComponentReloaded, ...]:
-        """They stay: the ports that have gone lose their connectors, and the old instances are ended."""
+        """Keep the new instances: the ports that have gone lose their connectors, and the old instances are ended."""
         self.end_watch()
         events = []
         for replacement in self.swap.replacements:
@@ -92,7 +92,7 @@ class Trial:
         return tuple(events)
 
     def _look(self, event: HookFailed) -> None:
-        """A hook failed: one of a new instance takes everything back, before anything else follows from it."""
+        """Handle a failed hook: one of a new instance takes everything back before the failure has other effects."""
         if self.swap.failure is not None:
             return
         for replacement in self.swap.replacements:
@@ -105,7 +105,7 @@ class Trial:
     # -- as it was -------------------------------------------------------------------------------------------------
 
     async def take_back(self, error: BaseException) -> None:
-        """Every old instance in its place, and the new ones ended; `error` is told what that led to."""
+        """Put every old instance back and end the new ones; notes at `error` what came of that."""
         kernel = self._kernel
         self.end_watch()
         if self.swap.failure is None:
@@ -113,7 +113,7 @@ class Trial:
             self.swap.regroup()
         self.swap.go_back()
         for group in self.swap.groups:
-            # An instance whose hook does not return in its thread takes itself back when it does: that is not awaited.
+            # If a hook does not return in its thread, its instance is taken back when it does: that is not awaited.
             waited = [one for one in (group.came, group.back) if one is not None and not kernel.closed]
             if waited:
                 await asyncio.wait(waited, timeout=_GOING_BACK)
@@ -150,14 +150,14 @@ class Trial:
                 self.swap.pass_back(group)
 
     async def _end_one(self, replacement: Replacement) -> None:
-        """End the instance that has no place."""
+        """End the instance of a replacement that has no place."""
         if replacement.switched or replacement.homeless:
             await retire(self._kernel, replacement.old, replacement.new)
         elif replacement.made is not None:
             await retire(self._kernel, replacement.made, finalize=replacement.initialized)
 
     def _leave_late(self, error: BaseException) -> None:
-        """Leave the old instance until a hook of the new code returns: it comes back then, and none is ended before."""
+        """Leave the old instance until a hook of the new code returns: then it comes back; none is ended before."""
         registry, names = self._kernel.registry, []
         for group in self.swap.groups:
             driver = None if group.context is None else group.context.runner.driver
@@ -187,7 +187,7 @@ class Trial:
 
 
 def _anew(member: Member, notify: Callable[[BaseException | None], None]) -> Steps:
-    """Stays active: the ports take samples all the while."""
+    """Run `on_deactivated` and `on_activated`; the member stays active, and its ports take samples all the while."""
     try:
         for hook in ("on_deactivated", "on_activated"):
             if not member.active or member.left:
