@@ -1,4 +1,4 @@
-"""A kernel is read into `Wanted`: that becomes a system file, or is compared with another one and made into it.
+"""A kernel is read into `Wanted`, which becomes a system file, or is compared with another and made equal to it.
 
 It is a service of the kernel, which keeps what a system file said that nothing else in the kernel knows.
 """

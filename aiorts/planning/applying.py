@@ -73,11 +73,11 @@ Carry = Callable[[Any], Awaitable[None]]
 MakeContext = Callable[["ContextEntry"], Context]
 _ACTIVE: Final = LifecycleState.ACTIVE
 _PATIENCE: Final = 5.0
-"""Seconds of the kernel's clock until a component that gets another type is in its place."""
+"""Seconds of the kernel's clock in which a component of another type must be in its place."""
 
 
 class Application:
-    """One plan that is carried out, and what is needed to take it back."""
+    """One plan that is carried out, and what is needed to take the plan back."""
 
     def __init__(self, planning: Planning, now: Wanted, wanted: Wanted, plan: Plan) -> None:
         self._planning = planning
@@ -94,7 +94,7 @@ class Application:
         """Components that could not be made again."""
         names = {one.name: shown_name(self._kernel, one) for one in self._kernel.connectors.values()}
         self._shown = {name: shown for name, shown in names.items() if shown != name}
-        """By the name of a connector: what plans call it, where that is another."""
+        """The names of connectors in plans, by their names in the kernel, where the two differ."""
         self._connectors: list[Connector] = []
         """The parked connectors, in order."""
         self._of_services: list[Connector] = []
@@ -107,7 +107,7 @@ class Application:
         self._replacements: dict[str, Component] = {}
         """The replacements of components that go into another process, by name."""
         self._isolated = frozenset(one.after.name for one in plan.steps if isinstance(one, Isolate))
-        """The components that do."""
+        """The components that go into another process."""
         self._table: Final[Mapping[type[Step], tuple[Carry, Carry]]] = {
             Create: (self._create, self._end),
             Remove: (self._remove, self._bring_back),
@@ -132,7 +132,7 @@ class Application:
     # -- forth and back --------------------------------------------------------------------------------------------
 
     async def load(self) -> None:
-        """Load all types, and look at what can be looked at, before anything is changed.
+        """Load all types, and check what can be checked, before anything is changed.
 
         Raises:
             PluginError, ConfigurationError, StateError: says what cannot be made.
@@ -180,7 +180,7 @@ class Application:
         self.ended = self._before.ended()
 
     async def carry_out(self, step: Step) -> None:
-        """Carry out one step; what fails is raised, and some of it may be done."""
+        """Carry out one step; an error is raised, and leaves the step partly done."""
         await self._table[type(step)][0](step)
 
     @property
@@ -196,7 +196,7 @@ class Application:
         return self._begun[-1].text if self._begun else "apply"
 
     async def back(self) -> list[str]:
-        """Take back what was begun, the last step first; what is not as it was, and why."""
+        """Take back all steps begun, the last one first; texts of what is not as before, and why."""
         self._composites.keeps = False
         failed = []
         for step in reversed(self._begun):
@@ -217,7 +217,7 @@ class Application:
         return failed + left
 
     def release(self) -> None:
-        """All are in their places: ports are open or closed as always."""
+        """Let ports open and close as always: all components are in their places."""
         held, self._held = self._held, set()
         for component in held:
             cell(component).held_open = False
@@ -230,7 +230,7 @@ class Application:
                     set_open(port, takes)
 
     async def settle(self) -> None:
-        """It is final: what is parked ends."""
+        """Make the result final: end all parked objects."""
         kernel = self._kernel
         connectors, self._connectors, self._of_services = [*self._connectors, *self._of_services], [], []
         with self._planning.services_wait():  # whose they were looks at what has become free
@@ -383,7 +383,7 @@ class Application:
             await self._make(step.name, step.connection)
 
     async def _make(self, name: str, connection: ConnectionEntry) -> None:
-        """Make a connector that plans call so, unless there is one."""
+        """Make the connector that has this name in plans, unless it exists."""
         kernel, (one, two) = self._kernel, connection.ports
         if self._named(name) not in kernel.connectors and name not in kernel.service_connectors:
             made = await kernel.connect(one, two, **connection.options)
@@ -396,7 +396,7 @@ class Application:
         return next((here for here, shown in self._shown.items() if shown == name and here in there), name)
 
     def _in_the_way(self, paths: tuple[str, ...]) -> tuple[Any, ...]:
-        """The connectors that services have made for themselves where the system is to have one of its own."""
+        """The connectors of services in the places where the wanted system has a connector of its own."""
         owned = owned_by(self._kernel.services)
         port: Any = self._kernel.find(paths[0]) if owned is not None else None
         connectors = getattr(port, "connectors", ())
@@ -413,7 +413,7 @@ class Application:
             connections.end_each((connector,))
 
     def _put_back(self) -> None:
-        """The connectors of services whose ports are both there again, and whose names are free."""
+        """Put back the connectors of services whose ports are both there again, and whose names are free."""
         connections, parked = self._kernel.connections, self._kernel.registry.parked
         for connector in tuple(self._of_services):
             owners = {host_of(connector.out), host_of(connector.in_)}
@@ -483,7 +483,7 @@ class Application:
 
     async def _start(self, system: Wanted, make: MakeContext, step: StartContext) -> None:
         if step.context.name not in self._kernel.contexts:
-            # Its members join it later on; where they run decides where it does.
+            # The members join the context later on; where they run decides where the context runs.
             there = self._kernel.components
             members = [there[one] for one in system.contexts[step.context.name].members if one in there]
             await self._kernel.start(placed(make(step.context), members))

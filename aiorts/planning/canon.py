@@ -40,7 +40,7 @@ _MISSING: Final = object()
 
 
 class Canon:
-    """Brings the parts of one system into this form.
+    """Brings the parts of one system into the canonical form.
 
     Args:
         catalogue: what plugins offer.
@@ -63,7 +63,7 @@ class Canon:
             raise SystemFileError("\n".join(self.faults[:_SHOWN]) + more)
 
     def named(self, thing: Any, kind: str) -> str:
-        """The text that names a class or function; "" where there is none."""
+        """The text that names a class or function; "" if no text does."""
         text = self._types.get(thing)
         if text is None:
             text = self._types[thing] = type_text(thing, self._catalogue, kind)
@@ -76,7 +76,7 @@ class Canon:
         state: ConfigurationState,
         keys: Mapping[str, Any],
     ) -> ComponentEntry:
-        """A component of this class with this configuration; `keys` are those that are declared (`ComponentEntry`)."""
+        """A component of this class with this configuration; `keys`: its declared keys (`ComponentEntry`)."""
         text = self.named(cls, "components")
         if cls not in self._unmakeable:
             self._unmakeable[cls] = _unmakeable(cls, text)
@@ -166,7 +166,7 @@ class Canon:
         """A connector of data ports.
 
         Args:
-            usual_length: what the in-port says of its length.
+            usual_length: the length that the in-port declares.
         """
         usual_name, again = f"{ports[0]}-{ports[1]}", ports in self._joined
         self._joined.add(ports)
@@ -240,7 +240,7 @@ def without_isolation(wanted: Wanted) -> Wanted:
 
 
 def as_it_stands(now: Wanted, wanted: Wanted, kernel: Microkernel) -> Wanted:
-    """The wanted system, with the components for which services have others (`stands_for`) as they are now."""
+    """The wanted system, but components that a service has replaced (`stands_for`) stay as they are now."""
     there = [name for name in now.components if name in kernel.components]
     names = {name for name in there if stand_in_reason(kernel.services, name)}
     if not names:
@@ -267,7 +267,7 @@ def whole(path: Path) -> Path:
 
 
 def _is_usual(key: str, value: Any, cls: type[Component]) -> bool:
-    """Whether a key of a component says what is so without it."""
+    """Whether a key of a component has the value that it has by default."""
     if key == "supervision":
         return value is None or bool(value == Supervision())
     return key == "on_link_lost" and bool(value == cls.on_link_lost)
@@ -293,7 +293,7 @@ def _plain(value: Any) -> Any:
 
 
 def _as_read(plain: Any) -> Any:
-    """The value that TOML gives for it."""
+    """The value that is read back from TOML for this one."""
     if isinstance(plain, tuple):
         return list(map(_as_read, plain))
     if isinstance(plain, Mapping):
@@ -302,7 +302,7 @@ def _as_read(plain: Any) -> Any:
 
 
 def _unmakeable(cls: type, text: str) -> str:
-    """Why no system file can say that a component is of this class; "" where one can."""
+    """Why no system file can have a component of this class; "" if one can."""
     if not text:
         return f"its class {cls.__qualname__} is in no file, and no plugin offers it; write it at the top of a FILE.py"
     try:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _NO_LIMITS: Final[Mapping[str, Any]] = MappingProxyType({})
 Store = Callable[["Microkernel", bool], dict[str, Any] | None]
-"""The values of a key by the names of components; made where the flag says so, else None where there are none yet."""
+"""The values of a key by the names of components; if there are none yet: made if the flag is set, else None."""
 
 
 class Row(NamedTuple):
@@ -40,7 +40,7 @@ def _kept(key: str, store: Store) -> Row:
 
 
 def _in_service(kind: type[KernelService], attribute: str) -> Store:
-    """The store that a service has, which is attached for it where it has to be."""
+    """The store of a service; the service is attached if its store has to be made."""
     return lambda kernel, made: getattr(kernel.service(kind) if made else kernel.attached(kind), attribute, None)
 
 
@@ -71,7 +71,7 @@ ROWS: Final[Mapping[str, Row]] = MappingProxyType(
         "limits": Row(lambda *there: _limits(*there) or _NO_LIMITS),
     }
 )
-"""By key, one for each declared key of a component."""
+"""The rows by key, one for each declared key of a component."""
 
 
 def stores(kernel: Microkernel) -> Iterator[dict[str, Any]]:
@@ -81,7 +81,7 @@ def stores(kernel: Microkernel) -> Iterator[dict[str, Any]]:
 
 
 def put_in_force(kernel: Microkernel, entry: ComponentEntry) -> None:
-    """Keep what an entry says beyond its instance; what is as by default is not kept."""
+    """Keep the values of an entry that last without its instance; default values are not kept."""
     said = said_keys(entry)
     for key, row in ROWS.items():
         store = None if row.store is None else row.store(kernel, key in said)

@@ -1,4 +1,4 @@
-"""The service that reads a kernel's system into `Wanted`, saves it, and makes a wanted system of it."""
+"""The service that reads a kernel's system into `Wanted`, saves the system, and changes it into a wanted one."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from aiorts.planning.applying import Application
 
 _TRIES: Final = 3
-"""How often a system that changes while it is read is read with turns of the loop in between."""
+"""How often the read of a changing system, with turns of the loop in between, is tried."""
 
 _LATE: Final = ("aiorts.reload", "aiorts.supervision", "aiorts.planning.applying", "aiorts.planning.reading")
 """The modules that `apply` needs besides: imported late and one by one, so that the loop has its turns in between."""
@@ -54,7 +54,7 @@ class Planning(KernelService):
         """The measuring of the windows of `apply`."""
         self._applying: asyncio.Task[Applied] | None = None
         self._measuring = False
-        """Whether it measures before the change yet."""
+        """Whether a window before a change is being measured."""
 
     def text(self, folder: Path) -> Saved:
         """The system at this moment, as a system file in this folder.
@@ -86,7 +86,7 @@ class Planning(KernelService):
         return saved.notes
 
     def plan(self, wanted: Wanted) -> Plan:
-        """The plan that makes this system of the one that runs; see `Kernel.apply`."""
+        """The plan that changes the running system into this one; see `Kernel.apply`."""
         from aiorts.planning.reading import wanted_of
 
         return finished(self._planning(wanted_of(self.kernel), wanted))
@@ -101,7 +101,7 @@ class Planning(KernelService):
         """See `Kernel.apply`.
 
         Args:
-            agreed: is awaited when all is done, and says why it is to be taken back; "" keeps it.
+            agreed: awaited when all is done; gives the reason to take the change back, or "" to keep it.
         """
         kernel = self.kernel
         if isinstance(window, bool) or not isinstance(window, int | float) or not 0 <= window < math.inf:
@@ -133,7 +133,7 @@ class Planning(KernelService):
 
     @contextmanager
     def services_wait(self) -> Iterator[None]:
-        """Services that connect by themselves wait meanwhile, and look afterwards."""
+        """A context manager in which services that connect by themselves wait; they look for ports afterwards."""
         try:
             with ExitStack() as making:
                 for service in self.kernel.services:
@@ -223,7 +223,7 @@ class Planning(KernelService):
             return None
 
     async def _take_back(self, application: Application, error: BaseException) -> None:
-        """ApplyError: says what failed, and what of it could not be taken back."""
+        """Take the change back and raise ApplyError: what failed, and what could not be taken back."""
         failed = application.failed_step
         left = () if self.kernel.closed else tuple(await application.back())
         application.release()
@@ -258,7 +258,7 @@ class Planning(KernelService):
 
     @property
     def _takes_turns(self) -> bool:
-        """Whether work gives the loop its turns: not on a simulated clock, where a run is the same each time."""
+        """Whether work gives the loop its turns: not on a simulated clock, where each run must be the same."""
         return not isinstance(self.kernel.clock, SimulatedClock)
 
 
@@ -271,6 +271,6 @@ def _folder_of(path: str | os.PathLike[str]) -> Path:
 
 
 def _is_limited(port: Port[Any]) -> bool:
-    """Whether one connector must go there before another comes."""
+    """Whether a connector of this port must go before another can come."""
     ends = getattr(port, "interfaces", ())
     return port.max_connectors is not None or any(one.polarity == "required" and not one.many for one in ends)

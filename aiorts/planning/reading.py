@@ -1,4 +1,4 @@
-"""Reads a kernel into `Wanted`: what would have to stand in a system file so that this system is made of it.
+"""Reads a kernel into `Wanted`: the content of a system file from which this system would be made.
 
 Only what was chosen is in it: what is as a class declares it, or as an option is by default, is left out.
 """
@@ -47,7 +47,7 @@ def wanted_of(kernel: Microkernel, notes: list[str] | None = None) -> Wanted:
     """The system of a kernel at this moment.
 
     Args:
-        notes: gets what of the system no system file can say and is left out.
+        notes: gets the parts of the system that no system file can have, which are left out.
 
     Raises:
         SystemFileError: names each component, converter and context of which a system file cannot be made.
@@ -70,7 +70,7 @@ class _Reader:
         self._rules = _NO_RULES if supervising is None else supervising.rules
 
     def wanted(self) -> Generator[None, None, Wanted]:
-        """Reads it, one thing at each step."""
+        """Read the kernel, one thing at each step."""
         kernel = self._kernel
         composites: list[Composite] = []
         components: dict[str, ComponentEntry] = {}

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
 
 ACTIVE: Final = "active"
-"""`--set COMPONENT.active=NAME` chooses a set, where the component has no parameter of that name."""
+"""`--set COMPONENT.active=NAME` chooses a set, if the component has no parameter named "active"."""
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -26,19 +26,19 @@ class Setting:
     """The configuration of one component, checked."""
 
     params: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
-    """The values of the set "default" that are not the declared ones."""
+    """The values of the set "default" that differ from the declared values."""
     sets: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
     active: str | None = None
-    """None: the default one."""
+    """The name of the active set; None: the default one."""
 
     def put(self, component: Component) -> None:
-        """Into a component that belongs to no kernel yet; ConfigurationError when it refuses."""
+        """Configure a component that is in no kernel yet. ConfigurationError: the component refuses."""
         refused = commit(component, lambda state: self.merged(state, component.name))
         if refused is not None:
             raise refused
 
     def merged(self, state: ConfigurationState, owner: str) -> ConfigurationState:
-        """The state that this makes of another."""
+        """The state that results when this setting is put on another state."""
         return state.merged({DEFAULT: self.params, **self.sets}, self.active, owner)
 
     async def create(self, kernel: Microkernel, cls: type[Component], name: str = "") -> Component:

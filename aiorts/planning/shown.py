@@ -1,4 +1,4 @@
-"""How a system file calls what is connected with members that a composite has in other kernels.
+"""The paths and names in a system file for connectors with members that a composite has in other kernels.
 
 The file knows the ports that the composite exports; here they are those of components that stand for the members.
 """
@@ -27,7 +27,7 @@ def shown_path(kernel: Microkernel, path: str) -> str:
 
 
 def shown_name(kernel: Microkernel, connector: Connector) -> str:
-    """The name of a connector as a file has it: one that follows from its ports is that of the paths there."""
+    """The name of a connector as a file has it; a name that follows from the ports follows from the file's paths."""
     paths = connector.out.path, connector.in_.path
     usual, name = "-".join(paths), connector.profile.name
     if not name.startswith(usual):

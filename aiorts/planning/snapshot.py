@@ -51,7 +51,7 @@ class Snapshot:
         self._configurations = {name: cell(one).configuration for name, one in self.components.items()}
         self._placements = {name: cell(one).previous_placements for name, one in self.components.items()}
         self._kept: tuple[tuple[Any, Any], ...] = tuple((kept, kept.copy()) for kept in stores(kernel))
-        """The stores of values by components' names, each with a copy of what was in it."""
+        """The stores of values by components' names, each with a copy of its former content."""
 
     def was_active(self, context: str, component: str) -> bool:
         """Whether a component was active in a context."""
@@ -63,7 +63,7 @@ class Snapshot:
         return any(self.was_active(context, name) for context, name in self._states if name == component)
 
     def ended(self) -> frozenset[str]:
-        """The components that contexts ran then, and none runs now."""
+        """The components that a context ran then, and that no context runs now."""
         running = {member.component.name for one in self._kernel.contexts.values() for member in one.runner.members}
         return frozenset(name for _, name in self._states if name not in running)
 
@@ -75,7 +75,7 @@ class Snapshot:
         """Put back what no step is about.
 
         Args:
-            said: components of which it is known that they could not be made again.
+            said: components that are known as not made again.
             exchanged: components that were in another process meanwhile.
 
         Returns:
@@ -130,7 +130,7 @@ class Snapshot:
 
 
 async def _restore_state(context: Context, component: Component, before: ContextPlace) -> tuple[str, ...]:
-    """Put a component back into its state in a context; why it is not, if not.
+    """Put a component back into its state in a context; the texts say why it is not in that state.
 
     A component that the plan has not taken out of the context, and that was activated or deactivated meanwhile, stays
     as it is.

@@ -1,7 +1,7 @@
 """Changes who runs where: the members of contexts and composites, each context's between the same two cycles.
 
-It goes by what there is, not by what a step says there was: done twice it does nothing the second time, and half of it
-is taken back by the reverse step.
+A switch starts from the present system, not from what a step says of it: a second time it does nothing, and the
+reverse step takes back also half of a switch.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class CompositesAside:
     """Composites that are out of their kernel.
 
     Args:
-        keeps: whether one that goes is kept for its return; else it is removed.
+        keeps: whether a composite that goes is kept for its return; else it is removed.
     """
 
     def __init__(self, *, keeps: bool) -> None:
@@ -67,7 +67,7 @@ class CompositesAside:
         return composite
 
     async def end(self) -> None:
-        """End those that are kept."""
+        """End the kept composites."""
         kept, self._kept = self._kept, {}
         for composite in kept.values():
             await composite.kernel.registry.end_parked(composite)
@@ -80,7 +80,7 @@ async def switch(
 
     Args:
         activates: whether a component that comes into a context of this name is to be active there.
-        aside: takes the composites that go; they are removed where there is none.
+        aside: takes the composites that go; without `aside` they are removed.
 
     Raises:
         AiortsError: what a component, a context or a composite refuses, or a hook raised; some of it may be done.
@@ -91,7 +91,7 @@ async def switch(
 
 @contextmanager
 def _keeping_connectors(kernel: Microkernel) -> Iterator[None]:
-    """A connector at a port that a composite exports no more stays: it goes where the plan says so."""
+    """A context manager in which connectors stay although a composite no longer exports their port; steps end them."""
     groups = [group for one in kernel.components.values() if (group := group_of(one)) is not None]
     before = [dict(group.known) for group in groups]
     for group in groups:
@@ -156,7 +156,7 @@ def _goes(composite: Composite, members: Sequence[str], anew: Sequence[str]) -> 
 
 
 def _is_made_anew(there: Component | None, entry: CompositeEntry | None) -> bool:
-    """Whether a composite that there is goes, at least for a moment."""
+    """Whether an existing composite has to go, at least for a moment."""
     if not isinstance(there, Composite):
         return False
     if entry is None:
@@ -175,7 +175,7 @@ def _outer_first(kernel: Microkernel, names: Iterable[str]) -> list[str]:
 
 
 def _inner_first(entries: Mapping[str, CompositeEntry | None]) -> list[tuple[str, CompositeEntry]]:
-    """Each after those that are its members."""
+    """The composites, each after the composites that are its members."""
     left = {name: one for name, one in entries.items() if one is not None}
     found: list[tuple[str, CompositeEntry]] = []
     while left:
