@@ -1,7 +1,7 @@
 """The place of a component in its kernel, read from one instance and put back for the next one.
 
-Supervision puts a new instance there after a failure, moving one of another process, and planning and reload look up
-the state in each context.
+After a failure, supervision puts a new instance in the place; a move puts one of another process there. Planning and
+reload look up the state in each context.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class ContextPlace:
         return cls(member, member.order, member.state, member.failure, member.finishing)
 
     async def put_back(self, new: Component) -> None:
-        """Add an instance to the context, if that still runs: in the same order, and active unless it was inactive."""
+        """Add an instance to the context, if that runs, in the same order; active unless the old one was inactive."""
         context = self.member.context
         if not context.running or new.kernel.contexts.get(context.name) is not context:
             return
@@ -79,7 +79,7 @@ class ComponentPlace:
 
     configuration: ConfigurationState
     was_active: bool
-    """Whether it was active at any time: samples that the new one drops do not come before its start."""
+    """Whether the component was ever active: samples that the new instance drops do not come before that start."""
     added: tuple[str, ...]
     """Parameters that its class does not declare."""
     contexts: tuple[ContextPlace, ...]
@@ -91,14 +91,14 @@ class ComponentPlace:
     """Connectors that its ports had before the composite exported them."""
     previous_placements: tuple[PreviousPlacement, ...]
     heritages: tuple[Callable[[Component], None], ...]
-    """The functions by which its kinds hand over, such as the machines it takes part in."""
+    """The functions by which its kinds hand over to the new one, such as its part in machines."""
     on_link_lost: str
     """The option of this name in a system file."""
 
     def configure(self, new: Component) -> None:
         """Give an instance, before it is added to a kernel, the sets, the active set and the parameters of the old one.
 
-        Those that its class no longer declares are left out. ConfigurationError: it refuses a value.
+        Parameters that its class no longer declares are left out. ConfigurationError: the instance refuses a value.
         """
         refused = commit(new, lambda state: self._configured(state, new.name), old=self.configuration)
         if refused is not None:
@@ -117,7 +117,7 @@ class ComponentPlace:
         return state.replaced(sets, old.active, owner)
 
     async def put_back(self, new: Component, connect: Callable[[Sequence[KeptConnector]], None]) -> None:
-        """Give an instance that its kernel has already this place: connectors, composite and contexts, in this order.
+        """Give this place to an instance already in its kernel: connectors, composite and contexts, in this order.
 
         Args:
             connect: makes connectors between the ports that still exist.

@@ -1,4 +1,4 @@
-"""Waits until components have the states required, and reports which have not."""
+"""Waits until components have the required states, and reports those that have not."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ async def wait_ready(kernel: Microkernel, components: Sequence[Component | str],
 
 
 def names_of(components: Sequence[Component | str]) -> tuple[str, ...]:
-    """The names of components. DeclarationError: one is neither a component nor a name."""
+    """The names of components. DeclarationError: an item is neither a component nor a name."""
     names = tuple(one if isinstance(one, str) else getattr(one, "name", None) for one in components)
     for one, name in zip(components, names, strict=True):
         if not isinstance(name, str):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class Patience:
     """How long the rules of one start may still wait.
 
-    A rule waits also while what its conditions name is activated before its turn comes.
+    A rule also waits while the components that its conditions name are activated, before its turn comes.
     """
 
     def __init__(self, kernel: Microkernel, rules: Iterable[StartRule]) -> None:
@@ -35,10 +35,10 @@ class Patience:
 
     @asynccontextmanager
     async def activating(self, *names: str) -> AsyncIterator[None]:
-        """Lasts while these components are activated.
+        """A context manager around the activation of these components.
 
         Raises:
-            TransitionTimeout: a rule has waited for one of them as long as it may; their activation is waited for no
+            TransitionTimeout: a rule has waited for a component as long as it may; the activation is waited for no
                 longer.
         """
         waiting = [
@@ -74,7 +74,7 @@ async def start_in_order(
     """See `Kernel.start_in_order`; adds the name of each that was activated to `started`."""
     for rule in in_order(rules):
         conditions = rule.conditions
-        # Looked at together: what was true a while ago does not count.
+        # All conditions are checked together: a condition that was true a while ago does not count.
         if not await until(kernel, lambda cs=conditions: all(_holds(kernel, c) for c in cs), patience.left(rule)):  # type: ignore[misc]
             raise not_started(kernel, rule)
         if rule.wait:
@@ -104,9 +104,9 @@ async def _activate(component: Component) -> None:
 
 
 async def stop_in_order(kernel: Microkernel, names: Sequence[str], timeout: float | None = 5.0) -> None:
-    """Deactivate these in the reverse order, each before the next; one that fails does not stop the others.
+    """Deactivate components in the reverse order, each before the next; a failure does not stop the others.
 
-    Raises the error of the first that could not be deactivated.
+    Raises the error of the first component that could not be deactivated.
     """
     first: AiortsError | None = None
     for name in reversed(names):

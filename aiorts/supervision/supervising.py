@@ -56,7 +56,7 @@ class Supervising(KernelService):
         self._supervisor: Supervisor | None = None
         self._systemd: SystemdLink | None = None
         self._started: list[str] = []
-        """The components that were started in order, for the end."""
+        """The components that were started in order; at the end they stop in the reverse order."""
         self.rules: dict[str, StartRule] = {}
         """The rules by which components were started, by the component's name."""
 
@@ -65,7 +65,7 @@ class Supervising(KernelService):
             unsubscribe()
             self.notify_systemd(settings.ready, os.environ)
 
-        # Without components named, all that are in a context have to be ready, once one runs.
+        # If no components are named, all components in a context have to be ready, once a context runs.
         unsubscribe = self.kernel.bus.subscribe(ContextStarted, notify_ready)
         if isinstance(self.kernel.clock, SimulatedClock):
             unsubscribe()
@@ -85,7 +85,7 @@ class Supervising(KernelService):
 
     @property
     def supervised(self) -> Mapping[str, Supervised]:
-        """The supervised components, by name; one that could not be replaced stays, exhausted."""
+        """The supervised components, by name; a component that could not be replaced stays here, as exhausted."""
         return MappingProxyType({} if self._supervisor is None else self._supervisor.supervised)
 
     async def settle(self, name: str | None = None) -> None:

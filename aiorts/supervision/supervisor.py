@@ -53,7 +53,7 @@ class ComponentRecovered(Event):
 
 @dataclass(frozen=True, slots=True)
 class RestartLimitReached(Event):
-    """A supervised component failed more often than its budget allows: it is left as it is."""
+    """A supervised component failed more often than its budget allows: the component is left as it is."""
 
     component: str
     attempts: int
@@ -68,9 +68,9 @@ class Supervised:
     def __init__(self, component: Component, policy: Supervision, factory: Callable[[str], Component]) -> None:
         self.policy = policy
         self.component = component
-        """The instance there is now; after a restart another one."""
+        """The present instance; a restart changes it."""
         self.last_error: BaseException | None = None
-        """The error of its last recovery, or of its giving up."""
+        """The error of the last recovery, or the error at which recovery was given up."""
         self._attempts = Attempts(policy)
         self._factory = factory
         self._task: asyncio.Task[None] | None = None
@@ -84,28 +84,28 @@ class Supervised:
 
     @property
     def attempts(self) -> int:
-        """How often it was reset or restarted, with or without success."""
+        """How often the component was reset or restarted, with or without success."""
         return self._attempts.total
 
     @property
     def exhausted(self) -> bool:
-        """Whether its budget is used up: it is not recovered any more, until `supervise` is called again."""
+        """Whether the budget is used up: the component is not recovered any more, until `supervise` is called again."""
         return self._attempts.exhausted
 
     @property
     def helping(self) -> bool:
-        """Whether it is in error, or between two instances, and is going to be recovered."""
+        """Whether the component is in error, or between two instances, and will be recovered."""
         going = self.policy.restart != "never" and not self.exhausted
         return self._task is not None or (going and _in_error(self.component))
 
     @property
     def is_between(self) -> bool:
-        """Whether it is being restarted: the old instance goes, or the new one has not its whole place yet."""
+        """Whether the component is being restarted: the old instance goes, or the new one lacks part of its place."""
         return self._place is not None and not self.is_to_be_gone
 
     @property
     def is_to_be_gone(self) -> bool:
-        """Whether others than the restart have asked for the removal of its instance, too."""
+        """Whether not only the restart has asked for the removal of the instance."""
         return cell(self.component).removals > 1
 
     def __repr__(self) -> str:
@@ -139,7 +139,7 @@ class Supervisor:
         factory = factory or type(component)
         one = self.supervised.get(component.name)
         if one is not None and one._place is not None:
-            # In the midst of a restart, which goes on: ended here it would leave no component.
+            # A restart that has begun goes on: if it were ended here, there would be no component.
             one.policy, one._factory, one._attempts = policy, factory, Attempts(policy)
         else:
             self._drop(component.name)
@@ -149,7 +149,7 @@ class Supervisor:
         return one
 
     def replaced(self, pairs: Mapping[Component, Component]) -> None:
-        """New instances have the places of old ones; what makes another after a failure makes one of the new code."""
+        """Note that new instances have replaced old ones: factories make instances of the new code from now on."""
         for old, new in pairs.items():
             one = self.supervised.get(new.name)
             if one is not None and one.component is old:
@@ -160,7 +160,7 @@ class Supervisor:
         """End supervision: the kernel closes."""
         for unsubscribe in self._unsubscribe:
             unsubscribe()
-        # One that a component's own hook closes the kernel from is not waited for.
+        # A recovery from which a component's own hook closes the kernel is not waited for.
         tasks = [task for task in self._tasks if task is not current_task()]
         for task in tasks:
             task.cancel()
@@ -192,7 +192,7 @@ class Supervisor:
             task.add_done_callback(self._tasks.discard)
 
     async def _help(self, one: Supervised) -> None:
-        """Recover it until it is out of error, or its budget is used up."""
+        """Recover a component until it is out of error, or its budget is used up."""
         try:
             outcome = await self._helped(one)
         finally:
@@ -257,7 +257,7 @@ class Supervisor:
             await reset_whole(composite)
             return
         if (abandoned := cell(component).abandoned) is not None:
-            # Nothing of it runs again: another attempt would end no better.
+            # Nothing of the component runs again: another attempt would end no better.
             one._attempts.exhausted = True
             raise abandoned
         for context in component.contexts:
@@ -307,7 +307,7 @@ class Supervisor:
                 _LOG.warning("%s: not connected again after the restart: %s", profile.name, error)
 
     def _made_anew(self, profile: ConnectorProfile | ServiceConnectorProfile) -> Supervised | None:
-        """One of the ends that goes or is not there yet: it connects when it has come."""
+        """The end of a connector that is being restarted: it makes the connector when its new instance is there."""
         for path in profile.ports:
             other = self.supervised.get(path.partition(".")[0])
             if other is None or other._place is None:
@@ -326,7 +326,7 @@ def _in_error(component: Component) -> bool:
 
 
 def _limit(component: Component, policy: Supervision) -> None:
-    """Apply the deadlines of its hooks; for one that runs already the time counts from now on."""
+    """Apply the policy's deadlines to the hooks; for a hook that already runs the time counts from now on."""
     cell(component).deadlines = policy.limits
     for member in cell(component).members:
         member.limit_anew()

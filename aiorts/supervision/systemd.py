@@ -90,9 +90,9 @@ class SystemdLink:
         self._tick = _TICK if interval is None else min(_TICK, interval / _SHARE)
         self._names = readiness.names_of(components)
         self._seen: dict[str, tuple[int, float]] = {}
-        """By context: what it did last, and since when."""
+        """By context: its last progress, and the time of that."""
         self._reported: set[str] = set()
-        """Contexts that do not get on."""
+        """Contexts that were reported as making no progress."""
         self._status = ""
         self._is_ready = False
         self._handle: asyncio.TimerHandle | None = None
