@@ -1,4 +1,4 @@
-"""The rings of one connection, one in each direction, and who says what when.
+"""The rings of one connection, one in each direction, and the order of their messages.
 
     sender                                receiver
     OFFER: a ring is there        ->      expects a descriptor from now on
@@ -30,8 +30,8 @@ class Rings:
 
     Args:
         say: sends a message, with a descriptor or without; False: the connection takes none any more.
-        expect: has the stream receive one descriptor.
-        received: the descriptor that has come, which is the caller's then; None: none has.
+        expect: lets the stream receive one descriptor.
+        received: gives the descriptor that has come, which the caller then owns; None: none has come.
         report: says why there is no ring.
         room: called when parts that had to wait may be sent.
     """
@@ -55,7 +55,7 @@ class Rings:
         """Answers that could not be sent yet."""
 
     def trust(self) -> None:
-        """Let readers look into the other end's memory and copy nothing: it has shown that it is of this program."""
+        """Let readers use the other end's memory without a copy: the other end has proved to be of this program."""
         self._receiving.trusts = True
 
     def put(self, parts: Sequence[memoryview]) -> Put | None:
@@ -74,13 +74,13 @@ class Rings:
         """The frame and its parts, which look into the ring.
 
         Raises:
-            LinkError: they cannot lie there.
+            LinkError: the parts cannot be in the ring.
         """
         places, head = places_of(body)
         return head, self._receiving.views(places, beside)
 
     def flush(self) -> None:
-        """Messages can be sent again."""
+        """Send the answers that wait: messages can be sent again."""
         while self._unsaid and self._say(self._unsaid[0], None):
             del self._unsaid[0]
         self._receiving.flush()
@@ -90,10 +90,10 @@ class Rings:
         self.flush()
 
     def heard(self, body: bytes) -> None:
-        """A message of the other end.
+        """Handle a message of the other end.
 
         Raises:
-            LinkError: it does not keep to what both have agreed on.
+            LinkError: the message breaks what both ends have agreed on.
         """
         what = body[0] if body else 0
         if self._receiving.closed:
@@ -125,6 +125,6 @@ class Rings:
         self._answer(CANNOT if why else MAPPED)
 
     def close(self) -> None:
-        """The connection is over; arrays that look into the other end's memory stay as they are."""
+        """End both rings with the connection; arrays in the other end's memory stay as they are."""
         self._sending.close()
         self._receiving.close()

@@ -1,4 +1,4 @@
-"""The bytes of a ring that are taken. This file decides; it has no descriptor and no memory."""
+"""The bytes of a ring that are taken. This file only decides; it holds no descriptor and no memory."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Extents:
     def __init__(self, size: int) -> None:
         self.size = size
         self._free: list[tuple[int, int]] = [(0, size)]
-        """(start, end) of what is free, in order; neighbours are one."""
+        """(start, end) of each free extent, in order; neighbouring extents are merged."""
         self._taken: dict[int, int] = {}
         """The end of each extent, by its start."""
 
@@ -32,7 +32,7 @@ class Extents:
         return len(self._taken)
 
     def take(self, length: int) -> int | None:
-        """Take so many free bytes; their start, or None where there is no room."""
+        """Take this many free bytes; returns their start, or None if there is no room."""
         room = max(length + -length % STEP, STEP)
         for place, (start, end) in enumerate(self._free):
             if end - start >= room:
@@ -45,7 +45,7 @@ class Extents:
         return None
 
     def claim(self, start: int, length: int) -> bool:
-        """Take these bytes; False: some of them are taken, or are none of this stretch."""
+        """Take these bytes; False: some of them are taken already, or outside the stretch."""
         end = start + max(length + -length % STEP, STEP)
         place = bisect_right(self._free, (start, self.size)) - 1
         if start % STEP or place < 0:
@@ -58,7 +58,7 @@ class Extents:
         return True
 
     def give(self, start: int) -> bool:
-        """Give back what was taken at `start`; False: nothing was."""
+        """Give back the extent taken at `start`; False: no extent was taken there."""
         end = self._taken.pop(start, None)
         if end is None:
             return False

@@ -10,8 +10,8 @@ from aiorts.errors import LinkError
 from aiorts.rings.extents import STEP
 
 OFFER, READY, RING, MAPPED, CANNOT, FREED = range(1, 7)
-"""The first byte of a message: a ring is there; send its descriptor; this is it; it is used from now on; it is not;
-these extents are free again."""
+"""The first byte of a message: a ring is there; send its descriptor; here is the descriptor; the ring is used from
+now on; the ring cannot be used; these extents are free again."""
 OFFERED: Final = bytes((OFFER,))
 REFUSAL: Final = bytes((CANNOT,))
 _FREED: Final = struct.Struct("<BI")
@@ -19,7 +19,7 @@ PLACES: Final = 255
 """The most parts of one frame."""
 
 Place: TypeAlias = tuple[int, int]
-"""(start, length) of a part in the ring; the length is 0 where it travels with the frame, outside the ring."""
+"""(start, length) of a part in the ring; length 0: the part travels with the frame, outside the ring."""
 
 
 class Put(NamedTuple):
@@ -38,7 +38,7 @@ def places_bytes(places: Sequence[Place]) -> bytes:
 
 
 def places_of(body: memoryview) -> tuple[list[Place], memoryview]:
-    """The place of each part of a frame, and the frame itself. LinkError: it is no such frame."""
+    """The place of each part of a frame, and the frame itself. LinkError: the body is no such frame."""
     count = body[0] if body else 0
     end = 1 + 8 * count
     if not count or len(body) < end:
@@ -53,7 +53,7 @@ def freed_bytes(freed: Sequence[tuple[int, int]]) -> bytes:
 
 
 def freed_of(body: bytes) -> list[tuple[int, int]]:
-    """The extents of such a message. LinkError: it is none."""
+    """The extents in a message of `freed_bytes`. LinkError: the body is no such message."""
     if (len(body) - 1) % _FREED.size:
         raise LinkError("extents that are given back in part")
     return [(number, start * STEP) for number, start in _FREED.iter_unpack(body[1:])]

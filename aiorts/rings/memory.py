@@ -39,10 +39,10 @@ class Making:
         self.descriptor = os.memfd_create("aiorts-ring", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
 
     def step(self) -> mmap.mmap | None:
-        """Commit some more of it; the memory to write to, once it is all there and sealed.
+        """Commit some more memory; returns the memory to write to, once all is committed and sealed.
 
         Raises:
-            OSError: the system has no room for it, or does not know these seals.
+            OSError: the system has no room for the memory, or does not know these seals.
         """
         import fcntl
 
@@ -83,9 +83,9 @@ def fault_of(descriptor: int) -> str:
 
 
 def mapped(descriptor: int) -> mmap.mmap:
-    """The memory, to be read.
+    """The memory of a descriptor, mapped for reading.
 
     Raises:
-        OSError: this process may not have so much.
+        OSError: this process may not have so much memory.
     """
     return mmap.mmap(descriptor, os.fstat(descriptor).st_size, mmap.MAP_SHARED, mmap.PROT_READ)

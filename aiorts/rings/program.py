@@ -1,4 +1,4 @@
-"""Whether the process at the other end of a socket is of the same program: it knows the same secret."""
+"""The proof that the process at the other end of a socket is of the same program: both know one secret."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _HEAD: Final = struct.Struct("<Q")
 def proof(program: bytes, prover: bytes, verifier: bytes) -> bytes:
     """A proof for `verifier` that this process, as `prover`, knows `program`.
 
-    The secret itself is never sent: a greeting goes to every kernel of the user, and one of another program could say
-    it after us. The number of the process is in the proof for the same reason: the system says whose socket it is.
+    The secret itself is never sent: a greeting goes to every kernel of the user, and a kernel of another program
+    could repeat it. The number of the process is in the proof, too: the system names the socket's process.
     """
     head = _HEAD.pack(os.getpid())
     return head + _code(program, head, prover, verifier)

@@ -1,4 +1,4 @@
-"""The receiver's end of a ring: looks into it, and gives back the parts that have no reader any more."""
+"""The receiver's end of a ring: reads the ring, and gives back extents that have no reader any more."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class _Ring:
 
 
 class _Deaths:
-    """Extents that nothing looks into any more, until they are given back.
+    """Extents that no array uses any more, until they are given back.
 
     An object of its own: what a finalizer holds lives as long as its array, and that must not be the connection, which
     leads to the kernel and may lead to the array itself.
@@ -39,11 +39,11 @@ class _Deaths:
         self.dead: deque[tuple[_Ring, int]] = deque()
         self.woken = False
         self.wake: Callable[[], object] | None = wake
-        """None: nothing is given back any more."""
+        """Wakes the loop to give extents back; None: nothing is given back any more."""
 
     def died(self, ring: _Ring, start: int) -> None:
-        """Called in any thread and between any two instructions: so it only appends, and wakes the loop, also where
-        that is just about to wait."""
+        """Note that an extent has no array any more. Called in any thread, between any two instructions: so it only
+        appends, and wakes the loop, even if the loop is about to wait."""
         wake = self.wake
         if wake is None:
             return
@@ -59,13 +59,13 @@ class _Deaths:
 
 
 class Receiving:
-    """Gives out what the other end has written: views of its memory, or copies where it could still write to them.
+    """Gives out the parts from the other end: views of its memory, or copies if that end could still write there.
 
     Copies pay as well. 1 MiB there and back between two processes, p50, medians of five runs in turn: 2,222 us through
     the socket, 1,015 us with a copy out of the ring, 876 us with views.
 
     Args:
-        say: sends a message; False: not now, and `flush` is called when it can be said.
+        say: sends a message; False: not now; `flush` is called when messages can be sent.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, say: Callable[[bytes], bool]) -> None:
@@ -73,7 +73,7 @@ class Receiving:
         self.trusts = False
         """Whether views are given out: the other end is of this program, and does not write to what it has sent."""
         self._ring: _Ring | None = None
-        """The newest. The arrays of an older one hold its memory."""
+        """The newest ring. The memory of an older ring is held by its arrays."""
         self._count = 0
         self._deaths = _Deaths(lambda: loop.call_soon_threadsafe(self.flush))
         self.closed = False
@@ -84,10 +84,10 @@ class Receiving:
         return self._count >= RINGS
 
     def take(self, descriptor: int) -> str:
-        """Use the memory of this descriptor from now on; why that is not possible, or "".
+        """Use the memory of this descriptor from now on; returns why that is not possible, or "".
 
         Raises:
-            LinkError: it is not what both ends have agreed on.
+            LinkError: the memory is not what both ends have agreed on.
         """
         if fault := fault_of(descriptor):
             raise LinkError(fault)
@@ -103,7 +103,7 @@ class Receiving:
         """The parts of a frame, of which those with a length lie in the ring.
 
         Raises:
-            LinkError: a place is not in the ring, or an array looks into it; or parts are missing.
+            LinkError: a place is not in the ring, or is used by an array; or parts are missing.
         """
         others = iter(beside)
         try:
@@ -119,7 +119,7 @@ class Receiving:
         if ring is None or not ring.extents.claim(start, size):
             raise LinkError(f"an array of {size} bytes at {start} of its ring, which is not free there")
         if not self.trusts:
-            # Whatever is written from now on, everyone sees the values that were there at this moment.
+            # The copy keeps the present values for all readers, whatever is written from now on.
             copied = sealed_bytes(size)
             copied[:] = ring.view[start : start + size]
             self._deaths.died(ring, start)
@@ -129,7 +129,7 @@ class Receiving:
         return view
 
     def flush(self) -> None:
-        """Give back what has died, as far as it can be said."""
+        """Give back extents that have no array any more, as far as messages can be sent."""
         self._deaths.woken = False  # before anything is taken: what dies from now on wakes the loop again
         dead = self._deaths.dead
         while dead and not self.closed:
@@ -141,7 +141,7 @@ class Receiving:
                 ring.extents.give(start)
 
     def close(self) -> None:
-        """Nothing comes any more, and nothing is given back."""
+        """End the receiver: nothing comes any more, and nothing is given back."""
         self.closed = True
         self._ring = None
         self._deaths.close()

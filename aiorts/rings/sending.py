@@ -1,4 +1,4 @@
-"""The sender's end of a ring: makes the memory, copies parts into it, learns what is free again."""
+"""The sender's end of a ring: makes the memory, copies parts there, and hears which extents are free again."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from aiorts.rings.frames import CANNOT, MAPPED, OFFERED, PLACES, READY, RING, Pl
 from aiorts.rings.memory import LARGEST, Making
 
 LEAST: Final = 65_536
-"""Bytes from which on a part goes through the ring. Measured there and back, p50, through the socket, looked at in the
+"""The least bytes of a part in the ring. Measured there and back, p50, through the socket, looked at in the
 ring, copied out of it: 32 KiB 449, 605, 615 us; 64 KiB 570, 547, 612 us; 128 KiB 642, 532, 579 us. That extents are
 given back costs a message."""
 RINGS: Final = 4
@@ -38,8 +38,8 @@ class _Ring:
 class Sending:
     """Copies large parts into memory that the other end reads.
 
-    The first large part has a ring made, and one that finds no room a larger one. Large parts wait for it, at most
-    a second; where there is none then, they travel with their frames, outside the ring.
+    The first large part causes a ring to be made; a part that finds no room causes a larger ring. Large parts wait at
+    most a second for that ring; after that they travel with their frames, outside the ring.
 
     Args:
         say: sends a message, with a descriptor or without; False: the connection takes none any more.
@@ -56,7 +56,7 @@ class Sending:
     ) -> None:
         self._loop, self._say, self._report, self._room = loop, say, report, room
         self._rings: dict[int, _Ring] = {}
-        """By number: the one in use, and older ones that arrays still look into."""
+        """By number: the ring in use, and older rings that arrays still use."""
         self._used: _Ring | None = None
         self._making: Making | None = None
         self._memory: mmap.mmap | None = None
@@ -65,7 +65,7 @@ class Sending:
         """The kind of the next message from the other end."""
         self._made = 0
         self._holding: asyncio.TimerHandle | None = None
-        """Until when large parts wait for the ring that is being made; None: none do."""
+        """The timer that ends the wait of large parts for the ring that is being made; None: no part waits."""
         self.closed = False
 
     def put(self, parts: Sequence[memoryview]) -> Put | None:
@@ -115,7 +115,7 @@ class Sending:
         self._loop.call_soon(self._step)
 
     def _let_go(self) -> None:
-        """Large parts wait for no ring any more."""
+        """Let large parts no longer wait for a ring."""
         if self._holding is not None:
             self._holding.cancel()
             self._holding = None
@@ -152,7 +152,7 @@ class Sending:
         """Take a message of the other end about our rings.
 
         Raises:
-            LinkError: it was not its turn.
+            LinkError: this message was not due.
         """
         if what == READY and self._awaits == READY and self._making is not None:
             self._awaits = MAPPED
@@ -175,7 +175,7 @@ class Sending:
         """Take back the extents that the other end frees.
 
         Raises:
-            LinkError: they were not taken.
+            LinkError: the extents were not taken.
         """
         for number, start in freed_of(body):
             ring = self._rings.get(number)
@@ -184,12 +184,12 @@ class Sending:
             self._forget(ring)
 
     def _forget(self, ring: _Ring) -> None:
-        """The memory of an older ring, once nothing looks into it."""
+        """Forget an older ring, once no array uses its memory."""
         if ring is not self._used and not ring.extents.count:
             self._rings.pop(ring.number, None)
 
     def close(self) -> None:
-        """Nothing is sent any more. What the other end looks at stays as it is."""
+        """End the sender: nothing is sent any more. Memory that the other end uses stays as it is."""
         self.closed = True
         if self._holding is not None:
             self._holding.cancel()
