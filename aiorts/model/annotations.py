@@ -24,7 +24,7 @@ def alternatives(hint: Any) -> tuple[Any, ...]:
 
 
 def fields_of_row(hint: Any) -> Mapping[str, Any]:
-    """The annotations of a NamedTuple, which is a row of values by name; none of another annotation."""
+    """The field annotations of a NamedTuple, which is a row of values by name; empty for another annotation."""
     is_row = isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields")
     return typing.get_type_hints(hint) if is_row else {}
 

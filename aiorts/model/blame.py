@@ -50,7 +50,7 @@ class Blame:
 
     @property
     def place(self) -> str:
-        """The text without the duration, by which missed deadlines are counted."""
+        """The text without the duration: the key by which missed deadlines are counted."""
         if self.kind == "gc":
             return f"garbage collection of generation {self.generation}"
         if self.kind == "machine":
@@ -98,7 +98,7 @@ class MissedDeadlines:
         return MappingProxyType(self._counts.copy())
 
     def add(self, blame: Blame, now_ns: int) -> int:
-        """Count a blame. Returns how many of its place were not reported yet, when it is time to report; else 0."""
+        """Count a blame. When a report is due, returns the number of unreported blames of its place; else 0."""
         self.last = blame
         counts, place = self._counts, blame.place
         if place not in counts and len(counts) >= _PLACES:
@@ -118,7 +118,7 @@ class Overload:
 
     def __init__(self) -> None:
         self._since: tuple[int, int, int] | None = None
-        """Time, cycles and ticks at the start of the time that is examined."""
+        """Time, cycles and ticks at the start of the present examination."""
         self._late = 0
         self._reported = False
 

@@ -28,7 +28,7 @@ _NUMBERS: Final[Mapping[str, str]] = MappingProxyType(
 
 
 class OptionError(ValueError):
-    """A value that its option does not take."""
+    """A value that an option does not take."""
 
 
 class Option(NamedTuple):
@@ -111,7 +111,7 @@ def _of_parameters(cls: Any) -> Iterator[tuple[str, Option]]:
 
 
 def hints_of(of: Any, *, extras: bool = False) -> dict[str, Any]:
-    """The annotations as types; none where a name in them is not known."""
+    """The annotations as types; empty if a name in them is not known."""
     try:
         return get_type_hints(of, include_extras=extras)
     except (NameError, TypeError):
@@ -120,7 +120,7 @@ def hints_of(of: Any, *, extras: bool = False) -> dict[str, Any]:
 
 @lru_cache
 def _alternatives_of(cls: Any) -> Mapping[str, tuple[Any, ...]]:
-    """The alternatives in the annotation of each declared option, None among them; none where a name is not known."""
+    """The alternatives in the annotation of each declared option, None among them; empty if a name is not known."""
     if not (hints := hints_of(cls if _fields_of(cls) else cls.__init__)):
         return {}
     return {name: alternatives(hints[name]) for name in options_of(cls)}

@@ -109,7 +109,7 @@ def _checked(interface: str, method: Method) -> Method:
 
 
 def read_method(name: str, function: Callable[..., Any], *, bound: bool) -> Method:
-    """Read a function as a method; one that is `bound` has no `self` any more.
+    """Read a function as a method; a `bound` function has no `self` any more.
 
     Raises:
         DeclarationError: the function is a generator, or its parameters cannot be known.

@@ -90,15 +90,15 @@ class _Stem:
     def __init__(self, first: int) -> None:
         self.first = self.top = first
         self.free: set[int] = set()
-        """Numbers below `top` that were given up; some may be in use again, by a name that was given in full."""
+        """Numbers below `top` that were given up; a name given in full may use some of them again."""
         self.heap: list[int] = []
-        """The numbers of `free`, lowest first, and some that were taken since."""
+        """The numbers of `free`, lowest first, and some numbers that have come into use since."""
 
 
 class Numbering:
     """The lowest free number of each stem, in about constant time.
 
-    `taken` says whether a name is in use; a name that is given up is told to `free`.
+    `taken` says whether a name is in use; call `free` with each name that is given up.
     """
 
     __slots__ = ("_stems", "_taken")

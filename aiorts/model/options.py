@@ -170,7 +170,7 @@ def with_openrtm(options: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 class _Asked(NamedTuple):
-    """The facts that a default may follow from, besides the options before it."""
+    """The facts from which a default may follow, in addition to the options before it."""
 
     where: str
     own: Mapping[str, Any]
@@ -325,12 +325,12 @@ CHANGEABLE: Final = tuple(key for key, one in _OF_CONNECTORS.items() if one.chan
 
 
 def what_stays(profile: ConnectorProfile) -> dict[str, Any]:
-    """The options in force, together with which a changed one is checked."""
+    """The options in force with which a changed option must agree."""
     return {key: getattr(profile, key) for key in _CHOSEN}
 
 
 def changed_profile(where: str, profile: ConnectorProfile, options: Mapping[str, Any]) -> ConnectorProfile:
-    """The options in force after these are changed.
+    """The options in force after a change to these options.
 
     Raises:
         WiringError: as `connector_profile`; or no option is given; or one cannot be changed.
@@ -359,8 +359,8 @@ def changed_profile(where: str, profile: ConnectorProfile, options: Mapping[str,
 
 
 def says_what_is_lost(options: Mapping[str, Any], profile: ConnectorProfile) -> bool:
-    """Whether the user chose, in the options of this profile, how many samples may wait at a reader, and which are
-    dropped beyond that."""
+    """Whether the options of this profile, as the user gave them, say how many samples may wait at a reader, and which
+    samples are dropped beyond that."""
     given = {key.removeprefix("dataport.") for key, value in options.items() if value is not None}
     chosen = {key for alias, key in ALIASES if key in _ON_LOSS and not given.isdisjoint((alias, key))}
     return bool(chosen - {"push"} if _pushes_in_vain(profile) else chosen)
@@ -373,7 +373,7 @@ def loses_unasked(profile: ConnectorProfile) -> bool:
 
 
 def _rendezvous_by(where: str, own: Mapping[str, Any]) -> str:
-    """The key that makes a write wait until the reader has taken its sample; empty where none does."""
+    """The key that makes a write wait until the reader has taken its sample; "" if no key does."""
     said = own.get("rendezvous", "")
     if said not in ("", None) and is_yes(where, "sync_readwrite", said):
         return "rendezvous"

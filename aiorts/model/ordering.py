@@ -9,7 +9,7 @@ T = TypeVar("T", bound=Hashable)
 
 
 def ordered(there: Iterable[T], order: Iterable[T]) -> list[T]:
-    """The entries that the order names, in that order, then the others as they stand."""
+    """The entries named in `order`, in that order, then the others as they stand."""
     left = dict.fromkeys(there)
     first = dict.fromkeys(one for one in order if one in left)
     return [*first, *(one for one in left if one not in first)]

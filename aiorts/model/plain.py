@@ -77,8 +77,8 @@ class Schemas:
         simple: schemas of simple types that differ from the usual.
 
     Attributes:
-        definitions: the schemas of dataclasses by name; of two with the same name the second has its module's name
-            in front.
+        definitions: the schemas of dataclasses by name; if two have the same name, the second has its module's
+            name in front.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Schemas:
         """The schema of an annotation.
 
         Raises:
-            TypeError: its values have no known form in JSON.
+            TypeError: values of the annotation have no known form in JSON.
         """
         return self._forms.of(hint)
 

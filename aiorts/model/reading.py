@@ -351,7 +351,7 @@ def _taken(hint: Any) -> Iterable[type]:
 
 
 def _fit(kind: Any, value: Mapping[Any, Any]) -> tuple[int, int]:
-    """A rank for how well keys fit a class: first by few missing required fields, then by many known ones."""
+    """A rank for how well keys fit a class: first by few missing required fields, then by many known fields."""
     known = fields(kind)
     missing = sum(not has_default(one) and one.name not in value for one in known)
     return -missing, sum(one.name in value for one in known)

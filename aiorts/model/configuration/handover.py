@@ -17,10 +17,10 @@ def handed_over(
     is_free: Callable[[str], bool],
     owner: str,
 ) -> tuple[ConfigurationState, dict[str, str]]:
-    """The new declarations with the old sets, values and active set; and why values were lost, by parameter.
+    """The new declarations with the old sets, values and active set; and the reasons for lost values, by parameter.
 
     Args:
-        declared: parameters that the old class declared; others were added at run time and come along.
+        declared: parameters that the old class declared; others were added at run time, and are kept.
         is_free: whether a parameter of this name can be added to the new component.
     """
     lost: dict[str, str] = {}

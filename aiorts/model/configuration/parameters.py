@@ -69,7 +69,7 @@ class ParameterSpec:
     validator: Callable[[Any], object] | None = None
     """Called by the core before a value comes into force; it raises ValueError to refuse the value."""
     file: str = ""
-    """"read" or "write" when its value names a file that the component only reads, or writes; see `names_file`."""
+    """"read" or "write": the value names a file that the component only reads, or writes; see `names_file`."""
     owner: InitVar[str] = ""
 
     def __post_init__(self, owner: str) -> None:

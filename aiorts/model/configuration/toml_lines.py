@@ -28,7 +28,7 @@ _IN_VALUE: Final = re.compile(
 
 
 def excess(text: str) -> tuple[int, str] | None:
-    """The start of a key of too many parts, or of too deep nesting, and a message on it; None when neither is there.
+    """The place of a key with too many parts, or of too deep nesting, with a message; None if there is neither.
 
     A TOML reader's time grows with the square of a key's parts, and deep nesting meets the interpreter's limit of
     recursion.

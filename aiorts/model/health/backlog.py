@@ -6,8 +6,8 @@ from __future__ import annotations
 class Backlog:
     """The backlog of one context, from one overrun to the next.
 
-    A late cycle makes the next one late. While none in between is in time, the lateness grows by the time that passed
-    less a period for each tick; without the machine it would have grown less by the time that the process was stalled.
+    A late cycle makes the next one late. As long as no cycle is in time, the lateness grows by the time passed, less a
+    period for each tick. Without the machine it would have grown less, by the time that the process was stalled.
     """
 
     __slots__ = ("_at_ns", "_late_ns", "_own_ns", "_stalled_ns")
@@ -22,9 +22,9 @@ class Backlog:
 
         Args:
             at_ns: the start of the cycle.
-            left_out: ticks that are left out because of it.
+            left_out: ticks that are left out because of this cycle.
             stalled_ns: the time for which the process has been stalled by then.
-            since_ns: the part of it since the tick before the late one was due.
+            since_ns: the part of `stalled_ns` since the tick before the late one was due.
         """
         own = max(0.0, late_ns - since_ns)
         if at_ns - late_ns - period_ns <= self._at_ns:

@@ -4,7 +4,7 @@ The intended effects of a change are no faults. Where it has lowered the rate of
 an in-port, less is expected of all components downstream. Nothing is expected of a component that is not active, or
 that the change has taken out of its contexts. Samples that such a component would have read are no losses.
 
-The effects of the machine are no faults of a change either. Overruns that it is to blame for do not count. Where it
+The effects of the machine are no faults of a change either. Overruns for which it is to blame do not count. Where it
 took more of the time than before, backlogs follow, and their lateness cannot be separated from other lateness: as
 great a part of the ticks may overrun in addition, or a tenth of all the time that it took, if that is more. The same
 holds for dropped samples, but only the tenth where their writer leaves out ticks that it missed. Where the machine
@@ -23,7 +23,7 @@ from aiorts.model.health.windows import ContextCounts, EdgeCounts, Window
 SAMPLES: Final = 50
 """The fewest samples, or ticks, that decide anything."""
 MORE: Final = 2
-"""The factor by which overruns, or drops, may grow and be healthy."""
+"""The factor by which overruns, or drops, may grow in a healthy system."""
 PERCENT: Final = 1
 """The percentage of ticks that may overrun in addition, or of written samples that may be dropped."""
 SLOWEST: Final = 80
@@ -52,7 +52,7 @@ class Unhealthy:
 
 
 def verdict(before: Window, after: Window, new: Collection[str] = (), ended: Collection[str] = ()) -> Unhealthy | None:
-    """The figure that is worse in the window after a change than in the one before it; None for none or too few counts.
+    """The figure that is worse in the window after a change than in the window before; None: there is none.
 
     Args:
         new: components that the change has made or replaced; another one that is in error as before is no worse.
@@ -127,7 +127,7 @@ def _slower(before: Window, after: Window, ended: Collection[str], now_ns: int, 
 
 
 def _expected(before: Window, after: Window, ended: Collection[str]) -> dict[str, float]:
-    """The expected part (0 to 1) of a component's former output, by each component of which less is expected."""
+    """The part (0 to 1) of its former output that is still expected of a component, for those with less than all."""
     found = dict.fromkeys((*after.idle, *ended), 0.0)
     rates, without = _rates(before)
     rates_now, without_now = _rates(after)
@@ -170,7 +170,7 @@ def _starved(before: Window, after: Window) -> list[str]:
 
 
 def _pass_on(expected: dict[str, float], window: Window) -> None:
-    """Lower the expectation of each component to the lowest of those that it reads from."""
+    """Lower the expectation of each component to the lowest expectation of the components that it reads."""
     readers: dict[str, set[str]] = {}
     for edge in window.edges.values():
         readers.setdefault(_component(edge.source), set()).add(_component(edge.target))

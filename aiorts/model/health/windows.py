@@ -57,7 +57,7 @@ class Window:
     """The counts by the connector's name."""
     contexts: Mapping[str, ContextCounts] = field(default_factory=lambda: _NO_CONTEXTS)
     errors: Mapping[str, str] = field(default_factory=lambda: _NO_ERRORS)
-    """The reason by component, for each that is in error at the window's end or was meanwhile."""
+    """The reason, by component, of each component that was in error in the window."""
     idle: frozenset[str] = frozenset()
     """Components that are in contexts and run in none at the window's end: not active, and not in error."""
     stalled: float = 0.0
@@ -66,14 +66,14 @@ class Window:
 
 
 def edge_since(start: EdgeCounts | None, end: EdgeCounts) -> EdgeCounts:
-    """The counts from one moment to the other; a connector that was made again in between counts whole."""
+    """The counts from one moment to the other; all counts of a connector that was made again in between."""
     if start is None or any(was > now for was, now in zip(start[2:], end[2:], strict=True)):
         return end
     return EdgeCounts(end.source, end.target, *(now - was for was, now in zip(start[2:], end[2:], strict=True)))
 
 
 def context_since(start: ContextCounts | None, end: ContextCounts) -> ContextCounts:
-    """The counts from one moment to the other; a context that was started again in between counts whole."""
+    """The counts from one moment to the other; all counts of a context that was started again in between."""
     if start is None or start.ticks > end.ticks or start.overruns > end.overruns:
         return end
     return ContextCounts(

@@ -57,7 +57,7 @@ class Allowed:
         return frozenset(name for lists in self._table.values() for name in lists) - {OTHERS}
 
     def refusal(self, name: str, right: str, port: str) -> str:
-        """The reason why a name lacks this right to a port, `component.port`, with the rule; "" where it has it."""
+        """The reason why a name lacks this right to a port, `component.port`, with the rule; "": the name has it."""
         if (lists := self._table.get(right)) is None:
             return ""
         entry = name if name in lists else OTHERS

@@ -38,7 +38,7 @@ FATES: Final = ("rejected", "undecodable")
 LOSSES: Final = ("overwritten", "superseded", "inactive", "expired", "unconverted", "disconnected")
 """Reasons for which the reader's buffer loses samples."""
 REFUSED: Final = "refused"
-"""The fate that replaces an unknown one of an acknowledgement: the other end could name a new one each time."""
+"""The fate that replaces an unknown fate in an acknowledgement: the other end could name a new fate each time."""
 
 _WIDEST: Final = 0xFFFF
 _HEAD: Final = struct.Struct("<BBHI")
@@ -108,7 +108,7 @@ def data(
 
 
 def acknowledgement(link: int, done: int, received: int, fates: Mapping[int, str]) -> bytes:
-    """The frame of: all up to `done` are in the reader's buffer except `fates`; all up to `received` have come."""
+    """The frame saying: all up to `done` are in the reader's buffer except `fates`; all up to `received` have come."""
     head = numbered(ACK, 0, len(fates), link, done, received)
     if not fates:
         return head
@@ -138,12 +138,12 @@ def want(link: int, number: int, *, wait: bool) -> bytes:
 
 
 def none(link: int, number: int, *, wait: bool) -> bytes:
-    """The frame that says that there is no sample to have this number."""
+    """The frame that says that no sample has this number yet."""
     return numbered(NONE, wait, 0, link, number, 0)
 
 
 def head_of(frame: Buffer, link: int) -> tuple[int, int, int, int, int]:
-    """Kind, flags and count of a frame, and two numbers. BadFrame: it is too short, or of another link.
+    """Kind, flags and count of a frame, and two numbers. BadFrame: the frame is too short, or of another link.
 
     The numbers are epoch and received (hello), first and oldest (data), done and received (acknowledgement), the
     number and zero (want and none), epoch and zero (lost), zeros (bye).
@@ -167,7 +167,7 @@ def ages_of(frame: Buffer, count: int) -> tuple[int, ...]:
 
 
 def samples_of(frame: Buffer, count: int, ages: int = 0) -> list[memoryview]:
-    """The bytes of each sample of a data frame that has so many ages; not copied."""
+    """The bytes of each sample of a data frame with `ages` ages before the samples; not copied."""
     view = memoryview(frame)
     if ages:
         view = view[8 * ages :]

@@ -1,7 +1,7 @@
 """The way of one end of a link to its channel: a table of states and events, without time, sockets or tasks.
 
-The writer's end offers. The reader's end takes the offer; where its own kernel has connected, it first asks the
-writer's kernel for one. So an end has one of three roles, and each role has a table. A cell has the effect of
+The writer's end offers. The reader's end accepts the offer; if its own kernel made the connector, it first asks the
+writer's kernel for an offer. So an end has one of three roles, and each role has a table. A cell has the effect of
 an event: the state that follows, and the actions. `-` is ignored, and `!` cannot happen.
 """
 
@@ -41,7 +41,7 @@ class NegotiationState(StrEnum):
     OFFERED = "offered"
     """An offer is agreed on, and the channel is being made."""
     WAITING = "waiting"
-    """There is a kernel of the other end's name: it is asked when that is due, or makes its offer."""
+    """There is a kernel of the other end's name: that is asked when a question is due, or makes its offer."""
     UP = "up"
     """There is a channel."""
     REFUSED = "refused"
@@ -54,9 +54,9 @@ class LinkEvent(StrEnum):
     """An event at one end of a link."""
 
     PRESENT = "present"
-    """A kernel of that name has come."""
+    """A kernel of the other end's name has come."""
     GONE = "gone"
-    """A kernel of that name has gone."""
+    """A kernel of the other end's name has gone."""
     MISSING = "missing"
     """A question cannot be asked: there is no such kernel."""
     COME = "come"
@@ -66,7 +66,7 @@ class LinkEvent(StrEnum):
     DUE = "due"
     """The pause is over."""
     AGREED = "agreed"
-    """The offer is taken by the other kernel."""
+    """The offer is accepted by the other kernel."""
     PROMISED = "promised"
     """The requested offer will be made by the other kernel."""
     LACKING = "lacking"
@@ -76,7 +76,7 @@ class LinkEvent(StrEnum):
     UNANSWERED = "unanswered"
     """No answer came, or none that can be read."""
     OFFER = "offer"
-    """An offer has come and was taken."""
+    """An offer has come and was accepted."""
     MADE = "made"
     """The channel is made."""
     UNMADE = "unmade"
@@ -86,15 +86,15 @@ class LinkEvent(StrEnum):
     LOST = "lost"
     """The transport says that the channel is down."""
     SILENT = "silent"
-    """The channel is up, and no frame answers on it."""
+    """The channel is up, but no frame has come in answer."""
     LEFT = "left"
-    """A disconnection of the other end has come."""
+    """The news has come that the other end was disconnected."""
     DISCONNECTED = "disconnected"
     """The connector of this end has ended."""
 
 
 class LinkAction(Enum):
-    """An action of the driver; the actions of a cell are carried out in order, in the state that follows."""
+    """An action of the driver; the actions of a cell are carried out in order, after its change of state."""
 
     DROP = "give the channel up"
     ASK = "ask the other kernel, or say that it is missing"

@@ -21,8 +21,8 @@ ACK_NS: Final = 50_000_000
 _TELL_NS: Final = 50_000_000
 """The time after an acknowledgement at which the writer's end is notified of losses."""
 _ACK_BYTES: Final = 1 << 19
-"""After so many bytes no acknowledgement is kept back: until it the writer keeps large samples, and needs fresh memory
-for the next ones, which the system clears page by page."""
+"""After this many bytes no acknowledgement is kept back: until it comes, the writer keeps large samples, and needs
+fresh memory for the next samples, which the system clears page by page."""
 _AGAIN_NS: Final = 200_000_000
 """The time without an answer after which a sample is asked for again; it doubles each time, up to `_LONGEST_NS`."""
 _LONGEST_NS: Final = 2_000_000_000
@@ -67,7 +67,7 @@ class ReaderEnd:
         self.peer_ended = False
         """Whether the writer's end was disconnected."""
         self.date: int | None = None
-        """The time at which the sample taken last was written, by this end's clock and without its time on the way;
+        """The time at which the last taken sample was written, by this end's clock, its time on the way left out.
         None: samples of this link do not expire."""
         self._dates: dict[int, int] = {}
         """The dates of the held samples, by ticket."""
@@ -75,7 +75,7 @@ class ReaderEnd:
         self._bytes = 0
         """The bytes of the held samples."""
         self._unacknowledged, self._most_unacknowledged = 0, min(window_bytes // 2, _ACK_BYTES)
-        """The bytes that have come since the last acknowledgement, and how many of them make the next one due."""
+        """The bytes that have come since the last acknowledgement, and the number of bytes that make the next due."""
         self._peer_epoch = 0
         self._era = 0
         """Counts the writer's ends. Samples of an earlier end are given out and never acknowledged."""
@@ -90,7 +90,7 @@ class ReaderEnd:
         """The number that is acknowledged once done: `_confirm`, or half a window after the last acknowledgement."""
         self._ack_ns: int | None = None
         self._wanted = 0
-        """0: no sample is asked for; 1: one that is there; 2: or else the next one."""
+        """The question for a sample. 0: none; 1: a sample that is there; 2: such a sample, or else the next."""
         self._want_ns: int | None = None
         """The time at which the sample is asked for (again); None: the writer's end knows of it."""
         self._want_pause_ns = 0
@@ -153,7 +153,7 @@ class ReaderEnd:
     def receive_alone(self, now: int, head: Buffer) -> int:
         """Do `receive` and `take` for a frame of just the next sample while nothing is held; returns the ticket.
 
-        The sample is the rest of the frame from `frames.SOLE` on. 0: it is no such frame, and was not received.
+        The sample is the rest of the frame from `frames.SOLE` on. 0: it is no such frame; nothing is received.
         """
         size = len(head) - SOLE
         if size < 0 or self._held or self._fates or self._wanted or self._dates:
@@ -230,7 +230,7 @@ class ReaderEnd:
             self._ack_ns = now + ACK_NS
 
     def want(self, now: int, *, wait: bool) -> bool:
-        """Ask for a sample, unless one is asked for; `wait`: for the next one where there is none. Returns whether a
+        """Ask for a sample, unless that is done already; `wait`: if there is none, for the next. Returns whether a
         frame is to be sent."""
         if self._wanted >= 1 + wait:
             return False
@@ -267,7 +267,7 @@ class ReaderEnd:
     def heads(self, count: int) -> list[Buffer]:
         """The heads of the next held samples, at most `count`: `take_all` takes them.
 
-        The list is empty where one has parts, or samples expire.
+        The list is empty if a sample has parts, or if samples expire.
         """
         first = list(islice(self._held, max(count, 0)))
         return [] if self._dates or any(map(_PARTS, first)) else list(map(_HEAD, first))
@@ -306,7 +306,7 @@ class ReaderEnd:
             self._through(now, ticket - self._era)
 
     def failed(self, now: int, ticket: int, why: str) -> None:
-        """Note that a sample is not in the reader's buffer: "rejected", or another reason."""
+        """Note that a sample is not put into the reader's buffer, for this reason, such as "rejected"."""
         self.ledger.dropped += 1
         if (number := ticket - self._era) > 0:
             self._fates[number] = why

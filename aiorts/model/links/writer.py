@@ -74,7 +74,7 @@ class WriterEnd:
         """The smallest window, and the present one."""
         self._narrows = self._least < window
         self._judged, self._late_ns = 0, 0
-        """The number of the sample whose time into the reader's buffer is taken (0: none), and when that is late."""
+        """The number of the sample whose way into the reader's buffer is timed (0: none), and when it is late."""
         self._fills = self._slow = False
         """Whether that sample has filled the window; whether the reader does not keep up."""
         self._peer_epoch = 0
@@ -119,8 +119,8 @@ class WriterEnd:
     def channel_up(self, now: int, peer_epoch: int) -> bool:
         """Use a new channel; returns whether it leads to another reader's end than before.
 
-        The former end goes on where it was. With another one, samples sent before are of unknown fate, and numbers
-        begin again.
+        The same end goes on where it was. If the end is another, samples sent before are of unknown fate, and
+        numbers begin again.
         """
         is_another = bool(self._peer_epoch) and peer_epoch != self._peer_epoch
         if is_another:
@@ -175,7 +175,7 @@ class WriterEnd:
 
     @property
     def numbered(self) -> int:
-        """The number of the sample that was offered last; 0: none was since numbers began."""
+        """The number of the last offered sample; 0: no sample was offered since numbers began."""
         return self._next - 1
 
     @property
@@ -393,7 +393,7 @@ class WriterEnd:
             head, parts, confirm = kept[first]
             heads, size, number = [head], len(head), first
             if first < last and last - first < BATCH and self._bytes <= BATCH_BYTES:
-                # All kept samples fit into one frame: no size is to be added up.
+                # All kept samples fit into one frame: their sizes need not be added up.
                 rest = [kept[number] for number in range(first, last + 1)]
                 if not any(map(_PARTS, rest)):
                     heads, confirm, number = list(map(_HEAD, rest)), any(map(_CONFIRM, rest)), last

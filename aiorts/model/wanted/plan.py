@@ -150,13 +150,13 @@ def _isolating(now: Wanted, wanted: Wanted, moved: Set[str]) -> Iterator[Wanted]
 
 
 def _is_apart(system: Wanted, context: str) -> bool:
-    """Whether a context runs in a process of its member's own."""
+    """Whether a context runs in the process of its isolated member."""
     members = system.contexts[context].members if context in system.contexts else ()
     return any(name in system.components and bool(system.components[name].isolation) for name in members)
 
 
 def _code(one: ComponentEntry) -> tuple[str, str]:
-    """The type and process of a component: changing either makes another instance."""
+    """The type and process of a component: a change of either makes another instance."""
     return one.type, one.isolation
 
 
@@ -378,12 +378,12 @@ def _components_of(connection: ConnectionEntry) -> list[str]:
 
 
 def _in_place(before: ConnectionEntry, after: ConnectionEntry) -> bool:
-    """Whether a connector can be changed in place: one without a buffer is of another kind."""
+    """Whether a connector can be changed in place: a connector without a buffer is of another kind."""
     return (before.options.get("length") == 0) is (after.options.get("length") == 0)
 
 
 def _is_rate_alone(before: ContextEntry, after: ContextEntry) -> bool:
-    """Whether only the rate differs; a context without a rate is of another kind."""
+    """Whether two contexts differ only in the rate; a context without a rate is of another kind."""
     rates = before.options.get("rate"), after.options.get("rate")
     others = [{**one.options, "rate": None} for one in (before, after)]
     return before.kind == after.kind and None not in rates and others[0] == others[1]

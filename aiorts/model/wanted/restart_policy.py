@@ -20,7 +20,7 @@ from aiorts.model.lifecycle import CYCLE_HOOKS
 _MOST: Final = 1_000_000
 _FACTOR: Final = 2.0
 _AGES: Final = 1e9
-"""The longest time in seconds: a longer one never comes, and its nanoseconds could exceed a float."""
+"""The longest time in seconds: a longer time never passes, and its nanoseconds could exceed a float."""
 ACTING: Final = ("restart", "deadline", "deadlines")
 """The options of which at least one is given: without them nothing is done."""
 

@@ -87,7 +87,7 @@ class StartRule:
 
 
 def in_order(rules: Sequence[StartRule]) -> tuple[StartRule, ...]:
-    """The rules in an order where each comes after those it waits for, and otherwise as they were given.
+    """The rules in an order where each comes after the rules for which it waits, and otherwise as given.
 
     Raises:
         ConfigurationError: these are no rules, two are for one component, or some wait for each other; names them.
@@ -103,7 +103,7 @@ def in_order(rules: Sequence[StartRule]) -> tuple[StartRule, ...]:
         name: [condition.component for condition in rule.conditions if condition.component in by_name]
         for name, rule in by_name.items()
     }
-    # A component that waits for its own addition only delays no other.
+    # A component that waits only for its own addition delays no other component.
     left = {name: set(others) - {name} for name, others in waits.items()}
     ordered: list[StartRule] = []
     while left:

@@ -166,7 +166,7 @@ class _Writer:
 
 
 def is_list_of_tables(value: Any) -> bool:
-    """Whether a system file has the value as `[[NAME]]`."""
+    """Whether a system file writes the value as `[[NAME]]`."""
     return isinstance(value, list | tuple) and bool(value) and all(isinstance(one, Mapping) for one in value)
 
 
