@@ -299,7 +299,7 @@ class FarProvider:
         return None
 
     def _wait(self, seconds: float, why: str) -> None:
-        """Note why the provider cannot be bound yet; try again after so many seconds, or on news of its kernel."""
+        """Note why the provider is not bound; try again after these seconds, or on news of its kernel or component."""
         if not self._over:
             self._stop_timer()
             self._timer = self._links.kernel.call_later(seconds, self._look_again)
